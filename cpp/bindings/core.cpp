@@ -406,7 +406,7 @@ void bind_bundle(nb::module_& m) {
       .def_rw("freeze_s", &DriftSettings::freeze_s)
       .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm)
       .def_rw("friction_share", &DriftSettings::friction_share);
-  nb::enum_<MotionFeature>(m, "MotionFeature", "What of the motion errors grow with; see settings.hpp.")
+  nb::enum_<MotionFeature>(m, "MotionFeature", "Features of the motion that errors grow with; see settings.hpp.")
       .value("constant", MotionFeature::constant)
       .value("speed", MotionFeature::speed)
       .value("acceleration", MotionFeature::acceleration)
@@ -440,7 +440,7 @@ void bind_bundle(nb::module_& m) {
       .def_ro("error_share", &Load::error_share, "Share of its torques that may be wrong.")
       .def("__eq__", [](const Load& a, const Load& b) { return a == b; }, nb::is_operator(),
            nb::sig("def __eq__(self, other: object, /) -> bool"));
-  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and what is believed of one; see load.hpp.")
+  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and bounds on loads; see load.hpp.")
       .def(nb::init<>())
       .def_rw("frame", &LoadSettings::frame, "Name of the frame that loads are given in.")
       .def_rw("link", &LoadSettings::link, "Index of the link that it is fixed to; -1: none.")
@@ -468,10 +468,10 @@ void bind_bundle(nb::module_& m) {
       .def_prop_ro("joints", &Bundle::joints, "How many joints it is for.")
       .def_prop_ro("has_network", &Bundle::has_network, "False: the observer alone, or with a prior.")
       .def_rw("units", &Bundle::units,
-              "What tau and the answers are given in; torque_units and estimate_units say it in words.")
-      .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and what is believed of one.")
+              "Units of tau and of the answers; torque_units and estimate_units are their names.")
+      .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and bounds on loads.")
       .def_rw("wrench_settings", &Bundle::wrench, "What forces and moments at frames are worth.")
-      .def_rw("capsules", &Bundle::capsules, "What links look like, as the robot file has it; none: it has not.")
+      .def_rw("capsules", &Bundle::capsules, "Shapes of links, from the robot file; empty: it has none.")
       .def_rw("servo", &Bundle::servo, "What makes dq and tau of a servo's signals, ahead of the chain; may be off.")
       .def_prop_ro(
           "in_newtons",
@@ -480,12 +480,12 @@ void bind_bundle(nb::module_& m) {
             for (int j = 0; j < b.joints(); ++j) out.push_back(b.in_newtons(j));
             return out;
           },
-          "A joint: whether it answers in N m, N or W; loads and forces are told by those alone.")
+          "A joint: whether it answers in N m, N or W; loads and forces are estimated from those alone.")
       .def("too_few_in_newtons", &Bundle::too_few_in_newtons, nb::arg("why"),
            "Empty where enough joints answer in N m; else a sentence that ends in `why`.")
       .def_prop_ro("most_units_per_nm", &Bundle::most_units_per_nm,
                    "A joint: so many of its own units a load makes of a newton metre at most; 0 where it answers in N m.")
-      .def("assume_load", &Bundle::assume_load, "What is said of a load where nobody says more: see bundle.hpp.")
+      .def("assume_load", &Bundle::assume_load, "Sets the default load settings; see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
       .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },
@@ -533,7 +533,7 @@ void bind_bundle(nb::module_& m) {
       .def_prop_rw(
           "region_width", [](const Bundle& b) { return b.limits.region_width; },
           [](Bundle& b, int v) { b.limits.region_width = v; },
-          "Index of the presliding width that tells, beside the speed, whether a joint is near stiction; -1: none does.")
+          "Index of the presliding width that decides, beside the speed, whether a joint is near stiction; -1: none.")
       .def_prop_rw(
           "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
           [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; },
@@ -549,7 +549,7 @@ void bind_bundle(nb::module_& m) {
             answer_reference(b);
           },
           "Leave the network out: what is left is observer and prior. CoreError without a reference to answer.")
-      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Answer the kept reference anew, after a change.")
+      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Recompute the kept reference, after a change.")
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -565,7 +565,7 @@ void bind_bundle(nb::module_& m) {
       .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"),
            "Write the file, under a temporary name first. CoreError, naming what does not fit or cannot be written.")
       .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"),
-                  "Read the file, check it, and replay the kept reference; CoreError says why it is refused.")
+                  "Read the file, check it, and replay the kept reference; CoreError contains the reason of a refusal.")
       .def(
           "to_bytes",
           [](const Bundle& b) {
@@ -580,7 +580,7 @@ void bind_bundle(nb::module_& m) {
             for (std::size_t k = 0; k < b.reference.tau.size(); ++k) b.reference.tau[k] *= by[k % by.size()];
             answer_reference(b);
           },
-          nb::arg("by"), "The kept reference's tau times these, a joint, answered anew.")
+          nb::arg("by"), "The kept reference's tau times these, a joint, and recomputed.")
       .def_static(
           "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"),
           "The bundle that to_bytes() gave, checked as load() checks a file.");
@@ -590,13 +590,13 @@ void bind_bundle(nb::module_& m) {
             "Moving links of the estimated model, each with the joint that carries it. A copy: change it and assign it.");
   bind_list(bundle, "input_factors", &Bundle::input_factors,
             "Factor on each column that inputs are read from: 1 / its largest magnitude in training.");
-  bind_list(bundle, "parameters", &Bundle::parameters, "Weights of the network, in the order that LstmShape says.");
+  bind_list(bundle, "parameters", &Bundle::parameters, "Weights of the network, in the order of LstmShape.");
   bundle.def_rw("prior", &Bundle::prior,
                 "What physics, fitted to the data, expects of r: terms and their weights; no terms: none.");
   bundle.def_rw("drift", &Bundle::drift, "Tracker of slow changes; time_constant_s = 0: none.");
   bundle.def_rw("error_scale", &Bundle::error_scale,
                 "How limits and standard error follow the motion; no features: limits are constants.");
-  bundle.def_rw("coverage", &Bundle::coverage, "What motion training saw; empty: nobody knows, and all motion is familiar.");
+  bundle.def_rw("coverage", &Bundle::coverage, "Motion that occurred in training; empty: unknown, and all motion is familiar.");
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm,
             "Torque of a network output of 1, [N m], a joint; 0: the network is shut off for it.");
   m.def(
@@ -641,7 +641,7 @@ void bind_bundle(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       nb::arg("temperature") = nb::none(),
-      "The whole chain on a recording, as run() of a new Monitor says it; see estimates.hpp.");
+      "The whole chain on a recording, equal to run() of a new Monitor; see estimates.hpp.");
   m.def(
       "motion_errors",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& dq,

@@ -1,4 +1,4 @@
-// What training saw of an arm's motion, and how far other motion is from it.
+// Motion of an arm that occurred in training, and the distance of other motion from it.
 #include "coverage.hpp"
 
 #include <nanobind/stl/string.h>
@@ -45,13 +45,13 @@ ArrayDict look(const CoverageSettings& settings, const Array<double, 2>& q, cons
 }  // namespace
 
 void bind_coverage(nb::module_& m) {
-  nb::enum_<Unseen>(m, "Unseen", "What of a motion training never saw.")
+  nb::enum_<Unseen>(m, "Unseen", "The part of a motion that never occurred in training.")
       .value("nothing", Unseen::nothing)
       .value("speed", Unseen::speed)
       .value("position", Unseen::position)
       .value("positions", Unseen::positions);
   nb::class_<CoverageSettings> settings(m, "CoverageSettings",
-                                        "What training saw: speeds, and positions in cells; see settings.hpp.");
+                                        "Motion that occurred in training: speeds, and positions in cells; see settings.hpp.");
   settings.def(nb::init<>())
       .def_rw("fastest_rad_s", &CoverageSettings::fastest_rad_s)
       .def_rw("turns", &CoverageSettings::turns)

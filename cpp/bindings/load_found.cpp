@@ -1,4 +1,4 @@
-// Sums that a load follows from, and what they say.
+// Sums that a load follows from, and their result.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/string.h>
@@ -70,7 +70,7 @@ void bind_sums(nb::module_& m) {
       .def("fade", &LoadSums::fade, nb::arg("share"), "What was added counts only so much any more.")
       .def_prop_ro("rows", &LoadSums::rows, "Added so far.")
       .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); }, "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
-      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The same of sums over blocks.", nb::rv_policy::move)
+      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The corresponding sum, of sums over blocks.", nb::rv_policy::move)
       .def_prop_ro("worth", &worth, "Rows, each by what it is worth, (n,).", nb::rv_policy::move);
   const std::pair<const char*, std::size_t> numbers[] = {
       {"LOAD", LoadSums::kLoad}, {"OFFSET", LoadSums::kOffset}, {"COULOMB", LoadSums::kCoulomb},
@@ -85,7 +85,8 @@ void bind_fit(nb::module_& m) {
                    "Mass and first moment of a load, or a force.")
       .def_prop_ro("covariance", [](const LoadFit& f) { return square(f.covariance, static_cast<std::size_t>(f.size)); },
                    "Of them.", nb::rv_policy::move)
-      .def_prop_ro("correlation", [](const LoadFit& f) { return f.noise.correlation; }, "Rows that say as much as one.")
+      .def_prop_ro("correlation", [](const LoadFit& f) { return f.noise.correlation; },
+                   "Rows that carry as much information as one independent row.")
       .def_ro("misfit", &LoadFit::misfit, "Squared standard errors that are left, a row.")
       .def_ro("cost", &LoadFit::cost, "Independent squared errors that are left, and what priors hold against it.");
   nb::class_<LoadFound>(m, "LoadFound",
@@ -104,9 +105,9 @@ void bind_fit(nb::module_& m) {
       .def_prop_ro("phi", [](const LoadFound& f) { return numbers(f.phi); },
                    "Mass, first moment and inertia about the frame's origin, (10,).", nb::rv_policy::move)
       .def_ro("seconds", &LoadFound::seconds, "Of motion.")
-      .def_ro("reach_m", &LoadFound::reach_m, "That was believed.")
+      .def_ro("reach_m", &LoadFound::reach_m, "Bound of the search: the centre of mass is within it, [m].")
       .def_ro("misfit", &LoadFound::misfit, "Squared standard errors a row that the load leaves.")
-      .def_ro("mass_seen", &LoadFound::mass_seen, "Else the mass is not told apart from its lever.")
+      .def_ro("mass_seen", &LoadFound::mass_seen, "False: the motion does not separate the mass from its lever.")
       .def_ro("at_bound", &LoadFound::at_bound, "The centre of mass is at the reach.")
       .def_prop_ro("unseen",
                    [](const LoadFound& f) {
@@ -114,7 +115,7 @@ void bind_fit(nb::module_& m) {
                      for (int k = 0; k < f.unseen_count; ++k) out.push_back(numbers(f.unseen[static_cast<std::size_t>(k)]));
                      return out;
                    },
-                   "Directions of the centre of mass that the motion did not tell, unit vectors.", nb::rv_policy::move)
+                   "Directions of the centre of mass that the motion did not determine, unit vectors.", nb::rv_policy::move)
       .def_prop_ro("fits",
                    [](const LoadFound& f) {
                      constexpr const char* names[] = {"load", "base", "frame", "nothing"};
@@ -141,7 +142,7 @@ void bind_load_found(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = kUsualReach_m,
       nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{}, nb::arg("rounds") = kLoadRounds,
-      "What the sums say of a load, phi (10,) being what is known of it so far, beside one that is set.");
+      "Load that follows from the sums, beside one that is set; phi (10,): its parameters as known so far.");
   m.def(
       "weigh_sizes",
       [](const Bundle& bundle) {

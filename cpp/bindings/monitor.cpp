@@ -51,7 +51,7 @@ std::vector<std::string> units(const Monitor& monitor, const std::string& (Monit
   return out;
 }
 
-// What the monitor says of sample after sample, as columns.
+// The monitor's estimates, sample after sample, as columns.
 class Columns {
  public:
   Columns(std::size_t samples, std::size_t joints) : joints_(joints) {
@@ -222,7 +222,7 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
 void bind_estimate(nb::module_& m) {
   nb::enum_<Alarm>(m, "Alarm",
                    "Levels of an alarm. contact: over the contact limit for its hold time; it falls back by itself.\n"
-                   "collision: over the collision limit for its hold time; it stays until somebody acknowledges it.")
+                   "collision: over the collision limit for its hold time; it stays until acknowledged.")
       .value("none", Alarm::none)
       .value("contact", Alarm::contact)
       .value("collision", Alarm::collision);
@@ -243,14 +243,14 @@ void bind_estimate(nb::module_& m) {
                     "Whether the torques of an answer can be trusted. warming_up: there are none yet. stale: nothing new for\n"
                     "as long as the clock bridges (a network period, or three samples\n"
                     "below 300 Hz), and those of the sample before are held. fault: the signals cannot be used,\n"
-                    "and `causes` says why.")
+                    "and `causes` contains the reasons.")
       .value("warming_up", Health::warming_up)
       .value("ok", Health::ok)
       .value("stale", Health::stale)
       .value("fault", Health::fault);
   m.def("cause_names", &cause_names, nb::arg("causes"),
         "Names of the bits of `causes`, as Monitor.run() and Estimates have them: why health is not ok.");
-  nb::class_<Estimate> estimate(m, "Estimate", "What the monitor says of one sample; torques that do not exist are NaN.");
+  nb::class_<Estimate> estimate(m, "Estimate", "The monitor's estimate at one sample; torques that do not exist are NaN.");
   estimate.def_ro("t_ns", &Estimate::t_ns, "Stamp of the sample, [ns].")
       .def_ro("health", &Estimate::health,
               "Whether the torques can be trusted. warming_up: there are none yet, and tau_ext is NaN, for about a second\n"
@@ -270,8 +270,8 @@ void bind_estimate(nb::module_& m) {
       .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); },
                    "Whether each joint sticks or creeps, so that its limit near stiction holds.")
       .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); },
-                   "Whether each joint's drift is at its bound: the arm has changed, and new training is due.")
-      .def_ro("unfamiliar", &Estimate::unfamiliar, "How far the motion is from all that training saw, 0 to 1.")
+                   "Whether each joint's drift is at its bound: the arm has changed and must be retrained.")
+      .def_ro("unfamiliar", &Estimate::unfamiliar, "Distance of the motion from all training motion, 0 to 1.")
       .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
       .def_ro("load", &Estimate::load, "What the arm is taken to carry; mass 0: nothing.")
       .def_ro("load_phase", &Estimate::load_phase, "Of a load that is expected.")
@@ -280,7 +280,7 @@ void bind_estimate(nb::module_& m) {
       .def_ro("load_error_kg", &Estimate::load_error_kg, "Standard error of its mass.")
       .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint whose motion is; -1: none.")
       .def_ro("unseen_other", &Estimate::unseen_other,
-              "Index of the joint whose position training never saw together with that one's; -1: none.");
+              "Index of the joint whose position never occurred in training together with that of unseen_joint; -1: none.");
   const auto bind_torques = [&](const char* torque, JointVector Estimate::*values, const char* doc) {
     estimate.def_prop_ro(
         torque,
@@ -294,7 +294,8 @@ void bind_estimate(nb::module_& m) {
                "What physics, fitted to the data, expects of r in free motion, [N m]; 0 without a prior.");
   bind_torques("network", &Estimate::network, "What the network expects of r beside the prior, [N m]; 0 without one.");
   bind_torques("load_nm", &Estimate::load_nm,
-               "What of tau_ext is taken for a load that is expected, [N m]: the alarm looks at the rest. 0 while none is.");
+               "Part of tau_ext that is attributed to an expected load, [N m]; the alarm uses the rest. 0 while none"
+               " is expected.");
   bind_torques("drift", &Estimate::drift,
                "What slow changes since training add to r, as the tracker has learned it, [N m]; 0 without one.");
   bind_torques("uncertainty", &Estimate::uncertainty,
@@ -305,7 +306,7 @@ void bind_estimate(nb::module_& m) {
   bind_torques("doubt", &Estimate::doubt,
                "How far the prior may be off while presliding states are unknown, [N m]; limits include it.");
   bind_torques("sigma_nm", &Estimate::sigma_nm,
-               "Standard error of tau_ext in free motion as it is believed now, doubt included, [N m]; NaN without an\n"
+               "Standard error of tau_ext in free motion as currently estimated, doubt included, [N m]; NaN without an\n"
                "error scale.");
   bind_torques("contact_sigma_nm", &Estimate::contact_sigma_nm,
                "Standard error of tau_ext, [N m], also while something touches the arm and after it: friction that a\n"
@@ -391,7 +392,7 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
           nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
-          "What the arm carries from the next sample on, or as if it had been told at since_ns: mass [kg], centre of\n"
+          "What the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
           "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
           "of its torques. Raises CoreError, and changes nothing, where it is refused.")
       .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) {
@@ -405,14 +406,14 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("seconds"), nb::arg("at_most_kg"),
           "The gripper closes or opens: for so long, what the arm carries may become anything up to at_most_kg in all. What\n"
-          "fits that is weighed, set and told, what does not is the usual alarm. Raises CoreError, and changes nothing,\n"
+          "fits that is weighed, set and reported, what does not is the usual alarm. Raises CoreError, and changes nothing,\n"
           "where it is refused.")
       .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
            "Why expect_load() would refuse it; empty: it would not.")
       .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
                    "What the arm is taken to carry from the next sample on; mass 0: nothing.")
       .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
-                   "The frame that loads are given in, and the largest mass and reach that are believed.")
+                   "The frame that loads are given in, and the largest mass and reach that are accepted.")
       .def(
           "why_no_load",
           [](const Monitor& self, const Load& load, const std::optional<std::int64_t>& since_ns) {
@@ -454,7 +455,7 @@ void bind_monitor(nb::module_& m) {
             return self.force(frame_of(self.wrench_model(), frame), point, axes);
           },
           nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
-          "The same of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
+          "Estimate of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
       .def_prop_ro(
           "wrench_frames",
           [](const Monitor& self) {
@@ -503,7 +504,7 @@ void bind_monitor(nb::module_& m) {
       .def(
           "run_missing",
           [](Monitor& self, std::int64_t now_ns, Recorder* recorder) { return run_missing(self, now_ns, recorder); },
-          nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "no_sample(), told as run() tells a single row.")
+          nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "no_sample(), returned as run() returns a single row.")
       .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last answer.")
       .def_prop_ro("joints", &Monitor::joints, "How many joints a sample has.")
       .def_prop_ro("joint_names",
@@ -521,7 +522,7 @@ void bind_monitor(nb::module_& m) {
       .def_prop_ro("samples", &Monitor::samples, "Samples that went on the chain; those of faults did not.")
       .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks,
                    "Ticks of the regular clock without a sample of their own, at which the one before was held.")
-      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain began anew after its first start.")
+      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain restarted after its first start.")
       .def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());

@@ -12,7 +12,7 @@
 namespace tauext::bindings {
 namespace {
 
-// What find() returns: owns what it says.
+// Result of find(), which owns its values.
 struct Found {
   int joints;
   TouchPlaces told;
@@ -76,16 +76,16 @@ void bind_places(nb::module_& m) {
               if (const TouchPlace& one = f.told.place[static_cast<std::size_t>(k)]; one.link == f.told.ranked[0]) return one;
             return f.told.place[0];
           },
-          "The most probable place on the most probable link; where none there is told, of all. None: there is none.")
+          "The most probable place on the most probable link; where none is reported there, of all. None: there is none.")
       .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
                    "Probability that one force at the first place leaves so much unexplained or more; NaN without places.")
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
                    "Probability that it is a force at the frame's origin, any way, and not a touch anywhere else on the arm, "
-                   "both being as probable beforehand; NaN where no frame was given.");
+                   "both with the same prior probability; NaN where no frame was given.");
   nb::class_<PlaceModel>(m, "PlaceModel", "Where touches are, by a bundle's arm; one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
-      .def_prop_ro("refused", &PlaceModel::refused, "Why it cannot tell; empty: it can.")
-      .def_prop_ro("capsules", &PlaceModel::capsules, "What it takes the links for.")
+      .def_prop_ro("refused", &PlaceModel::refused, "Why places cannot be estimated; empty: they can.")
+      .def_prop_ro("capsules", &PlaceModel::capsules, "Shapes of the links.")
       .def(
           "find",
           [](PlaceModel& self, const std::vector<double>& q, const std::vector<double>& tau_ext,
@@ -106,8 +106,8 @@ void bind_places(nb::module_& m) {
           nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("contact_sigma_nm") = std::vector<double>(), nb::arg("places") = true,
           nb::arg("link").none() = nb::none(), nb::arg("frame").none() = nb::none(),
           nb::arg("dq").none() = nb::none(),
-          "Of a sample: links with their probabilities and, if asked for, places. contact_sigma_nm: of the estimate; none: as in free motion. link: one that "
-          "the touch is known to be on, whose places are then told alone. frame: one whose at_frame is asked for. dq: "
+          "Of a sample: links with their probabilities and, if requested, places. contact_sigma_nm: of the estimate; none: as in free motion. link: one that "
+          "the touch is known to be on, only its places are then reported. frame: one whose at_frame is requested. dq: "
           "what a touch adds to the friction of joints that move is taken off; None: as where they stand.");
   m.def(
       "surface_of",

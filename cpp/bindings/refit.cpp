@@ -59,7 +59,7 @@ void bind_refit(nb::module_& m) {
       .def_rw("expected", &RefitSettings::expected)
       .def_rw("expected_error", &RefitSettings::expected_error);
   const auto pair = [](const RefitFactor& factor) { return std::pair(factor.value, factor.error); };
-  nb::class_<RefitJoint>(m, "RefitJoint", "What a refit found of one joint; see refit.hpp.")
+  nb::class_<RefitJoint>(m, "RefitJoint", "A refit's result for one joint; see refit.hpp.")
       .def_prop_ro("coulomb", [pair](const RefitJoint& j) { return pair(j.coulomb); }, "Factor and standard error.")
       .def_prop_ro("viscous", [pair](const RefitJoint& j) { return pair(j.viscous); }, "Factor and standard error.")
       .def_ro("constant_nm", &RefitJoint::constant_nm)
@@ -83,7 +83,7 @@ void bind_refit(nb::module_& m) {
       .def_ro("touches", &Refit::touches)
       .def_ro("used_s", &Refit::used_s)
       .def_ro("memory_s", &Refit::memory_s)
-      .def_prop_ro("left_out", &left_out, "Errors on motion that the fit had not seen: t_ns, free, share, near_stiction.");
+      .def_prop_ro("left_out", &left_out, "Errors on held-out motion: t_ns, free, share, near_stiction.");
   m.def("refit", &refit_sources, nb::arg("bundle"), nb::arg("sources"), nb::arg("settings") = nb::none(),
         nb::arg("threads") = 1,
         "A bundle whose friction is today's. sources: (t_ns, q, dq, tau, use) each, use: 0 where a sample is left out,\n"

@@ -19,7 +19,7 @@ std::span<const double> of(const Row& row, std::size_t joints, const char* what)
   return span_of(*row);
 }
 
-// Rows of a signal, one a sample; none where nobody measured it.
+// Rows of a signal, one a sample; none where not measured.
 struct Column {
   const double* data = nullptr;
   std::size_t joints = 0;
@@ -63,10 +63,10 @@ void bind_servo(nb::module_& m) {
           },
           nb::arg("volts") = 1.0, nb::arg("ohm") = 1.0, nb::arg("back_emf_v_s") = 0.0, nb::arg("nm_per_ampere") = 1.0,
           nb::arg("duty_per_rad") = 0.0, nb::arg("most_duty") = 1.0, nb::arg("count_rad") = 0.0)
-      .def_ro("volts", &ServoConstants::volts, "Of the supply, where a sample says none, [V].")
+      .def_ro("volts", &ServoConstants::volts, "Of the supply, where a sample has none, [V].")
       .def_ro("ohm", &ServoConstants::ohm, "Of the windings, [ohm].")
       .def_ro("back_emf_v_s", &ServoConstants::back_emf_v_s, "k_e, [V s/rad].")
-      .def_ro("nm_per_ampere", &ServoConstants::nm_per_ampere, "k_t, [N m/A]; 1 where nobody knows it.")
+      .def_ro("nm_per_ampere", &ServoConstants::nm_per_ampere, "k_t, [N m/A]; 1 where it is unknown.")
       .def_ro("duty_per_rad", &ServoConstants::duty_per_rad, "Gain of the position controller, duty a rad.")
       .def_ro("most_duty", &ServoConstants::most_duty, "Limit of the duty, 0 to 1.")
       .def_ro("count_rad", &ServoConstants::count_rad, "Step of the encoder, [rad]; 0: not known.");

@@ -107,10 +107,10 @@ int frame_of(const WrenchModel& model, const std::string& name) {
 }
 
 void bind_wrench(nb::module_& m) {
-  nb::enum_<WrenchAxes>(m, "WrenchAxes", "Along whose axes force and moment are told.")
+  nb::enum_<WrenchAxes>(m, "WrenchAxes", "Axes that force and moment are given along.")
       .value("base", WrenchAxes::base)
       .value("frame", WrenchAxes::frame);
-  nb::class_<WrenchFrame>(m, "WrenchFrame", "A frame that is fixed to a link, as seen from the link's own; rotation link from frame.")
+  nb::class_<WrenchFrame>(m, "WrenchFrame", "A frame that is fixed to a link, relative to the link's own; rotation link from frame.")
       .def(
           "__init__",
           [](WrenchFrame* f, std::string name, int link, std::array<double, 9> rotation, std::array<double, 3> translation) {
@@ -122,7 +122,7 @@ void bind_wrench(nb::module_& m) {
       .def_ro("link", &WrenchFrame::link)
       .def_ro("rotation", &WrenchFrame::rotation)
       .def_ro("translation", &WrenchFrame::translation);
-  nb::class_<WrenchSettings>(m, "WrenchSettings", "What is believed of the errors of tau_ext together; see wrench.hpp.")
+  nb::class_<WrenchSettings>(m, "WrenchSettings", "Model of the errors of tau_ext across the joints; see wrench.hpp.")
       .def(nb::init<>())
       .def_rw("frames", &WrenchSettings::frames, "That the robot file names.")
       .def_rw("correlation", &WrenchSettings::correlation, "Of the errors of free motion, (joints, joints); none: independent.")
@@ -152,7 +152,7 @@ void bind_wrench(nb::module_& m) {
               if (!std::ranges::binary_search(self.told(), j)) out.push_back(self.links()[j].joint_name);
             return out;
           },
-          "Joints that do not answer in N m: their torques are not looked at.")
+          "Joints that do not answer in N m: their torques are not used.")
       .def_prop_ro(
           "frames",
           [](const WrenchModel& self) {

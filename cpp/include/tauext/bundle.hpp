@@ -15,7 +15,7 @@ namespace tauext {
 
 inline constexpr std::uint32_t kBundleMajor = 1;  // format of bundles: the only one that is written and read
 
-// A short stretch of free motion and what the chain said at its last sample; replayed at load.
+// A short stretch of free motion and the chain's estimate at its last sample; replayed at load.
 struct Reference {
   std::vector<std::int64_t> t_ns;         // (samples)
   std::vector<double> q, dq, tau;         // (samples, joints)
@@ -29,7 +29,7 @@ inline constexpr double kReferenceTolerance = 1e-4;  // times the largest magnit
 enum class TorqueUnit : std::uint8_t {  // the numbers stand in bundles
   newton_metre = 0,                     // N at a sliding joint
   ampere = 1,
-  recorded = 2,                         // as the recordings had it; nobody said what that is
+  recorded = 2,                         // as in the recordings; the unit is unknown
 };
 // Which units a bundle takes and answers in.
 struct TorqueUnits {
@@ -42,7 +42,7 @@ struct TorqueUnits {
   void validate(int joints, bool constants) const;
 };
 
-// Plain content of a bundle: whoever changes it calls validate() before it is used. The network is absent where
+// Plain content of a bundle. Call validate() after a change and before use. The network is absent where
 // shape.hidden is 0: the plain observer.
 struct Bundle {
   std::string name;                     // what it calls itself; its file may have another name
@@ -60,12 +60,12 @@ struct Bundle {
   Limits limits;                        // of contact and collision, in usual motion where there is an error scale
   DriftSettings drift;                  // tracker of slow changes; may be off
   ErrorScaleSettings error_scale;       // how limits follow the motion; may be off
-  CoverageSettings coverage;            // what motion training saw; may be empty
+  CoverageSettings coverage;            // motion that occurred in training; may be empty
   SignalRanges signals;                 // beyond which a sample is a fault
   TorqueUnits units;                    // of tau and of the answers
-  LoadSettings load;                    // where a load is fixed, and what is believed of one
+  LoadSettings load;                    // where a load is fixed, and bounds on loads
   WrenchSettings wrench;                // of forces and moments at frames
-  std::vector<Capsule> capsules;        // what links look like
+  std::vector<Capsule> capsules;        // shapes of links
   ServoSettings servo;                  // what makes dq and tau of a servo's signals, ahead of the chain; may be off
   Reference reference;                  // replayed at load
 
@@ -77,21 +77,20 @@ struct Bundle {
   // "units of JOINT", or "W" of the energy observer. Throws std::out_of_range where there is no such joint.
   std::string torque_unit(int joint) const;
   std::string estimate_unit(int joint) const;
-  // Whether the joint answers in N m, N or W: there a mass or a force shows as its lever says.
+  // Whether the joint answers in N m, N or W: there a mass or a force appears in proportion to its lever.
   bool in_newtons(int joint) const;
-  // Fewer joints than these in N m, or than all of a shorter arm, tell neither a mass nor a force.
+  // Fewer joints in N m than this, or than all of a shorter arm, determine neither a mass nor a force.
   static constexpr int kLeastInNewtons = 3;
   // Empty where enough joints answer in N m; else a sentence that ends in `why`.
   std::string too_few_in_newtons(const std::string& why) const;
   // A joint: so many of its own units a load makes of a newton metre at most; 0 where it answers in N m. What the arm itself
   // weighs there took no more than the largest torque of training, of either sign; and the model takes off one unit for
-  // each newton metre. kAnyUnit where nobody knows what the arm weighs there.
+  // each newton metre. kAnyUnit where the arm's weight at the joint is unknown.
   static constexpr double kAnyUnit = 1e6;
   std::vector<double> most_units_per_nm() const;
   // Throws Error, naming what does not fit.
   void validate() const;
-  // What is said of a load where nobody says more: see assumed_load_settings(). None can be set where too few joints answer
-  // in N m.
+  // Sets the default load settings: see assumed_load_settings(). No load can be set where too few joints answer in N m.
   void assume_load();
 };
 

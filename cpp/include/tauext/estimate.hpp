@@ -17,7 +17,7 @@ enum class Alarm : std::uint8_t {
 
 const char* name(Alarm alarm) noexcept;  // "none", "contact", "collision"
 
-// What of a motion training never saw.
+// The part of a motion that never occurred in training.
 enum class Unseen : std::uint8_t {
   nothing,
   speed,      // of `joint`
@@ -49,7 +49,7 @@ enum class LoadPhase : std::uint8_t {
 
 const char* name(LoadPhase phase) noexcept;  // "none", "expecting", ...
 
-// What the chain says of one sample. A torque that does not exist is NaN: tau_ext, sigma, network, uncertainty and margin
+// The chain's estimate at one sample. A torque that does not exist is NaN: tau_ext, sigma, network, uncertainty and margin
 // exist where health is ok or stale, or kTorqueSaturated is all that is or was wrong.
 struct Estimate {
   std::int64_t t_ns = 0;            // stamp of the sample
@@ -64,8 +64,8 @@ struct Estimate {
   Touch touch = Touch::none;        // what kind of touch the alarm is, as known after the sample before this one
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
-  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
-  double unfamiliar = 0;            // how far the motion is from all that training saw, 0 to 1; 0 without a coverage
+  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and the arm must be retrained
+  double unfamiliar = 0;            // distance of the motion from all training motion, 0 to 1; 0 without a coverage
   Unseen unseen = Unseen::nothing;  // what of it is farthest, ...
   int unseen_joint = -1, unseen_other = -1;  // ... of this joint, together with the other one where positions are
   JointVector residual{};           // r of the observer, [N m]

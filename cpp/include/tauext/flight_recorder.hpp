@@ -25,13 +25,13 @@ struct Flight {
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)
   std::vector<Load> load;                                                   // (samples): that the arm was taken to carry
-  Estimate event;  // what the monitor said at the event
+  Estimate event;  // the monitor's estimate at the event
 };
 
-// An event is a rise of the alarm (to collision; to contact where asked for) or health becoming a fault after it was
-// ok or warming up. Two rings, made beforehand: when what comes after the event is in, the full one changes hands and
-// push() goes on in the other. push() never waits: a flight whose predecessor is not taken in time is given up, and
-// counted.
+// An event is a rise of the alarm (to collision; to contact where requested) or health becoming a fault after it was
+// ok or warming up. Two rings are allocated at construction: when the samples after the event are in, the full
+// ring changes hands and push() continues in the other. push() never waits: a flight whose predecessor is not taken in
+// time is discarded and counted.
 class FlightRecorder {
  public:
   // Throws Error where a time is negative, not finite or over ten minutes, or both are 0.

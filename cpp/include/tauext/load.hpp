@@ -1,4 +1,4 @@
-// What the arm carries beside its own links: a load at a frame that the bundle names, and what of it can be believed.
+// What the arm carries beside its own links: a load at a frame that the bundle names, and bounds on it.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -24,13 +24,13 @@ struct Load {
   bool operator==(const Load&) const = default;
 };
 
-// A load that is set from an earlier time on is told with that; this is none: from the next sample on.
+// since_ns of a load that holds from the next sample on; any other value is an earlier time that it holds from.
 inline constexpr std::int64_t kFromNow = std::numeric_limits<std::int64_t>::max();
 
 // Why a load is refused.
 enum class LoadFault : std::uint8_t {
   none,
-  not_settable,      // the bundle says why (LoadSettings::refused)
+  not_settable,      // LoadSettings::refused of the bundle has the reason
   not_finite,
   negative_mass,
   too_heavy,         // beyond largest_mass_kg
@@ -80,8 +80,8 @@ inline constexpr int kLoadCauses = 4;
 // What is known of the errors of tau_ext beside its sigma.
 struct LoadNoise {
   JointVector scale;       // a joint: times sigma
-  double correlation = 0;  // rows that say as much as one
-  // Before any fit: sigma is right, and a block says as much as a row.
+  double correlation = 0;  // rows that carry as much information as one independent row
+  // Before any fit: sigma is right, and a block carries as much information as a row.
   static LoadNoise unknown() noexcept;
 };
 
@@ -96,7 +96,7 @@ struct LoadFit {
   double cost = 0;                       // independent squared errors that are left, and what `before` holds against it
 };
 
-// What the sums of weighing say.
+// Result of the sums of weighing.
 enum class LoadVerdict : std::uint8_t {
   too_little,  // fewer than kLeastLoadRows rows: no measurement
   nothing,     // no load shows
@@ -120,11 +120,11 @@ struct LoadFound {
   std::array<double, 16> covariance{};      // (4, 4) of mass and first moment
   LoadParameters phi{};     // mass, first moment and inertia about the frame's origin
   double seconds = 0;       // of motion
-  double reach_m = 0;       // that was believed
+  double reach_m = 0;       // of the search: the centre of mass is within it
   double misfit = 0;        // squared standard errors a row that the load leaves: 1 where nothing else is
-  bool mass_seen = false;   // else the mass is not told apart from its lever
-  bool at_bound = false;    // the centre of mass is as far away as was said to be possible
-  int unseen_count = 0;     // directions of the centre of mass that the motion did not tell, unit vectors:
+  bool mass_seen = false;   // false: the motion does not separate the mass from its lever
+  bool at_bound = false;    // the centre of mass is at the reach
+  int unseen_count = 0;     // directions of the centre of mass that the motion did not determine, unit vectors:
   std::array<std::array<double, 3>, 3> unseen{};
   std::array<LoadFit, kLoadCauses> fits{};  // by LoadCause: what each of them would explain
 };

@@ -35,10 +35,10 @@ class Monitor {
     advance();
     return last();
   }
-  // The answer for this sample. Faults are answered, never skipped; after one the chain begins anew with the next good
-  // sample and is warming up until observer and window are full. A standing alarm outlives all of it.
+  // The answer for this sample. Faults are answered, never skipped; after one the chain restarts with the next good
+  // sample and is warming up until observer and window are full. An active alarm persists throughout.
   const Estimate& estimate(const Sample& sample) noexcept;
-  // What need not be done before the answer is out. estimate() does it first where it was left out.
+  // The work that can wait until the answer is out. estimate() does it first if the call was omitted.
   void advance() noexcept;
   // The loop ran and no sample came: stale for as long as samples are bridged (longest_bridged), then a fault.
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
@@ -53,7 +53,7 @@ class Monitor {
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
   void acknowledge() noexcept;
   // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction
-  // of a joint at rest at a level that its position tells only roughly. So that of joints near stiction is unknown again,
+  // of a joint at rest at a level that its position determines only roughly. So that of joints near stiction is unknown again,
   // as at the start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
   void resume() noexcept;
   // Limits are the bundle's times these, one a joint and each 0.1 to 10, from the next sample on: for phases of a task
@@ -64,8 +64,8 @@ class Monitor {
 
   // --- Loads: set, expected of a gripper, weighed.
 
-  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r goes on from
-  // where it is. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
+  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r continues from
+  // its value. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
   // exactly within the last 10/K0 (8192 samples at most), all but e^-10 of the load's torques before that; drift
   // to a second, within the last minute. What is known of the time before is lost by restore_state() and by whatever breaks
   // the chain. Limits rise by the load's error_share of its torques. false, and nothing changed, where the load is
@@ -74,7 +74,7 @@ class Monitor {
   // It carries nothing more; true, and nothing happens, where none can be set.
   bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return !load_settings().settable() || set_load({}, since_ns); }
   const Load& load() const noexcept;  // that holds now
-  // Where it is fixed, and what is believed of one.
+  // Where the load is fixed, and bounds on loads.
   const LoadSettings& load_settings() const noexcept;
   // Why it would be refused.
   LoadFault load_fault(const Load& load, std::int64_t since_ns = kFromNow) const noexcept;
@@ -84,17 +84,17 @@ class Monitor {
   }
 
   // From the next sample on, for so many seconds (60 at most): the gripper closes or opens, and what the arm carries may
-  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed and set, and told
+  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed, set and reported
   // (Estimate's load_phase, load_found_ns, load_error_kg); one that does not fit is the usual alarm. What would have been an
   // alarm and does not become a load within about half a second of settling is one late. Meanwhile
   // drift learns nothing, and a sample takes about two microseconds longer. A load that is set or cleared ends it, and reset().
-  // false, and nothing changed, where why_not_expected() says why.
+  // false, and nothing changed, where why_not_expected() returns a reason.
   bool expect_load(double seconds, double at_most_kg) noexcept;
   // Empty: it would be. Not for the loop: it allocates.
   std::string why_not_expected(double seconds, double at_most_kg) const;
   // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
   // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
-  // nothing, else they would learn the load away. Sums begin anew where it runs already, and with every set_load(); reset()
+  // nothing, else they would learn the load away. Sums restart where it runs already, and with every set_load(); reset()
   // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
   // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
   bool start_weighing(double reach_m = kUsualReach_m) noexcept;
@@ -102,8 +102,8 @@ class Monitor {
   void stop_weighing() noexcept;
   bool can_weigh() const noexcept;  // start_weighing() refuses no reach above 0
   bool weighing() const noexcept;
-  // What the sums say: see LoadFound. It takes as long as some fifty samples (60 us for six joints on a desktop); nothing
-  // is changed. A contact of the time is not cut out, but told: the verdict is another one than load.
+  // Result of the sums: see LoadFound. The call takes as long as some fifty samples (60 us for six joints on a desktop);
+  // nothing is changed. A contact while weighing is not cut out, but reported: the verdict is then not `load`.
   LoadFound estimate_load() const noexcept;
   // Empty: it can be weighed. Allocates.
   std::string why_no_weighing() const;
@@ -114,7 +114,7 @@ class Monitor {
   // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is
   // not ok or stale, or after restore_state() until the next sample. Microseconds, and nothing is changed.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
+  // Estimate of a force alone, that acts at this point of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept;
   // Frames by name, and why there is no wrench: refused().
   const WrenchModel& wrench_model() const noexcept;
@@ -134,7 +134,7 @@ class Monitor {
   // So much motion is kept.
   bool refit_full() const noexcept;
   // Limits are the usual ones again. What was kept stays until the next start, so that another thread can give it to refit()
-  // while the loop goes on.
+  // while the loop continues.
   RecordingView finish_refit() noexcept;
   // What is kept.
   RecordingView refit_motion() const noexcept;
@@ -154,8 +154,7 @@ class Monitor {
   int joints() const noexcept { return last().joints; }  // how many
   // Of the bundle, in the order of q, dq and tau. Throws std::out_of_range where there is no such joint.
   const std::string& joint_name(int joint) const;
-  // What the bundle says of its units: that of the tau to be given, and that of the torques in the answer. Throw
-  // std::out_of_range, too.
+  // The bundle's units: of the tau to be given, and of the torques in the answer. Throw std::out_of_range, too.
   const std::string& torque_unit(int joint) const;
   const std::string& estimate_unit(int joint) const;
   std::int64_t sample_period_ns() const noexcept;  // of the bundle

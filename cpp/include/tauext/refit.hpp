@@ -27,8 +27,8 @@ struct RefitSettings {
   double ripple = 0.1;
   double trend = 0.1;      // of the friction, a minute: it warms up while it is recorded; weights are those at the end
   double network = 0.3;    // it learned what the prior left of the old friction, which moves with that
-  // Of each joint, where somebody knows more of today than that: friction by the old one that is expected, instead of 1,
-  // and its standard deviation, instead of common (apart stays in proportion). Empty: nobody does.
+  // Of each joint, where more is known of today than that: friction by the old one that is expected, instead of 1,
+  // and its standard deviation, instead of common (apart stays in proportion). Empty: unknown.
   std::vector<double> expected = {}, expected_error = {};
 
   // Throws Error, naming what is not 0 to 10, or an expectation that is none of a friction (0.2 to 5, above 0 to 10).
@@ -63,7 +63,7 @@ struct RefitTouch {
   bool counted = false;           // too many for touches: limits were raised by it
 };
 
-// Errors that the fit left of motion that it had not seen, a network period apart.
+// Errors of the fit on held-out motion, a network period apart.
 struct RefitErrors {
   std::vector<std::int64_t> t_ns;
   std::vector<std::uint8_t> free;           // no touch is near
@@ -77,7 +77,7 @@ struct Refit {
   std::vector<RefitTouch> touches;
   RefitErrors left_out;
   double used_s = 0;    // of motion that was fitted
-  double memory_s = 0;  // for so long the error stays what it is, so that samples nearer say the same: the longest of all joints
+  double memory_s = 0;  // correlation time of the error, the longest of all joints: closer samples add no information
 };
 
 inline constexpr double kRefitLeastS = 10;  // of motion

@@ -9,13 +9,13 @@ namespace tauext {
 
 // What a control loop gives once a cycle.
 struct Sample {
-  std::int64_t t_ns = 0;               // when it was measured, by a clock that goes on steadily
+  std::int64_t t_ns = 0;               // when it was measured, by a monotonic clock
   std::span<const double> q, dq, tau;  // a joint: [rad], [rad/s], tau in the bundle's given unit
   // A joint, [degC]; empty, or NaN for a joint: not known at this sample, and what was known holds.
   std::span<const double> temperature = {};
 };
 
-// Samples one after the other; q, dq, tau are (samples, joints), row-major. Nothing is said of their values: times may
+// Samples one after the other; q, dq, tau are (samples, joints), row-major. Values are not validated: times may
 // go backwards and numbers be NaN.
 struct RecordingView {
   std::int64_t samples = 0;  // how many
@@ -24,7 +24,7 @@ struct RecordingView {
   const double* q = nullptr;
   const double* dq = nullptr;
   const double* tau = nullptr;
-  const double* temperature = nullptr;  // as q; null: nobody measured it
+  const double* temperature = nullptr;  // as q; null: not measured
 
   // Sample k, counted from 0, where it lies.
   Sample at(std::int64_t k) const noexcept {
@@ -51,8 +51,8 @@ enum Cause : std::uint32_t {
   kMissingSample = 16,     // no_sample(): none came for at most what is bridged
   kGap = 32,               // none came for longer
   kWrongRate = 64,         // the samples' mean step is not the bundle's
-  kTorqueSaturated = 128,  // a drive at its limit gives another torque than it is told
-  kEncoderStill = 256,     // a position stands still while velocity or torque say otherwise
+  kTorqueSaturated = 128,  // a drive at its limit gives another torque than commanded
+  kEncoderStill = 256,     // a position stands still while velocity or torque indicate motion
   kImpossibleTorque = 512,     // more than the drive can give, whatever touches the arm (SignalRanges)
   kImpossibleVelocity = 1024,  // faster than the joint can get
   kImpossiblePosition = 2048,  // farther from the last position than the joint can have gone, or from all positions

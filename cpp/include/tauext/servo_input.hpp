@@ -19,10 +19,10 @@ enum class TorqueFrom : std::uint8_t {
 
 // Constants of a servo, at the joint, after its gear: volts, ohm and k_t of a motor with gear N are V, R and N k_t.
 struct ServoConstants {
-  double volts = 1;          // of the supply, where a sample says none; > 0
+  double volts = 1;          // of the supply, where a sample has none; > 0
   double ohm = 1;            // of the windings, > 0
   double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
-  double nm_per_ampere = 1;  // k_t; 1 where nobody knows it: torques are in A
+  double nm_per_ampere = 1;  // k_t; 1 where it is unknown: torques are in A
   double duty_per_rad = 0;   // gain of the position controller, >= 0; needed where torque comes from the goal
   double most_duty = 1;      // its limit, 0 to 1
   double count_rad = 0;      // step of the encoder, >= 0
@@ -33,7 +33,7 @@ struct ServoSettings {
 
   TorqueFrom torque_from = TorqueFrom::torque;
   int velocity_steps = 0;              // most steps in the velocity's window; 0: dq as it is given
-  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them starts the window anew
+  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them restarts the window
   std::int64_t goal_delay_ns = 0;      // a goal acts so long after its stamp, at most kMostDelay sample periods
   std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
 
@@ -42,7 +42,7 @@ struct ServoSettings {
   void validate() const;
 };
 
-// One report of all servos; lists over the joints, empty where nobody measured it.
+// One report of all servos; lists over the joints, empty where not measured.
 struct ServoSample {
   std::int64_t t_ns = 0;
   std::span<const double> q;  // [rad]
@@ -55,8 +55,8 @@ struct ServoSample {
 
 // First-order adaptive windowing in its best-fit form [JanabiSharifi2000]: the slope of the line through the longest stretch of the last samples from whose end-to-end line no
 // position departs by more than a count. A slow joint is averaged over all of the window, one that accelerates over as
-// few samples as its acceleration asks for: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
-// A joint that flickers between two counts has a velocity near 0, where a difference says count/period.
+// few samples as its acceleration requires: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
+// A joint that flickers between two counts has a velocity near 0, where a difference gives count/period.
 // The last samples only: a control loop has the same values. No allocation after the constructor.
 class AdaptiveVelocity {
  public:
@@ -67,7 +67,7 @@ class AdaptiveVelocity {
   AdaptiveVelocity(int steps, std::span<const double> count_rad);
 
   // Velocities after one more sample of finite positions [rad/s]; 0 with the first one. t_ns must increase: where it does
-  // not, or after a pause of more than gap_ns (0: never), the window begins anew.
+  // not, or after a pause of more than gap_ns (0: never), the window restarts.
   void step(std::int64_t t_ns, std::span<const double> q, std::int64_t gap_ns, std::span<double> dq) noexcept;
   // The next sample is a first one.
   void reset() noexcept { filled_ = 0; }
@@ -91,8 +91,8 @@ class AdaptiveVelocity {
 //                        the line between two samples, since bus and servo take their time;
 //   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
 //                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
-//                        where nobody measured a duty, which changes over two counts of the encoder.
-// At standstill the supply current goes with the square of the torque: its root is taken.
+//                        where the duty is not measured, which changes over two counts of the encoder.
+// At standstill the supply current is proportional to the square of the torque: its root is taken.
 class ServoInput {
  public:
   // Throws Error as validate().

@@ -33,7 +33,7 @@ struct ObserverSettings {
   ResidualMethod method = ResidualMethod::momentum;  // what r is
   double high_pass_per_s = 0;         // filters on the residual, [1/s]; 0: none
   double low_pass_per_s = 0;
-  // Torque constants, a joint: what is given as tau is multiplied by them before anything looks at it. Empty: tau is in
+  // Torque constants, a joint: what is given as tau is multiplied by them before any other step. Empty: tau is in
   // the unit of the answers already.
   std::vector<double> nm_per_unit = {};
 
@@ -102,7 +102,7 @@ enum class TermKind : std::uint8_t {
   local_memory = 11,    // Presliding::memory_gap of joint a: its weight is the friction that has local memory, as LuGre's has
 };
 
-// One term: its kind, and what TermKind says of a, b, c, form and speed there; what a kind does not name is 0.
+// One term: its kind, and a, b, c, form and speed as TermKind defines them for the kind; those that a kind does not use are 0.
 struct Term {
   TermKind kind = TermKind::constant;
   std::int32_t a = 0, b = 0, c = 0, form = 0;
@@ -110,7 +110,7 @@ struct Term {
 };
 
 // Friction of a joint follows its temperature: factors 1 + share (T - reference) / 10 K of what is Coulomb's and of what is
-// viscous in the prior. Lists over the joints; empty: it does not. A joint whose temperature nobody told has its reference.
+// viscous in the prior. Lists over the joints; empty: it does not. A joint without a measured temperature has its reference.
 struct FrictionTemperature {
   std::vector<double> reference_c;      // [degC]
   std::vector<double> reach_k;          // farther from the reference than this is taken as this
@@ -126,7 +126,7 @@ struct FrictionTemperature {
 struct PriorSettings {
   std::vector<double> widths_rad;   // of the presliding states, also the network's
   std::vector<Term> terms;          // empty: no prior
-  std::vector<double> weights;      // (joints, terms), [N m], [N m s] ... as the term asks
+  std::vector<double> weights;      // (joints, terms), [N m], [N m s] ... as the term requires
   // The model as data corrected it, in the order of the bundle's links; empty: not corrected.
   std::vector<Link> corrected_links;
   FrictionTemperature temperature = {};
@@ -162,12 +162,12 @@ struct LimitFactors {
 // Limits of both levels, and which joints are near stiction.
 struct Limits {
   double near_stiction_rad_s = 0;  // near stiction: |dq| below this,
-  int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells ...
+  int region_width = -1;           // or the presliding state of this width bent; -1: only the speed decides ...
   double near_memory_s = 0;        // ... and for so long afterwards: r still shows how the joint broke away
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
   double contact_release_s = 0;    // ... when |tau_ext| has been under its limit for so long
-  // A push leaves the friction of a joint that is stuck at another level than its motion tells, until it slides: from the
+  // A push leaves the friction of a joint that is stuck at another level than its motion implies, until it slides: from the
   // moment no joint is over its limit any more, limits of such a joint are multiplied by this until it has slid for
   // kSlidS. 1: they are not.
   static constexpr double kSlidS = 0.5;
@@ -221,10 +221,10 @@ inline constexpr int kMotionFeatures = 8;  // kinds that there are
 struct ErrorScaleSettings {
   std::vector<MotionFeature> features;    // none: no standard error; the constant alone: constant limits with one
   std::vector<double> limit_weights;      // of the limits' scale; 1 is usual motion
-  std::vector<double> largest;            // a joint: the scale never exceeds what training motion asked for
+  std::vector<double> largest;            // a joint: the scale never exceeds its largest on training motion
   std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
   std::vector<double> sigma_near_weights; // and near stiction
-  std::vector<double> largest_sigma;      // a joint: likewise, [N m]
+  std::vector<double> largest_sigma;      // a joint: the standard error never exceeds this, [N m]
 
   bool on() const noexcept { return !features.empty(); }  // there is a standard error
   // Limits and standard error follow the motion.
@@ -235,32 +235,32 @@ struct ErrorScaleSettings {
   void validate(int joints) const;
 };
 
-// What training saw. Positions are sorted into cells; those of a joint that turns go once round and begin anew. Empty:
-// nobody knows what training saw, and all motion is familiar.
+// Motion that occurred in training. Positions are sorted into cells; those of a joint that turns wrap after one turn.
+// Empty: training motion is unknown, and all motion is familiar.
 struct CoverageSettings {
   std::vector<double> fastest_rad_s;         // a joint: largest |dq| of training, > 0; [m/s] of one that slides
   std::vector<std::uint8_t> turns;           // a joint: 1 where the first cell follows on the last one
   std::vector<double> centre_rad, span_rad;  // a joint: middle and length of all its cells together; [m] of one that slides
   std::vector<std::uint64_t> seen;           // a joint: bit c is set where training was in its cell c, of kCells
-  // Cells from a seen one within which a position is familiar, a joint; 0: its position by itself tells nothing.
+  // Cells from a seen one within which a position is familiar, a joint; 0: its position by itself is no evidence.
   std::vector<std::uint8_t> reach;
   // Pairs of joints i < j, (0, 1), (0, 2), ... (1, 2), ..., kPairCells words each: bit d of word c is set where training
   // was in cell c of joint i while it was in cell d of joint j, of kPairCells each.
   std::vector<std::uint32_t> seen_together;  // empty where ...
-  std::uint8_t reach_together = 0;           // ... this is 0: pairs tell nothing
+  std::uint8_t reach_together = 0;           // ... this is 0: pairs are no evidence
 
-  bool empty() const noexcept { return fastest_rad_s.empty(); }  // nobody knows
+  bool empty() const noexcept { return fastest_rad_s.empty(); }  // training motion is unknown
   // Throws Error, naming what does not fit.
   void validate(int joints) const;
   // Marks the cells of a sample of training as seen; the settings hold together, and q is finite.
   void see(std::span<const double> q) noexcept;
 };
 
-// What the watch must know of the arm's signals; a value for each joint.
+// Ranges of the arm's signals, for the watch; a value for each joint.
 struct SignalRanges {
   std::vector<double> torque_limit_nm;    // the drive gives no more, [N m]; infinite where unknown
   std::vector<double> largest_torque_nm;  // largest |tau_m| in training, [N m]; > 0
-  // Beyond these nothing is true, whatever touches the arm; infinite where nobody knows.
+  // Beyond these nothing is true, whatever touches the arm; infinite where unknown.
   std::vector<double> possible_torque_nm = {};    // of |tau_m|, [N m]; at least the largest of training
   std::vector<double> possible_speed_rad_s = {};  // of |dq|, [rad/s], and of how fast q changes
   // By what share of the sample period the mean step may differ from it: the most in training, within these bounds.
@@ -271,7 +271,7 @@ struct SignalRanges {
   void validate(int joints) const;
 };
 
-// All points within radius_m of the line from start to end, which are seen from the link's own frame, [m].
+// All points within radius_m of the line from start to end, in the link's own frame, [m].
 struct Capsule {
   std::int32_t link = -1;
   std::array<double, 3> start{}, end{};

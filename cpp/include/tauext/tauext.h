@@ -7,7 +7,7 @@
  *   tauext_monitor_step(monitor, t_ns, q, dq, tau, &e);      every sample period
  *
  * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque on the joint's
- * side of the gear. A null pointer where something belongs is TAUEXT_BAD_ARGUMENT, unless it is said to be allowed.
+ * side of the gear. A null pointer where something belongs is TAUEXT_BAD_ARGUMENT, unless documented as allowed.
  * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _set_load,
  * _clear_load, _expect_load, _reset, _save_state and _restore_state do not allocate, lock, log or call the system. One
  * thread at a time for each monitor. */
@@ -27,10 +27,10 @@ extern "C" {
 typedef enum tauext_status {
   TAUEXT_OK = 0,
   TAUEXT_BAD_ARGUMENT = 1, /* a null pointer, a size that does not fit */
-  TAUEXT_BAD_BUNDLE = 2,   /* the message says what is wrong with it */
+  TAUEXT_BAD_BUNDLE = 2,   /* the message contains the reason */
   TAUEXT_NO_MEMORY = 3,    /* the monitor could not be made */
   TAUEXT_BAD_STATE = 4,    /* of another monitor, or damaged */
-  TAUEXT_BAD_LOAD = 5      /* tauext_monitor_why_no_load says what is wrong with it */
+  TAUEXT_BAD_LOAD = 5      /* tauext_monitor_why_no_load writes the reason */
 } tauext_status;
 
 /* When the network answers: at every sample, or, for slow processors, once in its own period (about 10 ms). */
@@ -56,8 +56,8 @@ typedef enum tauext_cause {
   TAUEXT_MISSING_SAMPLE = 16,        /* none came for as long as is bridged at most */
   TAUEXT_GAP = 32,                   /* none came for longer */
   TAUEXT_WRONG_RATE = 64,            /* the samples' mean step is not the bundle's */
-  TAUEXT_TORQUE_SATURATED = 128,     /* a drive at its limit gives another torque than it is told */
-  TAUEXT_ENCODER_STILL = 256,        /* a position stands still while velocity or torque say otherwise */
+  TAUEXT_TORQUE_SATURATED = 128,     /* a drive at its limit gives another torque than commanded */
+  TAUEXT_ENCODER_STILL = 256,        /* a position stands still while velocity or torque indicate motion */
   TAUEXT_IMPOSSIBLE_TORQUE = 512,    /* more than the drive can give */
   TAUEXT_IMPOSSIBLE_VELOCITY = 1024, /* faster than the joint can get */
   TAUEXT_IMPOSSIBLE_POSITION = 2048  /* farther from the last position than the joint can have gone */
@@ -80,7 +80,7 @@ typedef enum tauext_touch {
   TAUEXT_LOAD_TOUCH = 5     /* a weight at the load frame */
 } tauext_touch;
 
-/* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
+/* The monitor's estimate at one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
  * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
 typedef struct tauext_estimate {
   size_t size; /* set by the caller: sizeof(tauext_estimate), at least up to `residual`; no more is written */
@@ -100,10 +100,10 @@ typedef struct tauext_estimate {
   double limit_nm[TAUEXT_MAX_JOINTS];    /* that |tau_ext| must exceed for a collision */
   double margin_nm[TAUEXT_MAX_JOINTS];   /* limit - |tau_ext| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], part of uncertainty: slow changes since training */
-  uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
+  uint32_t drift_saturated;              /* a bit a joint: drift at its bound, retrain; health stays as it is */
   uint32_t unused;                       /* 0 */
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
-  double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
+  double unfamiliar;                     /* distance of the motion from all training motion: 0 to 1, reported from 0.5 on */
   double load_kg;                        /* that the arm is taken to carry; 0: nothing */
   int32_t load_phase;                    /* tauext_load_phase */
   int32_t touch;                         /* tauext_touch: what kind of touch the alarm is */
@@ -138,7 +138,7 @@ typedef enum tauext_load_verdict {
 typedef struct tauext_load_found {
   size_t size;               /* set by the caller: sizeof(tauext_load_found); no more is written */
   int32_t verdict;           /* tauext_load_verdict */
-  int32_t mass_seen;         /* 0: the mass is not told apart from its lever */
+  int32_t mass_seen;         /* 0: the motion does not separate the mass from its lever */
   tauext_load load;          /* both together, for tauext_monitor_set_load */
   double mass_kg;            /* below 0 only where a load is set, which is less then */
   double mass_error_kg;      /* standard error */
@@ -147,17 +147,17 @@ typedef struct tauext_load_found {
   double com_covariance[9];  /* (3, 3), [m^2] */
   double seconds;            /* of motion */
   double misfit;             /* squared standard errors a row that the load leaves: 1 where nothing else is */
-  int32_t unseen_count;      /* directions of the centre of mass that the motion did not tell, unit vectors: */
+  int32_t unseen_count;      /* directions of the centre of mass that the motion did not determine, unit vectors: */
   int32_t at_bound;          /* 1: the centre of mass is at the reach */
   double unseen[9];          /* (unseen_count, 3) */
 } tauext_load_found;
 
 #define TAUEXT_USUAL_REACH_M 0.3
 
-/* Along whose axes force and moment are told; the moment is about the frame's origin either way. */
+/* Axes that force and moment are given along; the moment is about the frame's origin either way. */
 typedef enum tauext_axes { TAUEXT_BASE_AXES = 0, TAUEXT_FRAME_AXES = 1 } tauext_axes;
 
-/* Force and moment that the surroundings exert on the arm, and how sure that is; wrench.hpp says how they are found. */
+/* Force and moment that the surroundings exert on the arm, and how sure that is; wrench.hpp has the equations. */
 typedef struct tauext_wrench {
   size_t size;            /* set by the caller: sizeof(tauext_wrench); no more is written */
   int32_t known;          /* 0: the last sample had no torques with a standard error; all else is NaN then */
@@ -204,13 +204,13 @@ int32_t tauext_monitor_joints(const tauext_monitor* monitor);
 /* In the order of q, dq and tau. NULL: no such joint. Texts live as long as the monitor. */
 const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint);
 /* Unit of the tau that is to be given of a joint, and of the torques in the answers: "N m", "N", "A", "recorded unit",
- * "units of JOINT", "W". NULL: no such joint. Ask them once: a bundle that was trained on currents takes amperes. */
+ * "units of JOINT", "W". NULL: no such joint. Query them once: a bundle that was trained on currents takes amperes. */
 const char* tauext_monitor_torque_unit(const tauext_monitor* monitor, int32_t joint);
 const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t joint);
 /* Of the bundle, [ns]; 0 of NULL. */
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
 
-/* One sample: t_ns [ns] of a clock that goes on steadily, q [rad], dq [rad/s], tau in the unit that
+/* One sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in the unit that
  * tauext_monitor_torque_unit names, one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
  * answered in estimate->health. */
 tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
@@ -233,14 +233,14 @@ tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const do
 /* Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; what was known before holds. Call
  * it as often as there are new ones: friction follows them where training found that it does. */
 tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const double* celsius);
-/* What the arm carries from the next sample on or, since_ns being a time of the samples, as if it had been told then
- * (monitor.hpp says how exactly). Else TAUEXT_BAD_LOAD, and nothing is changed. */
+/* What the arm carries from the next sample on or, since_ns being a time of the samples, as if it had been set then
+ * (see monitor.hpp). Else TAUEXT_BAD_LOAD, and nothing is changed. */
 tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);
 /* It carries nothing more. */
 tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns);
 /* The gripper closes or opens: for so many seconds (60 at most) what the arm carries may become anything up to at_most_kg
- * in all. What fits that is weighed, set and told (load_phase, load_found_ns); what does not is the usual alarm, at most
- * about half a second late. TAUEXT_BAD_LOAD where tauext_monitor_why_not_expected says why. */
+ * in all. What fits that is weighed, set and reported (load_phase, load_found_ns); what does not is the usual alarm, at most
+ * about half a second late. TAUEXT_BAD_LOAD where tauext_monitor_why_not_expected writes a reason. */
 tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg);
 /* Writes why, cut to message_size; "" where it would be. Not for the loop. */
 tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, double seconds, double at_most_kg,
@@ -251,8 +251,8 @@ tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* lo
 tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
                                          char* message, size_t message_size);
 const char* tauext_monitor_load_frame(const tauext_monitor* monitor); /* "" where no load can be set */
-/* What is it carrying? Weighs it beside the load that is set, from the next sample on (monitor.hpp says how); the centre of
- * mass is within reach_m > 0 of the load frame, TAUEXT_USUAL_REACH_M where nobody knows better. TAUEXT_BAD_LOAD: this
+/* What is it carrying? Weighs it beside the load that is set, from the next sample on (see monitor.hpp); the centre of
+ * mass is within reach_m > 0 of the load frame, TAUEXT_USUAL_REACH_M where no better bound is known. TAUEXT_BAD_LOAD: this
  * bundle cannot; TAUEXT_BAD_ARGUMENT: no such reach; nothing is changed then. What was found stays after stop. */
 tauext_status tauext_monitor_start_weighing(tauext_monitor* monitor, double reach_m);
 tauext_status tauext_monitor_stop_weighing(tauext_monitor* monitor);
@@ -273,13 +273,13 @@ tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
 /* A refit's morning routine. reserve allocates, outside the loop: memory for so many seconds, above 0 and at most 600.
  * From start on motion is kept and limits are higher by a share of the joint's friction, 0 to 2 (0.4 is usual), until
- * finish; TAUEXT_BAD_ARGUMENT without memory, or where the bundle knows no friction. full: 1 once as much is kept. start,
+ * finish; TAUEXT_BAD_ARGUMENT without memory, or where the bundle's prior has no friction. full: 1 once as much is kept. start,
  * full and finish do not allocate, lock, log or call the system. */
 tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double seconds);
 tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double friction_share);
 int32_t tauext_monitor_refit_full(const tauext_monitor* monitor);
 tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor);
-/* After finish, and in any thread while the loop goes on: the bundle whose friction is that of the motion kept. Takes
+/* After finish, and in any thread while the loop continues: the bundle whose friction is that of the motion kept. Takes
  * seconds. On any status but TAUEXT_OK nothing is written, and message, unless NULL, holds the reason. */
 tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monitor, const char* out_path, char* message,
                            size_t message_size);

@@ -59,7 +59,7 @@ struct TouchPlaces {
 //   P(k | tau_ext) ~ sum over points p of share_p * sum over sizes s of  int N(tau_ext; J_p^T f, S) N(f; m_s, P_s) df,
 //   m_s = s n,  P_s = s^2 (a^2 n n^T + b^2 (1 - n n^T)),
 //
-// n being the surface's inward normal: a touch pushes, mostly within the cone of a friction of 1 (b), and nobody knows how hard
+// n being the surface's inward normal: a touch pushes, mostly within the cone of a friction of 1 (b), of unknown strength
 // (sizes a factor apart); one in ten holds on to the link and may pull any way. All integrals are closed. A further link can
 // explain whatever a nearer one does, and pays for it by all the torques that it could have caused and did not (Occam).
 // Ranking takes some 60 points of each link, places many more.
@@ -71,13 +71,13 @@ class PlaceModel {
   // even within 45 degrees.
   static constexpr double kAlong = 0.5, kAcross = 0.4;
   static constexpr double kHolds = 0.1, kHolds_n = 50;  // share of touches that may pull, and their standard deviation an axis
-  static constexpr double kLeast = 0.02;                // a less probable link or place is not told
+  static constexpr double kLeast = 0.02;                // a less probable link or place is not reported
   static constexpr double kApart_m = 0.08;              // places on a link are at least so far apart: a hand's width
 
   // Of a bundle that holds together. Allocates all it needs.
   explicit PlaceModel(const Bundle& bundle);
 
-  // Why it cannot tell; empty: it can.
+  // Why places cannot be estimated; empty: they can.
   const std::string& refused() const noexcept { return wrench_.refused(); }
   int joints() const noexcept { return wrench_.joints(); }
   const std::vector<Capsule>& capsules() const noexcept { return capsules_; }
@@ -87,16 +87,16 @@ class PlaceModel {
   // dq: what a touch adds to the friction of joints that move is taken off (WrenchModel); none: as where they stand.
   void rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
             std::span<const double> contact_sigma_nm, TouchPlaces& into, std::span<const double> dq = {}) noexcept;
-  // Of the sample that was ranked last: the places too. given: a link that the touch is known to be on, whose places are then
-  // told alone; -1: nobody knows.
+  // Of the sample that was ranked last: the places too. given: a link that the touch is known to be on, only its places are
+  // then reported; -1: unknown.
   void locate(TouchPlaces& into, int given = -1) noexcept;
   // Of the sample that was ranked last: probability that it is a force at the origin of this frame, which may pull any way, and
-  // not a touch anywhere else on the arm; both are as probable beforehand. NaN where nothing was ranked.
+  // not a touch anywhere else on the arm; both have the same prior probability. NaN where nothing was ranked.
   double at_frame(int frame) const noexcept;
   const WrenchModel& wrench_model() const noexcept { return wrench_; }
 
  private:
-  // What tau_ext tells of a wrench (f, m) in a link's frame: exp(eta^T w - w^T Lambda w / 2), in blocks.
+  // Likelihood of a wrench (f, m) in a link's frame, given tau_ext: exp(eta^T w - w^T Lambda w / 2), in blocks.
   struct Information {
     std::array<double, 9> ff, fm, mm;
     std::array<double, 3> f, m;

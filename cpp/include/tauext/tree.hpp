@@ -13,7 +13,7 @@ enum class JointType : std::uint8_t { revolute = 0, prismatic = 1 };
 
 // One moving link and the joint that carries it. The joint axis is the link frame's +z, its origin the frame's origin.
 struct Link {
-  std::string joint_name;  // that users know it by
+  std::string joint_name;  // the name that users give it
   int parent = -1;  // index of the parent link, -1 for the base; it may come before or after the link itself
   JointType type = JointType::revolute;
   std::array<double, 9> rotation{};     // parent from link at q = 0, row-major

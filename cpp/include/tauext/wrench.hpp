@@ -14,7 +14,7 @@ namespace tauext {
 
 struct Bundle;
 
-// A frame that is fixed to a link, as seen from the link's own.
+// A frame that is fixed to a link, relative to the link's own.
 struct WrenchFrame {
   std::string name;
   std::int32_t link = -1;
@@ -22,13 +22,13 @@ struct WrenchFrame {
   std::array<double, 3> translation{};                        // its origin in the link's frame, [m]
 };
 
-// Along whose axes force and moment are told; the moment is about the frame's origin either way.
+// Axes that force and moment are given along; the moment is about the frame's origin either way.
 enum class WrenchAxes : std::uint8_t { base = 0, frame = 1 };
 
-// What is asked of the joints: a force and a moment, or a force alone at a point that is known.
+// What is estimated from the joints: a force and a moment, or a force alone at a point that is known.
 enum class WrenchKind : std::uint8_t { wrench = 0, force = 1 };
 
-// What is believed of the errors of tau_ext together; sigma_nm of the estimate says how large each of them is.
+// Model of the errors of tau_ext across the joints; sigma_nm of the estimate is the size of each.
 struct WrenchSettings {
   static constexpr double kUsualTorqueShare = 0.05;  // measured torques and makers' constants are off by 5 to 10 %
 
@@ -36,8 +36,8 @@ struct WrenchSettings {
   std::vector<double> correlation;   // (joints, joints) of the errors of free motion, positive definite; none: independent
   std::vector<double> torque_share;  // a joint: standard error of its torque constant, as a share; none: kUsualTorqueShare
   double common_share = 0;           // of a factor that all joints have in common
-  // By WrenchKind: variances of free motion are so many times what sigma and correlation say, so that 95 % of its errors
-  // lie within the ellipsoid of 95 %; and what the joints leave unexplained, likewise, beside its chi-square.
+  // By WrenchKind: variances of free motion are so many times those of sigma and correlation, so that 95 % of its errors
+  // lie within the ellipsoid of 95 %; and residual_radius is the factor of the joints' unexplained rest to its chi-square.
   std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
 
   // Throws Error, naming what does not fit `joints`.
@@ -69,14 +69,14 @@ struct Wrench {
 // at all, w ~ N(0, P) with P of kLargestForce_n and that times kLength_m, keeps the answer continuous through
 // singularities: w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext. Where a direction is known to kBlindForce_n or better, P shrinks it by
 // 1 % at most, by 0.01 % at 10 N; where it is not, it is named blind.
-// Eigenvectors of the whitened J S^-1 J^T tell directions. Joints that do not answer in N m have no row in any of it.
-// Gears rub harder under load, and the prior's friction knows the arm's own weight alone. Where dq is given, what a touch
+// Eigenvectors of the whitened J S^-1 J^T are the directions. Joints that do not answer in N m have no row in any of it.
+// Gears rub harder under load, and the prior's friction includes the arm's own weight alone. Where dq is given, what a touch
 // adds is taken off first, of joints whose share s was found from their own load: a joint that moves gets
 //   tau_ext + s tanh(dq / kSignSpeed) (|g - tau_ext| - |g|),  g the weight that it holds.
 class WrenchModel {
  public:
   static constexpr double kLargestForce_n = 1000;  // no touch that an arm survives is far beyond it
-  static constexpr double kBlindForce_n = 100;     // standard error; what is not known to this says nothing of a touch
+  static constexpr double kBlindForce_n = 100;     // standard error; an estimate with a larger error is no evidence of a touch
   static constexpr double kRubbingDoubt = 0.3;     // of the friction under a load that is taken off: 0.08 of it found, +- 0.02
   static constexpr double kLength_m = 0.1;  // a force so far from the frame is a usual moment: half a link's width
 
@@ -92,9 +92,9 @@ class WrenchModel {
   int find(std::string_view name) const noexcept;
   int joints() const noexcept { return static_cast<int>(links_.size()); }
   const std::vector<Link>& links() const noexcept { return links_; }
-  // Joints that answer in N m, rising. Of the others nothing is looked at but q: what they alone would show is blind.
+  // Joints that answer in N m, rising. Of the others only q is used: what they alone would show is blind.
   std::span<const std::size_t> told() const noexcept { return told_; }
-  // Whether all that is looked at is finite, sigma of the joints that are told above 0, and contact_sigma no less.
+  // Whether all values in use are finite, sigma of the told() joints above 0, and contact_sigma no less.
   bool known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
              std::span<const double> contact_sigma_nm) const noexcept;
   // (count, joints) to (count, told), in place; square: (joints, joints) to (told, told).

@@ -27,7 +27,7 @@ from tauext.check.fit import (
 from tauext.check.motion import PADDED_ROWS, Stretch
 from tauext.robot.inertial import point_inertia, six_of, unit_loads, with_more_at_end
 
-# --- The direction in which the arm's own torques say that things fall.
+# --- The direction of gravity according to the arm's own torques.
 
 
 LEAST_DEG = 10.0
@@ -67,9 +67,9 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
     far_better = -np.log(ratio).sum() > GAIN and ratio.min() < HALVED
     if angle < LEAST_DEG or not far_better or not 0.5 < size / usual < 2:
         return [], tree
-    told = ", ".join(f"{x:.2f}" for x in found)
+    components = ", ".join(f"{x:.2f}" for x in found)
     evidence = (
-        f"the torques say ({told}) m/s^2 in the base frame, {angle:.0f} degrees from the model's "
+        f"the torques indicate gravity of ({components}) m/s^2 in the base frame, {angle:.0f} degrees from the model's "
         f"({', '.join(f'{x:.2f}' for x in given)}); a joint's error falls to {ratio.min():.0%}"
     )
     advice = "the arm hangs or is tilted: give its gravity direction in the robot's description"
@@ -161,11 +161,11 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -
     sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
     if not strong or not sure or gain < LOAD_GAIN or np.linalg.norm(load.com_m) > FURTHEST_M:
         return []
-    told = ", ".join(f"'{joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
+    changes = ", ".join(f"'{joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     com = ", ".join(f"{x:.2f}" for x in load.com_m)
     evidence = (
         f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m from '{joints[-1]}', z along its axis, "
-        f"bring the error in Nm from {told}"
+        f"bring the error in Nm from {changes}"
     )
     if load.mass_kg > 0:
         advice = "add the tool or payload to the model, as a link fixed to the last one"
@@ -185,9 +185,9 @@ def loaded(tree: _core.Tree, load: Load) -> _core.Tree:
 
 GRID_RAD = math.radians(15.0)
 LEAST_RAD = 0.05
-"""A calibrated arm's zero is right within a hundredth; less than this is what a rough model's masses look like."""
+"""A calibrated arm's zero is right within a hundredth; a smaller offset may be an error of a rough model's masses."""
 RESISTS = 0.1
-"""Friction of that share of the torque tells the torque's sign, and gravity must have the same."""
+"""From this share of the torque on, friction determines the torque's sign, and gravity must have the same."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class Offset:
     by_rad: float
     gain: float  # sum over joints of the logarithm of how much the error falls, by gravity alone
 
-    def told(self) -> str:
+    def text(self) -> str:
         return f"{self.by_rad:+.2f} rad ({math.degrees(self.by_rad):+.0f} degrees)"
 
 
@@ -239,8 +239,8 @@ def _rest(rows: Rows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]
         basis = u[:, kept]
         weights = v[kept].T @ ((basis.T @ y) / size[kept])
         friction = own[:, resists] @ weights[resists]
-        tells = friction.std() > RESISTS * max(float(y.std()), 1e-12)
-        signs.append(float(np.sign((friction * rows.dq[:, j]).mean())) if tells else 0.0)
+        has_sign = friction.std() > RESISTS * max(float(y.std()), 1e-12)
+        signs.append(float(np.sign((friction * rows.dq[:, j]).mean())) if has_sign else 0.0)
         parts.append((basis, y - basis @ (basis.T @ y)))
     return parts, signs
 
@@ -281,7 +281,7 @@ class Change:
     """Of what the joints are called and which way they turn."""
 
     code: str
-    told: str
+    description: str
     names: list[str]
     """Of the joints that it changes."""
     order: list[int]
@@ -374,8 +374,8 @@ def rearranged(
         if chosen is None:
             break
         evidence = (
-            f"{chosen.told} the model's error falls to {ratio.min():.0%} at one joint and rises at none ({gain:.1f} "
-            "nats)"
+            f"{chosen.description} the model's error falls to {ratio.min():.0%} at one joint and rises at none "
+            f"({gain:.1f} nats)"
         )
         reordered = chosen.code == "joint-order"
         advice = "map joints by name at import" if reordered else "negate q, dq and tau of it at import"
@@ -393,7 +393,7 @@ def shifted(stretch: Stretch, shift: Offset) -> Stretch:
 
 def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: float) -> Finding:
     evidence = (
-        f"with {shift.told()} added to its positions the model's error falls to {ratio:.0%} at one joint and rises "
+        f"with {shift.text()} added to its positions the model's error falls to {ratio:.0%} at one joint and rises "
         f"at none ({gain:.1f} nats)"
     )
     advice = (
@@ -432,6 +432,6 @@ def _changes(joints: Sequence[str]) -> list[Change]:
     for a, b in combinations(range(n), 2):
         order = list(range(n))
         order[a], order[b] = b, a
-        told = f"with '{joints[a]}' and '{joints[b]}' exchanged"
-        found.append(Change("joint-order", told, [joints[a], joints[b]], order, none))
+        description = f"with '{joints[a]}' and '{joints[b]}' exchanged"
+        found.append(Change("joint-order", description, [joints[a], joints[b]], order, none))
     return found

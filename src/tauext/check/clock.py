@@ -20,7 +20,7 @@ GAP = 3.0
 IRREGULAR = 0.25
 """Spread of the steps, 1 to 99 %, as a share of the period: a clock on a busy computer stays below a tenth."""
 IRREGULAR_BADLY = GAP_STEPS - 1
-"""Beyond it jitter cannot be told from lost samples; below it training and monitor take it as it is."""
+"""Above it jitter cannot be distinguished from lost samples; below it training and monitor take it as it is."""
 REPEATED = 0.005
 """Share of rows: in a measurement of several joints whole rows hardly ever agree in every bit."""
 REPEATED_BADLY = 0.05
@@ -48,7 +48,7 @@ def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
     if not count:
         return []
     evidence = f"{count} gaps of more than {GAP:g} sample periods ({period_ms:.3g} ms), the longest {longest:.4g} ms"
-    advice = "the observer starts anew after each; look for lost packets, or record on the controller"
+    advice = "the observer starts anew after each; check for lost packets, or record on the controller"
     return [Finding("clock-gaps", "warning", None, evidence, advice)]
 
 
@@ -60,8 +60,8 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
         low, high = np.percentile(np.diff(recording.t_ns) * 1e-6, [1, 99])
         period_ms = 1e-6 * fitted_period_ns(recording.t_ns)
         spread = float(high - low) / period_ms
-        told = f"'{recording.name}': steps of {low:.2f} to {high:.2f} ms (1 to 99 %), period {period_ms:.2f} ms"
-        worst = max(worst, (spread, told))
+        steps = f"'{recording.name}': steps of {low:.2f} to {high:.2f} ms (1 to 99 %), period {period_ms:.2f} ms"
+        worst = max(worst, (spread, steps))
     if worst[0] <= IRREGULAR:
         return []
     advice = (
@@ -92,7 +92,7 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("repeated-rows", severity, None, evidence, advice)]
 
 
-# --- Time stamps in another unit than said: the motion and the velocity tell what a step takes.
+# --- Time stamps in another unit than declared: motion and velocity determine how long a step takes.
 
 
 UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)
@@ -102,9 +102,9 @@ OFF = 0.03
 AGREE = 0.05
 """Joints' ratios lie within this."""
 LEAST_RAD = 0.1
-"""A joint that moves by less tells nothing."""
+"""A joint that moves by less is ignored."""
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
-"""Nobody trains on fewer samples a second, no arm sends more."""
+"""No training uses fewer samples a second, no arm sends more."""
 CREEP_RAD_S, FLIES_RAD_S = 0.02, 50.0
 """An arm whose fastest joint creeps like this, or flies like this, while its samples follow a smooth motion."""
 SMOOTH = 0.2
@@ -133,12 +133,12 @@ def time_unit(recording: Recording) -> TimeUnit | None:
     step_s = float(np.median(np.diff(t))) * 1e-9
     ratios = _ratios(q[:, moving], dq[:, moving], step_s)
     if len(ratios) and np.ptp(np.log(ratios)) < 2 * AGREE:
-        said = float(np.exp(np.median(np.log(ratios))))
-        factor = next((f for u in UNITS for f in (u, 1 / u) if abs(math.log(said / f)) < OFF), None)
+        ratio = float(np.exp(np.median(np.log(ratios))))
+        factor = next((f for u in UNITS for f in (u, 1 / u) if abs(math.log(ratio / f)) < OFF), None)
         then_hz = factor / step_s if factor else 0.0
         if factor is not None and SLOWEST_HZ / 5 < then_hz < FASTEST_HZ * 5:
             evidence = (
-                f"the velocity is {said:.4g} times the derivative of the position on "
+                f"the velocity is {ratio:.4g} times the derivative of the position on "
                 f"{'all' if len(ratios) > 1 else 'the'} {len(ratios)} joint{'s' if len(ratios) > 1 else ''} that move: "
                 f"{1 / step_s:.4g} Hz would be {then_hz:.4g} Hz, {recording.duration_s:.4g} s "
                 f"{recording.duration_s / factor:.4g} s"
@@ -153,8 +153,8 @@ def _ratios(q: np.ndarray, dq: np.ndarray, step_s: float) -> np.ndarray:
     width = 5
     moved = (q[width:] - q[:-width]) / (width * step_s)
     sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), dq]), axis=0)
-    said = (sums[width + 1 :] - sums[: -width - 1])[: len(moved)] / (width + 1)
-    for a, b in zip(moved.T, said.T, strict=True):
+    recorded = (sums[width + 1 :] - sums[: -width - 1])[: len(moved)] / (width + 1)
+    for a, b in zip(moved.T, recorded.T, strict=True):
         # a spike must not decide
         keep = (np.abs(a) <= np.percentile(np.abs(a), 99.5)) & (np.abs(b) <= np.percentile(np.abs(b), 99.5))
         a, b = a[keep], b[keep]
@@ -166,7 +166,7 @@ def _ratios(q: np.ndarray, dq: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def _impossible(q: np.ndarray, step_s: float, seconds: float) -> TimeUnit | None:
-    """Of a velocity that says the same: a rate that none has, and motion that no arm makes."""
+    """Where the velocity agrees with the stamps: a rate that no arm has, and a motion that no arm makes."""
     rate_hz = 1 / step_s
     speed = np.abs(np.diff(q, axis=0)) / step_s
     fastest = float(np.percentile(speed, 99.5, axis=0).max())
@@ -189,7 +189,7 @@ def _impossible(q: np.ndarray, step_s: float, seconds: float) -> TimeUnit | None
 
 
 def time_findings(recordings: Sequence[Recording]) -> tuple[list[Finding], list[Recording]]:
-    """Findings, one for all recordings where they agree; and the recordings on the clock that their motion tells."""
+    """Findings, one for all recordings where they agree; and the recordings on the clock that their motion implies."""
     units = [time_unit(r) for r in recordings]
     wrong = [(r, u) for r, u in zip(recordings, units, strict=True) if u is not None]
     if not wrong:
@@ -217,7 +217,7 @@ def _mended(recording: Recording, unit: TimeUnit) -> Recording:
     return replace(recording, t_ns=t_ns, dq=dq, rate_hz=recording.rate_hz * unit.factor)
 
 
-# --- Degrees taken for radians, seen from positions and their derivative alone, or against the robot file's limits.
+# --- Degrees taken for radians, found from positions and their derivative alone, or against the robot file's limits.
 
 
 FASTEST_RAD_S = 20.0

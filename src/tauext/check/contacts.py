@@ -28,7 +28,7 @@ from tauext.data.recording import Recording, runs_of
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
 END_S = 0.1
-"""Left out of a stretch, four times what the filter remembers: there it sees one side only. No more, since a program
+"""Left out of a stretch, four times the filter's memory: there the filter has one side only. No more, since a program
 that ends in an impact, or is stopped by one, ends in it."""
 WINDOW_S = 0.5
 LEAST_WINDOWS = 60
@@ -43,7 +43,7 @@ LEAST_SHARE = 0.1
 CRAWL_RAD_S = 0.05
 CRAWLS = 0.5
 """A joint that is as slow may stick and slip: there it takes so much of its friction more."""
-TOLD = 3
+LISTED = 3
 SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
 """Findings after which torque that no motion explains is no contact."""
 
@@ -72,16 +72,16 @@ def contact_findings(recordings: Sequence[Recording], called_free: Collection[st
 def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None, lag_s: float = 0.0) -> list[Finding]:
     """Disturbances far beyond the usual error that training would take for free motion; one finding for all.
 
-    What it leaves out around a label is not looked at, all else is: a label that comes late shows here. Without a model
-    there is none: what its gravity is off by at a rare pose looks like a push. Impacts and pushes that stay below a few
-    times what friction does at reversals are not seen.
+    The check covers all motion that training uses, hence not the surroundings of a label: a late label is found.
+    Without a model there is no finding, since its error of gravity at a rare pose resembles a push. Impacts and pushes
+    that stay below a few times what friction does at reversals are not found.
 
     Args:
         recordings: with nothing wrong about their signals.
         tree: the model, or None.
         lag_s: by which the torque comes late.
     """
-    # the torque through the positions' own filter, or steps of acceleration would be seen in the torque alone
+    # the torque through the positions' own filter, or steps of acceleration would appear in the torque alone
     motion = [
         replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz))
         for s in stretches(recordings, contacts=True)
@@ -116,11 +116,11 @@ def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None
     if not touched.any():
         return []
     begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
-    strongest = begins[np.argsort(-times[begins].max(axis=1))][:TOLD]
-    told = [_told(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
+    strongest = begins[np.argsort(-times[begins].max(axis=1))][:LISTED]
+    listed = [_described(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
             for k in strongest]  # fmt: skip
     what = "disturbance" if len(begins) == 1 else "disturbances"
-    evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(told)}"
+    evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(listed)}"
     advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
@@ -163,7 +163,7 @@ def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return error - np.median(error[free]), columns[:, resists] @ weights[resists]
 
 
-def _told(
+def _described(
     rows: Rows,
     errors: np.ndarray,
     at: np.ndarray,

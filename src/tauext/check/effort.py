@@ -32,7 +32,7 @@ class SignVote:
 
     @property
     def motion(self) -> float:
-        """Of friction and inertia, which hold whatever the model says."""
+        """Of friction and inertia, which do not depend on the model."""
         return self.friction + self.inertia
 
     @property
@@ -125,7 +125,7 @@ def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
 
 
 def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
-    """Findings of efforts so large that a fit sees nothing of the model in them."""
+    """Findings of efforts so large that the model explains nothing of them."""
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
     for j, fit in enumerate(fits):
@@ -148,21 +148,21 @@ def kind_findings(
         fit = fits[j]
         factor, error = fit.gravity_factor
         model_nm = float(rows.gravity[:, j].std())
-        gravity_told = (
+        gravity_evidence = (
             f"gravity factor {factor:.3g} ± {error:.1g} where the model's gravity varies by {model_nm:.3g} Nm"
         )
         if abs(factor) < ABSENT and fit.explained < LITTLE:
             evidence = (
-                f"{gravity_told}; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
+                f"{gravity_evidence}; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
             )
             advice = "this is an external torque or an error already: record the motor's or joint's torque instead"
             found.append(Finding("effort-external", "fault", joints[j], evidence, advice))
         elif abs(factor) < ABSENT and fit.gravity_nm < ABSENT_SHARE * fit.torque_nm:
-            evidence = f"{gravity_told}; friction and inertia explain {fit.explained:.0%} of the effort"
+            evidence = f"{gravity_evidence}; friction and inertia explain {fit.explained:.0%} of the effort"
             advice = "the driver subtracts gravity: record the uncompensated torque, or add g(q) of the model at import"
             found.append(Finding("effort-gravity-compensated", "fault", joints[j], evidence, advice))
         elif 0 < factor < MOTOR_SIDE and error < 0.3 * factor:
-            evidence = f"{gravity_told}: 1 / {1 / factor:.3g}"
+            evidence = f"{gravity_evidence}: 1 / {1 / factor:.3g}"
             advice = f"the torque before the gear: multiply by the gear ratio (about {1 / factor:.3g}) at import"
             found.append(Finding("effort-motor-side", "fault", joints[j], evidence, advice))
         else:
@@ -195,7 +195,7 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
 LONGEST_S = 0.1
 STEPS = 10  # to either side
 LATE_S = 0.012
-"""A drive's current filter and a bus cycle make 1 to 5 ms; presliding friction and elasticity look like some more."""
+"""A drive's current filter and a bus cycle make 1 to 5 ms; presliding friction and elasticity add apparent delay."""
 FALL = 0.95
 """The error at the best lag as a share of that without: less is what friction at reversals makes of a good clock."""
 EXPLAINED = 0.7

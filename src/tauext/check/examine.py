@@ -141,7 +141,8 @@ def _play_facts(play: Play) -> Facts:
     return fact
 
 
-# --- The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest.
+# --- Order of the checks: signals first, then motion, then torque against model; what is found is corrected for the
+# rest.
 
 
 STEPS = (
@@ -154,7 +155,7 @@ STEPS = (
     "gravity, scale and payload",
     "drift and contacts",
 )
-"""As they are told while they last."""
+"""Names of the steps, reported as progress."""
 
 OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
 """Faults of a torque, but to be expected of a current."""
@@ -178,7 +179,7 @@ class Diagnosis:
     rests: list[Rest | None] = field(default_factory=list)
     """Of a servo arm one a joint: its effort at rest."""
     plays: list[Play] = field(default_factory=list)
-    """One a joint: what its turns tell of play."""
+    """One a joint: play, estimated from its turns."""
 
     @property
     def faulty(self) -> bool:
@@ -192,7 +193,7 @@ def examine(
     called_free: Collection[str] = (),
     report: Reporter = SILENT,
 ) -> Diagnosis:
-    """Look for everything that recordings of one arm in free motion may have wrong.
+    """Run all checks on recordings of one arm in free motion.
 
     A fault that is found is mended before the next step (time, spikes, degrees, order, sign, delay, gravity, payload),
     and a recording that disagrees with the others is left out, so that one fault is one finding. Thresholds stand
@@ -200,19 +201,21 @@ def examine(
 
     Args:
         recordings: of the same joints; stretches labelled contact are left out of fits.
-        robot: URDF or MJCF; None: what needs a model is not looked for.
+        robot: URDF or MJCF; None: checks that need a model are left out.
         gravity: acceleration of free fall in the base frame; None: the file's.
-        called_free: names of recordings that are said to hold no contact.
-        report: is told how far it is.
+        called_free: names of recordings that are declared free of contact.
+        report: receives the progress.
 
     Raises:
         ConfigError: no recording, or recordings of different joints.
         RobotError: there is no such robot file.
     """
     with report.progress("check") as show:
-        told = _examine(recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step))
+        diagnosis = _examine(
+            recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step)
+        )
         show(len(STEPS), len(STEPS), "steps")
-    return told
+    return diagnosis
 
 
 def _examine(
@@ -258,7 +261,7 @@ def _examine(
     lags: list[tuple[float, float, float]] = []
     lag_s = 0.0
     if unsigned:
-        pass  # of a torque without a sign there is nothing more to say
+        pass  # a torque without a sign admits no further check
     elif not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
         torque_found, rows, fits, lags, tree, lag_s = _torque(
             motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
@@ -381,7 +384,7 @@ def _torque(
 
 
 def _of_currents(found: Sequence[Finding]) -> list[Finding]:
-    """Training finds the constants of what was recorded as a current; without them gravity's size says little."""
+    """Training finds the constants of what was recorded as a current; without them gravity's size is weak evidence."""
     return [
         replace(f, severity="warning", advice=f"the effort is a current, whose constant `train` finds; else {f.advice}")
         if f.code in OF_CURRENTS
@@ -442,8 +445,8 @@ def as_text(diagnosis: Diagnosis) -> str:
                 lines.append(f"    {one.joint + ': ' if one.joint else ''}{one.evidence}")
         lines.append(f"    -> {finding.advice}")
     counts = [sum(f.severity == severity for f in diagnosis.findings) for severity in SEVERITIES]
-    told = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
-    return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", told])
+    summary = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
+    return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", summary])
 
 
 def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: bool) -> tuple[str, dict]:
@@ -575,7 +578,7 @@ def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> lis
 
 
 def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
-    """What `examine` says of contacts without a label, of more than it saw.
+    """Findings of contacts without a label as in `examine`, on all of the recordings.
 
     Args:
         recordings: of the same joints.

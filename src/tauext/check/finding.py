@@ -1,4 +1,4 @@
-"""What the doctor says: a finding, and the codes that it may have."""
+"""Findings of the checks, and their codes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ CODES = {
     "backlash": "a joint has play between its motor and what it moves",
     "clock-gaps": "samples are missing",
     "clock-irregular": "the steps between samples differ",
-    "coarse-velocity": "the velocity counts in steps coarser than its positions tell it",
-    "contact-in-free-motion": "contacts in a recording that is called free, labelled or seen in the torque",
+    "coarse-velocity": "the velocity counts in steps coarser than the speed that its positions give",
+    "contact-in-free-motion": "contacts in a recording that is called free, labelled or found in the torque",
     "current-signed": "a current that is called the supply's has a sign",
     "degrees": "positions, or positions and velocities, are in degrees",
     "effort-duty": "the torque is the duty of a drive, or a load register",
@@ -61,12 +61,13 @@ CODES = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or worth knowing."""
+    """One thing that is wrong or notable."""
 
     code: str
     """One of CODES."""
     severity: Severity
-    """fault: what is trained on this is wrong; warning: it may be, or is worse than it need be; note: good to know."""
+    """fault: what is trained on this is wrong; warning: it may be, or is worse than it need be; note: for
+    information."""
     joint: str | None
     """None: all joints, or none in particular."""
     evidence: str

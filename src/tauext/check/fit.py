@@ -16,7 +16,7 @@ from tauext.check.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
 """Smoothings of the sign of the speed: a sharp reversal, and friction that still grows at a crawl."""
 PRESLIDING_RAD = (5e-4, 5e-3)
-"""Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed says 0 and what
+"""Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed is 0 and what
 friction holds would be taken for gravity: a joint mostly comes to rest from the side of its middle."""
 PRESLIDING_RATE_HZ = 100.0
 END_S = 0.2
@@ -25,7 +25,7 @@ FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, visc
 
 @dataclass(frozen=True)
 class Rows:
-    """Regressors and torque at FIT_ROWS_HZ; arrays (rows, joints) [N m] but where said."""
+    """Regressors and torque at FIT_ROWS_HZ; arrays (rows, joints) [N m] unless stated."""
 
     time_s: np.ndarray  # (rows,)
     recording: np.ndarray  # (rows,)
@@ -74,7 +74,7 @@ def rows_of(
 
     Args:
         tree: None: no model, its torques are 0.
-        lag_s: the torque is taken so much later than its stamp says; positive where torque lags behind motion.
+        lag_s: the torque is taken so much later than its stamp; positive where torque lags behind motion.
         cutoff_hz: of the low-pass.
         rows_hz: rows a second.
         end_s: left out at both ends of a stretch.
@@ -158,18 +158,18 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
 
 
 def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ, end_s: float = END_S) -> np.ndarray:
-    """Rows at `rows_hz`, the ends left out, where a filter that runs both ways sees one side only."""
+    """Rows at `rows_hz`, the ends left out, where a filter that runs both ways has one side only."""
     end = int(end_s * rate_hz)
     return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]
 
 
-# --- Least squares of one joint's torque on what it may consist of, with errors that know how little a trajectory says.
+# --- Least squares of one joint's torque on its possible parts, with errors that allow for motion that excites little.
 
 
 BLOCKS = 10
 """Of time, left out in turn: errors of neighbouring rows are one error."""
 SEEN = 0.02
-"""A model torque whose spread is a smaller share of the measured one's says nothing in the presence of friction."""
+"""A model torque whose spread is a smaller share of the measured one's is no evidence in the presence of friction."""
 HUBER = 2.0
 """Rows off by more than twice the robust spread count less: a bump in the data is no reason for a wrong sign."""
 LEAST_ROWS = 100
@@ -205,7 +205,7 @@ class JointFit:
 
     @property
     def inertial_factor(self) -> tuple[float, float]:
-        """The same of the model's inertial torque."""
+        """Torque a unit of the model's inertial torque, and its standard error."""
         return float(self.weights[1]), spread_of(self.left_out[:, 1])
 
 

@@ -1,4 +1,4 @@
-"""Checks before training: how much is looked at, what is remembered, and what refuses."""
+"""Checks before training: how much data they read, which findings are cached, and which refuse the data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WORTH_A_WARNING = 0.02
 TOO_MUCH = 0.2
 """Beyond it they follow from other motion than was recorded."""
 REJECTED = "rejected"
-"""With this code a person accepts that."""
+"""Code that accepts it."""
 REMEDIES = {
     "wrong rate": "import the recordings again, or state their mean rate (arm.toml, [time] rate_hz)",
     "torque saturated": "check the robot file's torque limits and the unit of tau",
@@ -66,8 +66,8 @@ class Rejected:
         """What a monitor with this bundle rejects of these recordings."""
         found = cls()
         for recording in recordings:
-            said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
-            found.add(recording.name, said["health"], said["causes"])
+            estimates = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+            found.add(recording.name, estimates["health"], estimates["causes"])
         return found
 
     def add(self, name: str, health: np.ndarray, causes: np.ndarray | None) -> None:
@@ -105,7 +105,7 @@ class Rejected:
 
         Args:
             motion: what was rejected: `its own training motion`.
-            accept: codes that a person accepted.
+            accept: codes that are accepted.
 
         Raises:
             TrainingError: more than TOO_MUCH is rejected, and REJECTED is not accepted.
@@ -115,7 +115,7 @@ class Rejected:
         facts = self.facts()
         causes, worst = facts["causes"], facts["worst"]
         named = ", ".join(f"{name} {share:.1%}" for name, share in causes.items()) or "warming up"
-        remedy = next((REMEDIES[name] for name in causes if name in REMEDIES), "look at it with `tauext check`")
+        remedy = next((REMEDIES[name] for name in causes if name in REMEDIES), "inspect the data with `tauext check`")
         words = (
             f"a monitor with this bundle rejects {self.share:.1%} of {motion} ({named}), {worst['share']:.0%} of "
             f"'{worst['recording']}'"
@@ -125,16 +125,16 @@ class Rejected:
         return f"{words}; what is found follows from the rest alone: {remedy}"
 
 
-# --- Findings that are remembered by the content of what was looked at, so that nobody looks at the same data twice.
+# --- Findings, cached by the content of the data, so that the same data are not checked twice.
 
 
 def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[Finding]:
-    """What was found when something with these parts was last looked at, else what is found now.
+    """The cached findings for these parts, else those found now.
 
-    A file that is damaged is none. A cache that cannot be written is no error: next time somebody looks again.
+    A damaged cache file is ignored. A cache that cannot be written is no error: the next call checks again.
 
     Args:
-        parts: all that the findings depend on but for the doctor, as digests or words.
+        parts: all that the findings depend on but for the code of the checks, as digests or words.
     """
     text = json.dumps([VERSION, looking_version(), *parts])
     path = folder() / f"{hashlib.sha256(text.encode()).hexdigest()}.json"
@@ -153,13 +153,13 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
 
 
 def folder() -> Path:
-    """Where findings are remembered: $XDG_CACHE_HOME/tauext/looks, or ~/.cache/tauext/looks."""
+    """Where findings are cached: $XDG_CACHE_HOME/tauext/looks, or ~/.cache/tauext/looks."""
     return cache_folder() / "looks"
 
 
 @cache
 def looking_version() -> str:
-    """Digest of the code that looks: another doctor may find other things."""
+    """Digest of the code of the checks: other code may find other things."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
@@ -167,7 +167,7 @@ def looking_version() -> str:
 
 
 def digest_of(recording: Recording) -> str:
-    """Of all that the doctor reads of a recording."""
+    """Digest of all that the checks read of a recording."""
     head = [recording.name, recording.joints, recording.rate_hz, recording.robot_sha256, recording.provenance]
     digest = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
     for signal in ("t_ns", "q", "dq", "tau", "temperature", "contact"):
@@ -190,11 +190,11 @@ def file_digest(path: Place) -> str:
     return digest.hexdigest()
 
 
-# --- What is made of findings: faults refuse, unless a person accepted them; warnings are told and kept.
+# --- Use of findings: faults refuse the data, unless accepted; warnings are reported and kept.
 
 
-TOLD = 8
-"""Findings of one code of which the evidence is told; more are counted."""
+LISTED = 8
+"""Findings of one code whose evidence is listed; more are counted."""
 NARROW = 2
 """Joints that are named one by one in what would accept a code; of more, all are meant."""
 
@@ -206,7 +206,7 @@ class Look:
     findings: list[Finding] = field(default_factory=list)
 
     def faults(self) -> list[Finding]:
-        """Those that refuse unless somebody accepted them."""
+        """Those that refuse the data unless accepted."""
         return [finding for finding in self.findings if finding.severity == "fault"]
 
     def facts(self, accept: Collection[str]) -> dict:
@@ -225,13 +225,13 @@ def entries(findings: Iterable[Finding]) -> list[dict]:
             {"code": finding.code, "joint": finding.joint, "recordings": [], "count": 0, "evidence": finding.evidence},
         )
         entry["count"] += 1
-        if finding.recording and len(entry["recordings"]) < TOLD:
+        if finding.recording and len(entry["recordings"]) < LISTED:
             entry["recordings"].append(finding.recording)
     return list(found.values())
 
 
 def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -> None:
-    """Raise ConfigError where a code is none of the doctor's, or a joint none of the arm's.
+    """Raise ConfigError where a code is not one of a finding, or a joint not one of the arm.
 
     Args:
         accept: CODE or CODE:joint.
@@ -258,7 +258,7 @@ def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: 
         where: the data, for the message.
 
     Raises:
-        FaultyDataError: a fault that nobody accepted; the message is a block with all of them.
+        FaultyDataError: a fault that is not accepted; the message is a block with all of them.
     """
     findings = [finding for look in looks.values() for finding in look.findings]
     refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
@@ -286,19 +286,19 @@ def sentence(entry: dict) -> str:
 
 
 def told(findings: Sequence[Finding]) -> list[str]:
-    """Lines for a person: code, joints, recordings, evidence of each, and the mend, once a code."""
+    """Lines for the terminal: code, joints, recordings, evidence of each, and the mend, once a code."""
     lines = []
     for code, same in by_code(findings).items():
         joints = list(dict.fromkeys(f.joint for f in same if f.joint))
         recordings = list(dict.fromkeys(f.recording for f in same if f.recording))
         named = [f"joint{'s' * (len(joints) > 1)} {', '.join(joints)}"] if joints else []
-        named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, TOLD)}"] if recordings else []
+        named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, LISTED)}"] if recordings else []
         about = f" ({'; '.join(named)})" if named else ""
         lines.append(f"  {code}{about}: {CODES[code]}")
-        for finding in same[:TOLD]:
+        for finding in same[:LISTED]:
             lines.append(f"      {f'{finding.joint}: ' if finding.joint else ''}{finding.evidence}")
-        if len(same) > TOLD:
-            lines.append(f"      and {len(same) - TOLD} more")
+        if len(same) > LISTED:
+            lines.append(f"      and {len(same) - LISTED} more")
         lines += [f"      -> {advice}" for advice in dict.fromkeys(f.advice for f in same)]
     return lines
 
@@ -320,29 +320,29 @@ def by_code(findings: Sequence[Finding]) -> dict[str, list[Finding]]:
     return found
 
 
-# --- All checks look at a share of what is learned from; the cheap ones, and for contacts, at every sample of it.
+# --- All checks read a share of the training data; the cheap ones, and that for contacts, read every sample.
 
 
 MOST_MOVING_S = 180.0
-"""Of motion that all checks look at, [s], the same share of each recording from its beginning on: order, axes, signs
-and scales show within half a minute, what is rare the cheap checks see."""
+"""Of motion that all checks read, [s], the same share of each recording from its beginning on: order, axes, signs
+and scales show within half a minute, the cheap checks find what is rare."""
 LEAST_MOVING_S = 20.0
-"""Of each recording, [s]: a shorter one shows too little to be held against the others."""
+"""Of each recording, [s]: a shorter one shows too little to be compared with the others."""
 LEAST_ROWS = 200
 """Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
 FITTED = ("effort-scale", "effort-motor-side")
-"""Is no fault where the factor is what training finds."""
+"""Codes that are no fault where training finds the factor."""
 LESSER: Mapping[str, Severity] = {
-    "contact-in-free-motion": "note",  # is labelled: training and limits leave it out, and say so
+    "contact-in-free-motion": "note",  # is labelled: training and limits leave it out, and report it
     "smoothed": "warning",  # model and friction are right, limits too low for the raw signal
 }
-"""What no fault of these codes is more than where something is learned."""
+"""Severity in training of faults of these codes."""
 TOO_FEW = ("too-short", "temperature-drift")
-"""What a share of the recordings cannot tell."""
+"""Codes that a share of the recordings cannot decide."""
 RARE = ("spike",)
-"""Is in a share of the recordings by luck."""
+"""Codes that a share of the recordings may miss."""
 AT_A_TIME = 4
-"""Recordings that are looked at at a time, at most."""
+"""Most recordings that are checked at a time."""
 
 
 def look_at_training(
@@ -353,15 +353,15 @@ def look_at_training(
     threads: int,
     report: Reporter,
 ) -> Look:
-    """All checks of what a training learns from, remembered by content.
+    """Run all checks on the data of a training; findings are cached by content.
 
     Contacts that are labelled are left out of it, hence no fault.
 
     Args:
         recordings: for training and validation, as they will be used.
-        robot: the robot file; None: there is no model, and nothing is held against one.
+        robot: the robot file; None: there is no model, and checks that need one are left out.
         limits_nm: largest torque of each drive, (joints,); None: tau is in another unit, or nothing is known.
-        finds_constants: whether training finds what tau is to be multiplied by, which nobody knows before.
+        finds_constants: whether training finds the factor of tau, which is unknown before.
         threads: 0: one a core. What is found does not depend on it.
     """
     settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
@@ -379,7 +379,7 @@ def look_at_training(
 
         tasks: list[Callable[[], list[Finding]]] = [examined]
         tasks += [partial(quick_look, one, limits_nm) for one in recordings]
-        general, *quick = _in_parallel(tasks, workers, "look at the data", report)
+        general, *quick = _in_parallel(tasks, workers, "check the data", report)
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
             general = [f for f in general if f.code not in TOO_FEW]
             refused = any(forgiven(f).severity == "fault" for f in general)
@@ -388,11 +388,11 @@ def look_at_training(
                 general += unlabelled_contacts(recordings, diagnoses[0])
         return together([f for f in map(forgiven, general) if not (finds_constants and f.code in FITTED)], quick)
 
-    return Look(_worth_telling(remembered(["training", *settings, *digests], find)))
+    return Look(_without_notes(remembered(["training", *settings, *digests], find)))
 
 
 def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter) -> Look:
-    """The cheap checks of every calibration recording, remembered by content.
+    """Run the cheap checks on every calibration recording; findings are cached by content.
 
     Args:
         files: the recordings.
@@ -403,15 +403,15 @@ def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, th
         digests = [f"{file.name} {digest}" for file, digest in zip(files, pool.map(file_digest, files), strict=True)]
 
     def find() -> list[Finding]:
-        def looked(load: Callable[[], Recording]) -> list[Finding]:
+        def checked(load: Callable[[], Recording]) -> list[Finding]:
             return quick_look(load(), limits_nm)
 
         found = _in_parallel(
-            [partial(looked, load) for load in stretches(files)], workers, "look at the calibration recordings", report
+            [partial(checked, load) for load in stretches(files)], workers, "check the calibration recordings", report
         )
         return [forgiven(finding) for of_recording in found for finding in of_recording]
 
-    return Look(_worth_telling(remembered(["calibration", _words(limits_nm), *digests], find)))
+    return Look(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
 
 
 def check_for_bundle(
@@ -427,7 +427,7 @@ def check_for_bundle(
 
     Raises:
         ConfigError: a code that does not exist, or a joint.
-        FaultyDataError: a fault that nobody accepted.
+        FaultyDataError: a fault that is not accepted.
     """
     expect_codes(accept, [link.joint_name for link in bundle.links])
     limits_nm = np.array(bundle.torque_limit_nm) if all(unit == "N m" for unit in bundle.torque_units) else None
@@ -450,22 +450,22 @@ def forgiven(finding: Finding) -> Finding:
 
 
 def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> list[Finding]:
-    """The findings of all checks, and of the cheap ones the faults that those did not say, and what is rare.
+    """The findings of all checks, and of the cheap ones the faults that the others did not report, and what is rare.
 
     Other warnings that hold for one recording, and not for all of them together, are none.
     """
-    said = {(f.code, f.joint, f.recording) for f in general}
+    reported = {(f.code, f.joint, f.recording) for f in general}
     found = list(general)
     for finding in (forgiven(finding) for of_recording in quick for finding in of_recording):
         if finding.severity != "fault" and finding.code not in RARE:
             continue
         same = {(finding.code, joint, name) for joint in (finding.joint, None) for name in (finding.recording, None)}
-        if not said & same:
+        if not reported & same:
             found.append(finding)
     return found
 
 
-def _worth_telling(findings: Iterable[Finding]) -> list[Finding]:
+def _without_notes(findings: Iterable[Finding]) -> list[Finding]:
     return [finding for finding in findings if finding.severity != "note"]
 
 

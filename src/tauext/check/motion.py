@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.check.finding import Finding
 from tauext.data.recording import Recording
 
-# --- Recordings as evenly sampled stretches of smooth free motion: what every fit of the doctor starts from.
+# --- Recordings as evenly sampled stretches of smooth free motion: the input of every fit.
 
 
 LEAST_STRETCH_S = 2.0
@@ -25,7 +25,7 @@ FIT_CUTOFF_HZ = 5.0
 """Of torque and model alike before they are compared: friction at a reversal and inertia still show, noise does not."""
 FIT_ROWS_HZ = 25.0
 MOST_HZ, THINNED_CUTOFF_HZ = 250.0, 60.0
-"""Faster recordings are low-passed and thinned: no fit looks above 15 Hz."""
+"""Faster recordings are low-passed and thinned: no fit uses more than 15 Hz."""
 MOVING_RAD_S = 0.02
 """A slower joint rests."""
 CONTACT_MARGIN_S = 0.5
@@ -141,11 +141,11 @@ def _even(recording: Recording, rows: np.ndarray, number: int, start_s: float) -
         x = np.stack([np.interp(even, t, x[rows, j]) for j in range(x.shape[1])], axis=1)
         return x if every == 1 else np.ascontiguousarray(low_pass(x, THINNED_CUTOFF_HZ, rate_hz)[::every])
 
-    raw, tau, said = on_clock(recording.q), on_clock(recording.tau), on_clock(recording.dq)
+    raw, tau, recorded = on_clock(recording.q), on_clock(recording.tau), on_clock(recording.dq)
     rate_hz /= every
     smooth = low_pass(raw, min(POSITION_CUTOFF_HZ, 0.3 * rate_hz), rate_hz)
     dq = np.gradient(smooth, 1 / rate_hz, axis=0)
-    return Stretch(number, start_s + even[0], rate_hz, smooth, dq, tau, raw, said)
+    return Stretch(number, start_s + even[0], rate_hz, smooth, dq, tau, raw, recorded)
 
 
 # --- Velocity against the derivative of position: unit, sign, delay, order.
@@ -181,27 +181,27 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
     pairs = []
     for s in stretches:
         cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
-        true, said = low_pass(s.dq[:, of], cutoff, s.rate_hz), low_pass(s.dq_raw[:, joint], cutoff, s.rate_hz)
+        true, recorded = low_pass(s.dq[:, of], cutoff, s.rate_hz), low_pass(s.dq_raw[:, joint], cutoff, s.rate_hz)
         if len(true) > 4 * reach:
-            pairs.append((true, said))
+            pairs.append((true, recorded))
     inner = np.concatenate([true[reach:-reach] for true, _ in pairs]) if pairs else np.zeros(1)
     power = float(inner @ inner)
     if power / len(inner) < LEAST_SPEED_RAD_S**2:
         return None
 
     def later(k: int) -> np.ndarray:
-        return np.concatenate([said[reach + k : len(said) - reach + k] for _, said in pairs])
+        return np.concatenate([recorded[reach + k : len(recorded) - reach + k] for _, recorded in pairs])
 
     stride = max(1, reach // 20)
     coarse = range(-reach, reach + 1, stride)
     products = [abs(inner @ later(k)) / max(float(np.linalg.norm(later(k))), 1e-12) for k in coarse]
     shift = coarse[int(np.argmax(products))]
-    said = later(shift)
-    factor = float(inner @ said / power)
-    correlation = float(abs(inner @ said) / max(math.sqrt(power) * float(np.linalg.norm(said)), 1e-12))
-    # what is left of the lag, to first order: said = factor (true - lag d(true)/dt)
+    recorded = later(shift)
+    factor = float(inner @ recorded / power)
+    correlation = float(abs(inner @ recorded) / max(math.sqrt(power) * float(np.linalg.norm(recorded)), 1e-12))
+    # what is left of the lag, to first order: recorded = factor (true - lag d(true)/dt)
     slope = np.concatenate([np.gradient(true)[reach:-reach] for true, _ in pairs])
-    left = float((inner - said / factor) @ slope / (slope @ slope)) if factor else 0.0
+    left = float((inner - recorded / factor) @ slope / (slope @ slope)) if factor else 0.0
     return VelocityFit(factor, float(shift + np.clip(left, -stride, stride)) / rate, correlation)
 
 
@@ -214,19 +214,19 @@ def velocity_findings(
     for j, (joint, fit) in enumerate(zip(joints, fits, strict=True)):
         if fit is None:
             continue
-        told = f"velocity = {fit.factor:.4g} times the derivative of position, correlation {fit.correlation:.3f}"
+        relation = f"velocity = {fit.factor:.4g} times the derivative of position, correlation {fit.correlation:.3f}"
         size = abs(fit.factor)
         if fit.correlation < LEAST_CORRELATION:
-            found.append(_unlike(stretches, joints, j, told))
+            found.append(_unlike(stretches, joints, j, relation))
         elif abs(size * DEGREES - 1) < FACTOR_OFF:
             positions[j] = DEGREES
-            evidence = f"{told}: 1 / 57.3, so that positions are in degrees and velocities in rad/s"
+            evidence = f"{relation}: 1 / 57.3, so that positions are in degrees and velocities in rad/s"
             found.append(Finding("degrees", "fault", joint, evidence, "convert positions to radians at import"))
         elif fit.factor < 0:
-            found.append(Finding("velocity-sign", "fault", joint, told, "negate the velocity at import"))
+            found.append(Finding("velocity-sign", "fault", joint, relation, "negate the velocity at import"))
         elif abs(size - 1) > FACTOR_OFF:
             found.append(
-                Finding("velocity-unit", "fault", joint, f"{told}{_guess(size)}", "convert it to rad/s at import")
+                Finding("velocity-unit", "fault", joint, f"{relation}{_guess(size)}", "convert it to rad/s at import")
             )
         rate = stretches[0].rate_hz
         late = fit.correlation >= LEAST_CORRELATION and abs(fit.lag_s) > max(LATE_S, 1.25 / rate)
@@ -240,15 +240,15 @@ def velocity_findings(
     return found, fits, positions
 
 
-def _unlike(stretches: Sequence[Stretch], joints: Sequence[str], j: int, told: str) -> Finding:
+def _unlike(stretches: Sequence[Stretch], joints: Sequence[str], j: int, relation: str) -> Finding:
     others = [(compare(stretches, j, k), name) for k, name in enumerate(joints) if k != j]
     likely = [(fit.correlation, name) for fit, name in others if fit is not None]
     if likely and max(likely)[0] > LEAST_CORRELATION:
         correlation, name = max(likely)
-        evidence = f"{told}, but {correlation:.3f} with that of '{name}'"
+        evidence = f"{relation}, but {correlation:.3f} with that of '{name}'"
         return Finding("joint-order", "fault", joints[j], evidence, "map positions and velocities by name at import")
     advice = "it may be a commanded, a Cartesian or a stale velocity: derive it from position at import"
-    return Finding("velocity-mismatch", "fault", joints[j], told, advice)
+    return Finding("velocity-mismatch", "fault", joints[j], relation, advice)
 
 
 def _guess(size: float) -> str:
@@ -272,7 +272,7 @@ WINDOW_S = 1.0
 APART_RAD = 0.05
 """Poses closer together are one."""
 SEVERAL = 3
-"""Poses from which on what gravity leaves unexplained says how much friction holds."""
+"""From this number of poses on, what gravity leaves unexplained shows how much friction holds."""
 LOADED, LOADED_OF_SEVERAL = 0.2, 0.05
 """Gravity on a joint as a share of the arm's largest: a gear's friction holds a tenth of that."""
 ALIKE = 2.5

@@ -57,9 +57,9 @@ def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
     products = np.zeros((5, n))
     for s in stretches:
         cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
-        true, said = low_pass(s.dq, cutoff, s.rate_hz), low_pass(s.dq_raw, cutoff, s.rate_hz)
-        products += [(true * true).sum(axis=0), (true * said).sum(axis=0), (said * said).sum(axis=0),
-                     ((true - said) * (slope := np.gradient(true, 1 / s.rate_hz, axis=0))).sum(axis=0),
+        true, recorded = low_pass(s.dq, cutoff, s.rate_hz), low_pass(s.dq_raw, cutoff, s.rate_hz)
+        products += [(true * true).sum(axis=0), (true * recorded).sum(axis=0), (recorded * recorded).sum(axis=0),
+                     ((true - recorded) * (slope := np.gradient(true, 1 / s.rate_hz, axis=0))).sum(axis=0),
                      (slope * slope).sum(axis=0)]  # fmt: skip
     moves = products[0] > LEAST_SPEED_RAD_S**2 * len(dq)
     with np.errstate(divide="ignore", invalid="ignore"):

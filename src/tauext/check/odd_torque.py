@@ -30,12 +30,12 @@ from tauext.check.motion import FIT_ROWS_HZ, SIGNALS, Stretch
 
 ZERO_ROWS = 250
 WRONG_RAD = 0.5
-"""A larger one is no doubt wrong; of smaller ones a rough model or another trajectory may look like one."""
+"""A larger one is no doubt wrong; a rough model or another trajectory may cause a smaller one."""
 SCALES = (0.65, 1.5)
 """Factors between these are what warmth and wear make of friction."""
 LAGS_S = tuple(sign * lag for lag in (0.02, 0.04, 0.06, 0.08, 0.1, 0.12) for sign in (1, -1))
 OF_UNITS = 8.0
-"""A larger factor is that of a unit; a smaller one is certain where a model knows what the torque should be: without,
+"""A larger factor is that of a unit; a smaller one is certain where a model predicts the torque: without,
 other poses may have another gravity."""
 
 Errors = Callable[[Rows], np.ndarray]
@@ -122,10 +122,10 @@ def _of_torque(
         ]
         joint = chosen[0] if len(chosen) == 1 else None
         named = "its torque" if joint is not None else f"the torque of {', '.join(joints[j] for j in chosen)}"
-        told = f"{factors[chosen].min():.3g}" + (f" to {factors[chosen].max():.3g}" if joint is None else "")
+        divisor = f"{factors[chosen].min():.3g}" + (f" to {factors[chosen].max():.3g}" if joint is None else "")
         of_unit = bool((np.abs(np.log(factors[chosen])) > math.log(OF_UNITS)).all())
         severity: Severity = "fault" if certain or of_unit else "warning"
-        yield Mend(f"{named} divided by {told}", joint, after, severity, len(chosen))
+        yield Mend(f"{named} divided by {divisor}", joint, after, severity, len(chosen))
     middle = np.median(rows.tau - predicted, axis=0)
     centred = spread_about_zero(rows.tau - predicted - middle)
     for j in off:
@@ -172,8 +172,8 @@ def _of_arrangement(
         sign = np.where([chosen is None or j == chosen for j in range(n)], -1.0, 1.0)
         for names, what in ((motion, "positions and velocities"), (all_of_it, "all signals")):
             changed = [s.changed(partial(np.multiply, sign), names) for s in stretches]
-            told = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
-            yield Mend(told, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
+            change = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
+            yield Mend(change, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
     for a, b in combinations(range(n), 2):
         if not suspects[a] and not suspects[b]:
             continue
@@ -206,9 +206,9 @@ def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[M
             width = GRID_RAD / 2**halving
             best = min((best - width, best, best + width), key=size)
         if abs(math.remainder(best, 2 * math.pi)) > LEAST_RAD:
-            told = f"{best:+.2f} rad ({math.degrees(best):+.0f} degrees) added to its position"
+            change = f"{best:+.2f} rad ({math.degrees(best):+.0f} degrees) added to its position"
             severity: Severity = "fault" if abs(math.remainder(best, 2 * math.pi)) > WRONG_RAD else "warning"
-            yield Mend(told, j, after(best), severity, 1, moves=True, shifts=True)
+            yield Mend(change, j, after(best), severity, 1, moves=True, shifts=True)
 
 
 def _of_load(
@@ -223,18 +223,18 @@ def _of_load(
         scale = 1 / spread_about_zero(error - shared @ load)
     if abs(load[0]) > LEAST_KG:
         way = "more" if load[0] > 0 else "less"
-        told = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
-        yield Mend(told, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
+        change = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
+        yield Mend(change, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
 
 
-# --- A recording whose clock, zeros or load are a little off the others': what no error of its own would tell.
+# --- A recording whose clock, zeros or load are a little off the others': what its own error alone would not reveal.
 #
 # Each is one number (a load: its mass), estimated for every recording alone from what the common fit leaves of its
 # torque; a recording is odd where its number is far from those of the others and the error falls by it.
 
 
 LATE_S, TURNED_RAD, LOADED_KG = 0.01, 0.03, 0.15
-"""Off the others by less than this is what wear, warmth and rough models look like ..."""
+"""Smaller differences from the others come from wear, warmth and rough models ..."""
 FURTHEST_S, FURTHEST_RAD, FURTHEST_KG = 0.2, 0.4, 50.0
 """... and by more no small error: then a linear estimate is none."""
 SPREADS = 6.0
@@ -243,7 +243,7 @@ SHIFT_GAIN = 0.4
 """Sum over joints of the logarithm of how much the error falls, by a load where it is above the others'."""
 LEAST_RECORDINGS = 4
 LEAST_S = 11.0
-"""Of motion: shorter recordings say too little of one number."""
+"""Of motion: shorter recordings determine a number too poorly."""
 STEP_RAD = 0.05
 SHIFT_ROUNDS, HUBER = 4, 2.0
 
@@ -254,7 +254,7 @@ class Number:
 
     name: str
     unit: str
-    scale: float  # of the unit as it is told
+    scale: float  # of the unit in messages
     joint: int | None
     least: float
     furthest: float
@@ -280,7 +280,7 @@ class Odd:
     spread: float  # of the others
     gain: float
 
-    def told(self) -> str:
+    def text(self) -> str:
         scale, unit = self.number.scale, self.number.unit
         return (
             f"{self.number.name} by {self.off * scale:+.3g} {unit} against the other recordings, which differ by "
@@ -322,7 +322,7 @@ def odd_shifts(
         joint = None if worst.number.joint is None else joints[worst.number.joint]
         advice = "recorded in another way, or with another tool? mend it at import, or leave it out"
         name = names[worst.recording]
-        found.append(Finding("odd-recording", "warning", joint, f"'{name}': {worst.told()}", advice, name))
+        found.append(Finding("odd-recording", "warning", joint, f"'{name}': {worst.text()}", advice, name))
         left.remove(worst.recording)
     return found
 
@@ -415,12 +415,12 @@ LEAST_DRIVEN_S = 20.0
 PER_PARAMETER = 0.15
 """Of the gain, for each free number of a mend."""
 UNLIKE, UNLIKE_MATTERS, MOSTLY_COMPARABLE, UNLIKE_S = 3.2, 0.4, 0.8, 8.0
-"""Told without a mend from so many times the usual error and such a share of the spread on, where so large a share
+"""Reported without a mend from so many times the usual error and such a share of the spread on, where so large a share
 of the motion is the others', for so long: a cold arm's friction is less, and after rest it is unknown."""
 REACH = 3.0
 """Rows of so many times the others' leverage are of motion that the others do not have ..."""
 COMPARABLE = 0.3
-"""... and less than this share of others: nothing can be said."""
+"""... and less than this share of others: no conclusion."""
 
 
 @dataclass(frozen=True)
@@ -468,7 +468,7 @@ def odd_torques(
     for k in sorted(set(parts) - set(members), key=lambda k: -_score(pool, parts[k])):
         mend, before = _mend(parts[k], pool, [s for s in motion if s.recording == k], tree, joints)
         if mend is not None:
-            sure = tree is not None or not mend.moves  # sums of angles know no axes
+            sure = tree is not None or not mend.moves  # sums of angles do not depend on axes
             severity = mend.severity if sure else "warning"
             found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k]))
         elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k])) is not None:
@@ -490,8 +490,8 @@ def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str])
     for k, part in parts.items():
         work = (part.tau * part.dq).mean(axis=0)
         if len(part.time_s) >= LEAST_DRIVEN_S * FIT_ROWS_HZ:
-            asked = np.flatnonzero(work < 0).tolist()
-            inverse[k] = [j for j in asked if inverted(sign_vote(part, j, fit_joint(part, j)))]
+            driving = np.flatnonzero(work < 0).tolist()
+            inverse[k] = [j for j in driving if inverted(sign_vote(part, j, fit_joint(part, j)))]
     found = []
     for k, wrong in inverse.items():
         only = [j for j in wrong if sum(j in other for other in inverse.values()) < len(inverse) / 2]
@@ -593,7 +593,7 @@ def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str) -> Finding
         f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[j]:.3g} Nm at '{joints[j]}' "
         f"leaves {error[j]:.3g} Nm, {error[j] / usual[j]:.2g} times as much"
     )
-    advice = "another tool, friction, timing or calibration? look at it, and leave it out if the arm is not so any more"
+    advice = "another tool, friction, timing or calibration? check it, and leave it out if the arm is not so any more"
     return Finding("odd-recording", "warning", joints[j], evidence, advice, name)
 
 

@@ -18,7 +18,7 @@ from tauext.errors import RobotError
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.torque_limits import torque_limits
 
-# --- What a URDF says of masses, inertias, joints and their limits, read as text: before anything refuses to load it.
+# --- Masses, inertias, joints and their limits in a URDF, read as text, before loading may refuse it.
 
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -65,7 +65,7 @@ def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> l
     found = []
     for joint in root.findall("joint"):
         child = joint.find("child")
-        if joint.get("name") not in joints or child is None:  # the tree says what is wrong with such a joint
+        if joint.get("name") not in joints or child is None:  # load_tree reports such a joint
             continue
         name = child.get("link")
         carried = [name, *_fixed_to(root, name)]
@@ -116,20 +116,20 @@ def _impossible(link: ElementTree.Element) -> str | None:
     if not np.isfinite([xx, yy, zz, xy, xz, yz]).all():
         return "an inertia is not finite"
     principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    told = ", ".join(f"{x:.3g}" for x in principal)
+    values = ", ".join(f"{x:.3g}" for x in principal)
     if principal[0] <= 0:
-        return f"principal inertias {told} kg m^2: not positive"
+        return f"principal inertias {values} kg m^2: not positive"
     if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE):
-        return f"principal inertias {told} kg m^2: the largest exceeds the sum of the others"
+        return f"principal inertias {values} kg m^2: the largest exceeds the sum of the others"
     return None
 
 
-# --- The robot file for the doctor: a tree where one can be had, and what is wrong with the file where not.
+# --- The robot file: a tree where it can be loaded, else findings of its faults.
 
 
 @dataclass(frozen=True)
 class RobotFile:
-    """tree is None where the file cannot be used: findings say why."""
+    """tree is None where the file cannot be used: the findings have the reason."""
 
     tree: _core.Tree | None
     position_limits_rad: np.ndarray  # (joints, 2)
@@ -140,8 +140,9 @@ class RobotFile:
 def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | None = None) -> RobotFile:
     """Read a robot file for recordings of these joints.
 
-    Where the file knows none of the names its joints are taken in the order of the file, as many as the recordings
-    have, which is said: a driver that names joints its own way is no reason to stop, and a wrong order shows.
+    Where the file has none of the names its joints are taken in the order of the file, as many as the recordings
+    have, and a warning reports it: a driver that names joints its own way is no reason to stop, and a wrong order
+    shows.
 
     Raises:
         RobotError: there is no such file.
@@ -154,14 +155,14 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
     known = moving_joints(root) if root is not None else _names(path, names)
     unknown = [name for name in names if name not in known]
     if unknown:
-        told = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
+        evidence = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
         if len(unknown) < len(names) or len(known) < len(names):
             advice = "name the joints as the robot file does, at import"
-            found.append(Finding("joint-names", "fault", None, told, advice))
+            found.append(Finding("joint-names", "fault", None, evidence, advice))
             return none
         names = known[: len(names)]
         advice = f"taken in the file's order: {', '.join(names)}; name them so at import"
-        found.append(Finding("joint-names", "warning", None, told, advice))
+        found.append(Finding("joint-names", "warning", None, evidence, advice))
     found += model_findings(root, names)
     try:
         tree = load_tree(path, names, gravity=gravity)
@@ -192,7 +193,7 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
 
 
 def _names(path: Path, otherwise: list[str]) -> list[str]:
-    """Joints of an MJCF file, or those asked for where it cannot be read: loading then says why."""
+    """Joints of an MJCF file, or `otherwise` where it cannot be read: loading then reports the reason."""
     try:
         return [link.joint_name for link in load_tree(path).links]
     except RobotError:

@@ -12,7 +12,7 @@ import numpy as np
 from tauext.check.finding import Finding, Severity
 from tauext.check.motion import MOVING_RAD_S, repeated_rows
 from tauext.config import ObserverConfig
-from tauext.data.drive_signal import LOOKED_AT, position_step, step_of
+from tauext.data.drive_signal import MOST_VALUES, position_step, step_of
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import derives_velocity, makes_torque
 
@@ -63,7 +63,7 @@ def _saturated(recordings: Sequence[Recording], j: int, joint: str) -> Finding |
             piled = int(at_extreme.sum())
             if piled < max(PILED_ROWS, 0.001 * len(y)) or piled < PILED_SHARE * beside.sum():
                 continue
-            if signal == "dq" and not _faster_than_said(recordings, j, side, float(y.max())):
+            if signal == "dq" and not _faster_than_limit(recordings, j, side, float(y.max())):
                 continue
             evidence = (
                 f"{signal}: {piled} samples ({piled / len(y):.2%} of the motion) at exactly {side * y.max():.5g} {unit}"
@@ -74,7 +74,7 @@ def _saturated(recordings: Sequence[Recording], j: int, joint: str) -> Finding |
     return None
 
 
-def _faster_than_said(recordings: Sequence[Recording], j: int, side: int, limit: float) -> bool:
+def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit: float) -> bool:
     """Whether positions change faster than the velocity's extreme: a cruise at constant speed is no limit."""
     for r in recordings:
         rows = np.flatnonzero(side * r.dq[:, j] == limit)
@@ -87,7 +87,7 @@ def _faster_than_said(recordings: Sequence[Recording], j: int, side: int, limit:
 
 
 def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
-    count, longest, told = 0, 0.0, ""
+    count, longest, longest_run = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
     # Nor tau made of a servo's counts, which stay 0 while hardly any current is drawn.
     counted = any(makes_torque(r) for r in recordings)
@@ -117,16 +117,16 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
                 if seconds > longest:
                     longest = seconds
                     at = (r.t_ns[first] - r.t_ns[0]) * 1e-9
-                    told = f"{signal} stays {x[first]:.5g} for {seconds:.2f} s at {at:.2f} s of '{r.name}'"
+                    longest_run = f"{signal} stays {x[first]:.5g} for {seconds:.2f} s at {at:.2f} s of '{r.name}'"
     if not count:
         return None
-    evidence = f"{count} times, the longest: {told}, while the joint turns"
-    advice = "a driver that repeats its last value: look for lost packets of this joint; leave these stretches out"
+    evidence = f"{count} times, the longest: {longest_run}, while the joint turns"
+    advice = "a driver that repeats its last value: check for lost packets of this joint; leave these stretches out"
     return Finding("stuck", "fault", joint, evidence, advice)
 
 
 def _cruises(r: Recording, j: int, first: int, last: int, within_rad: float) -> bool:
-    """Whether the position goes all the while at one speed, about the one that these rows say: no fault."""
+    """Whether the position goes all the while at one speed, about that of these rows' velocity: no fault."""
     since_s = (r.t_ns[first : last + 1] - r.t_ns[first]) * 1e-9
     gone = r.q[first : last + 1, j] - r.q[first, j]
     if np.abs(gone - r.dq[first, j] * since_s).max() < within_rad:
@@ -144,7 +144,7 @@ def _least_step(x: np.ndarray) -> float:
 
 def torque_step_nm(recordings: Sequence[Recording], j: int) -> float | None:
     """Step of which every torque is a whole multiple, [N m]; None where there is none."""
-    stride = max(1, sum(r.samples for r in recordings) // LOOKED_AT)
+    stride = max(1, sum(r.samples for r in recordings) // MOST_VALUES)
     return step_of(np.concatenate([r.tau[::stride, j] for r in recordings]))
 
 
@@ -212,7 +212,7 @@ def _empty_above(recordings: Sequence[Recording], joints: np.ndarray) -> float:
     return float(np.fft.rfftfreq(len(x), 1 / longest.rate_hz)[np.argmax(above < 1e-6)])
 
 
-# --- Steps in which signals count, and a velocity that its own positions tell better.
+# --- Steps in which signals count, and a velocity that is coarser than that of its positions.
 
 
 ROUNDED = math.sqrt(12)
@@ -224,7 +224,7 @@ BETTER = 2.0
 
 
 def steps_of(recordings: Sequence[Recording], j: int) -> tuple[float | None, float | None]:
-    """Steps of one joint's position, [rad], and velocity, [rad/s]; None where they are too fine to tell."""
+    """Steps of one joint's position, [rad], and velocity, [rad/s]; None where they are too fine to detect."""
     q, dq = (np.concatenate([getattr(r, name)[:, j] for r in recordings]) for name in ("q", "dq"))
     return position_step(q), step_of(dq)
 
@@ -251,12 +251,12 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
         evidence = f"it counts in steps of {velocity_rad_s:.3g} rad/s: off by {velocity_rad_s / ROUNDED:.2g}"
         if position_rad is not None:
             evidence += (
-                f", where {LINE_S:g} s of positions in steps of {position_rad:.3g} rad at {rate_hz:.0f} Hz tell it to "
+                f", where {LINE_S:g} s of positions in steps of {position_rad:.3g} rad at {rate_hz:.0f} Hz give it to "
                 f"{line_rad_s:.1g}; one step of position in one sample is {position_rad * rate_hz:.3g} rad/s"
             )
         advice = (
             "leave the columns of [signals.dq] in arm.toml empty: the velocity is then derived from position; with "
-            "[servo] over as many samples as its steps ask for"
+            "[servo] over as many samples as its steps require"
         )
         found.append(Finding("coarse-velocity", "warning", joint, evidence, advice))
     return found
@@ -294,7 +294,7 @@ BEYOND = 5.0
 """A fault beyond so many times the normal range, from its middle in halves of it. A joint that mostly carries little
 reaches 3 times in a hard stop."""
 SPEED_RAD_S = 20.0
-"""No joint of an arm turns faster: a position that says so would be taken for a collision."""
+"""No joint of an arm turns faster: a position that does would be taken for a collision."""
 DRIVE = 1.5
 """Times the robot file's limit of effort: more than a drive's short peak."""
 UNHEARD = 20.0
@@ -306,7 +306,7 @@ GAP = 3.0
 """Steps of more than three periods: what happens across them is no leap."""
 LARGEST = 1e6
 """Of any signal, whatever its unit."""
-TOLD = 3
+LISTED = 3
 UNITS = {"tau": "Nm", "q": "rad", "dq": "rad/s"}
 NAMES = {"tau": "torque", "q": "position", "dq": "velocity"}
 
@@ -359,7 +359,7 @@ def spikes_of(
     least = {"tau": LEAST_NM * max(x.half for x in normal["tau"]), "dq": LEAST_RAD_S, "q": LEAST_RAD}
     for signal in UNITS:
         if signal == "dq" and derives_velocity(recording):
-            continue  # it says nothing that the position does not, and a count of that is a leap of it
+            continue  # it adds nothing to the position, and a count of the position is a leap of it
         values = getattr(recording, signal)[rows]
         for j in range(len(recording.joints)):
             limit = float("inf")
@@ -433,11 +433,11 @@ def _runs(leap: np.ndarray, least: float, longest: int) -> list[tuple[int, int]]
 
 
 def _followed(dq: np.ndarray, q: np.ndarray, period: float, first: int, last: int) -> bool:
-    """Whether the position went where the velocity of these rows says, and not where the rows beside them do."""
-    said = float(dq[first:last].sum()) * period
+    """Whether the position follows the velocity of these rows rather than that of the rows beside them."""
+    expected = float(dq[first:last].sum()) * period
     beside = 0.5 * float(dq[first - 1] + dq[last]) * (last - first) * period
     went = float(q[last - 1] - q[first - 1])
-    return abs(went - said) < abs(went - beside)
+    return abs(went - expected) < abs(went - beside)
 
 
 def _unheard(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> list[tuple[int, int]]:
@@ -458,18 +458,18 @@ def spike_findings(recording: Recording, spikes: Sequence[Spikes], normal: dict[
     found = []
     for j in sorted({s.joint for s in spikes}):
         own = [s for s in spikes if s.joint == j]
-        told = "; ".join(_told(recording, s, normal[s.signal][j]) for s in own)
+        evidence = "; ".join(_described(recording, s, normal[s.signal][j]) for s in own)
         severity: Severity = "fault" if any(s.severity == "fault" for s in own) else "warning"
         advice = "a lost or mixed-up message, or a glitch of a sensor: cut these moments out, or record anew"
         found.append(
-            Finding("spike", severity, recording.joints[j], f"'{recording.name}': {told}", advice, recording.name)
+            Finding("spike", severity, recording.joints[j], f"'{recording.name}': {evidence}", advice, recording.name)
         )
     return found
 
 
-def _told(recording: Recording, spikes: Spikes, normal: Normal) -> str:
+def _described(recording: Recording, spikes: Spikes, normal: Normal) -> str:
     x, j, unit = getattr(recording, spikes.signal), spikes.joint, UNITS[spikes.signal]
-    order = np.argsort(-np.abs(x[spikes.rows, j] - spikes.before))[:TOLD]
+    order = np.argsort(-np.abs(x[spikes.rows, j] - spikes.before))[:LISTED]
     parts = [
         f"{x[spikes.rows[k], j]:.4g} {unit} at {recording.time_s[spikes.rows[k]]:.3f} s beside {spikes.before[k]:.4g}"
         for k in order.tolist()

@@ -20,7 +20,8 @@ Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", 
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
 """The signal that a torque is made of, by [servo] torque_from."""
 SQUARE = 1.5
-"""Exponent at rest above which an unsigned signal goes with the square of the duty, below with the duty itself."""
+"""Exponent at rest above which an unsigned signal is proportional to the square of the duty, below to the duty
+itself."""
 LEAST_LINEAR, MOST_LINEAR = 0.7, 1.4
 """Exponents of a signal that is proportional: rounding of small values bends the line."""
 FOLLOWS = 0.9
@@ -32,20 +33,20 @@ ROUND = (1.0, 100.0, 1000.0)
 """Full duty as a share, in per cent, or in the thousandths of a load register."""
 LEAST_STEP, MOST_STEP = 5e-4, 0.02
 """Steps of a duty's register, as shares of the full duty: Feetech's load counts thousandths, Dynamixel's PWM 1/885. A
-stiff arm's torque goes with the error of position, too, but in steps of its own or none."""
+stiff arm's torque follows the error of position, too, but in steps of its own or none."""
 DRAWN = 5000
 """Points of a picture."""
 PILED = 20
 """Rows at exactly the full duty: a saturated drive, and no chance."""
 OF_TORQUES = ("effort-scale", "effort-motor-side", "effort-limit", "payload-missing", "payload-absent")
-"""What is said of a torque in N m, and of nothing else."""
+"""Codes of findings that hold for a torque in N m only."""
 SIGN_BIT, FULL = 1024, 1000
 """Feetech's Present_Load: bit 10 is the sign, the rest is 0 to 1000."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What one joint's effort is, and by what it was told."""
+    """What one joint's effort is, and the evidence."""
 
     kind: Kind
     visits: int = 0
@@ -57,22 +58,23 @@ class Effort:
     full: float = 0.0
     """Where it saturates, in its unit; 0: it does not."""
     of: str | None = None
-    """The joint whose law it is, where its own cannot be told."""
+    """The joint whose law it is, where its own cannot be determined."""
     made_from: str | None = None
-    """What [servo] of arm.toml says that tau is made from; then this is about that signal. None: tau as recorded."""
+    """The signal that tau is made from according to [servo] of arm.toml, which this then describes. None: tau as
+    recorded."""
 
 
 def efforts_of(recordings: Sequence[Recording]) -> list[Effort]:
     """What each joint's tau is, or what it was made from at import.
 
-    Without the goal's positions a law at rest cannot be told, and a duty looks like any torque unless it saturates. A
-    phase current is told from a torque by its back-EMF alone.
+    Without the goal's positions a law at rest cannot be determined, and a duty resembles a torque unless it saturates.
+    A phase current is distinguished from a torque by its back-EMF alone.
     """
     found = [_effort(recordings, j) for j in range(len(recordings[0].joints))]
-    told = [j for j, one in enumerate(found) if one.law is not None and one.kind in ("unsigned", "supply current")]
-    if not told:
+    with_law = [j for j, one in enumerate(found) if one.law is not None and one.kind in ("unsigned", "supply current")]
+    if not with_law:
         return found
-    best = min(told, key=lambda j: found[j].law.exponent_error)  # type: ignore[union-attr]
+    best = min(with_law, key=lambda j: found[j].law.exponent_error)  # type: ignore[union-attr]
     return [
         replace(one, kind=found[best].kind, law=found[best].law, of=recordings[0].joints[best])
         if one.kind == "unsigned" and one.law is None
@@ -82,7 +84,7 @@ def efforts_of(recordings: Sequence[Recording]) -> list[Effort]:
 
 
 def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
-    """Findings of efforts that are no torque, or another signal than was said, with what to write in arm.toml."""
+    """Findings of efforts that are no torque, or another signal than declared, with what to write in arm.toml."""
     found = []
     for joint, effort in zip(joints, efforts, strict=True):
         if effort.kind in ("unsigned", "supply current") and effort.made_from != "supply_current":
@@ -94,26 +96,26 @@ def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Fin
             advice = "a load register as it is read: where it is above 1024, take that off and negate; and " + _DUTY
             found.append(Finding("load-sign-bit", "fault", joint, evidence, advice))
         elif effort.kind == "duty" and effort.made_from is None:
-            found.append(Finding("effort-duty", "warning", joint, _duty_told(effort), _DUTY))
+            found.append(Finding("effort-duty", "warning", joint, _duty_evidence(effort), _DUTY))
         elif (
             effort.made_from == "supply_current"
             and effort.kind in ("torque", "phase current", "duty")
             and effort.signed
         ):
             evidence = "it has both signs in motion, where the current of a supply is drawn and not given back"
-            advice = 'the current of the windings, then: say torque_from = "phase-current" in [servo] of arm.toml'
+            advice = 'the current of the windings, then: set torque_from = "phase-current" in [servo] of arm.toml'
             found.append(Finding("current-signed", "warning", joint, evidence, advice))
     return found
 
 
-_DUTY = 'say torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then taken off'
+_DUTY = 'set torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then taken off'
 
 
 def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tuple[Sequence[Recording], set[int]]:
-    """The recordings with a sign to unsigned efforts, and linear in torque, so that the other checks see a torque.
+    """The recordings with a sign to unsigned efforts, and linear in torque, so that the other checks get a torque.
 
     Returns:
-        The recordings, and the joints whose effort could not be given a sign: what is said of their torque is nothing.
+        The recordings, and the joints whose effort could not be given a sign: findings of their torque are void.
     """
     turned = [j for j, e in enumerate(efforts) if e.kind in ("unsigned", "supply current") and e.made_from is None]
     if not turned:
@@ -175,7 +177,7 @@ def is_drive(effort: Effort) -> bool:
 
 
 def _goal(recording: Recording) -> np.ndarray:
-    assert recording.q_des is not None  # the caller looked
+    assert recording.q_des is not None  # the caller checked
     return recording.q_des
 
 
@@ -268,31 +270,31 @@ def _is_square(effort: Effort) -> bool:
 
 
 def _unsigned(joint: str, effort: Effort) -> Finding:
-    told = f"it comes down to zero {effort.visits} times in motion and never crosses it"
+    visits = f"it comes down to zero {effort.visits} times in motion and never crosses it"
     if effort.law is None:
         advice = (
             "the size of something without its sign. Record the goal's positions ([signals.q_des]), or the duty: the "
-            'sign is theirs; and where it is the supply\'s current, say torque_from = "supply-current" in [servo] of '
+            'sign is theirs; and where it is the supply\'s current, set torque_from = "supply-current" in [servo] of '
             "arm.toml"
         )
-        return Finding("unsigned-torque", "fault", joint, told, advice)
-    whose = f" (told at '{effort.of}')" if effort.of else ""
+        return Finding("unsigned-torque", "fault", joint, visits, advice)
+    whose = f" (determined at '{effort.of}')" if effort.of else ""
     law = f"at rest it goes with |goal - position|^{effort.law.exponent:.2f} ± {effort.law.exponent_error:.2f}{whose}"
     if _is_square(effort):
-        evidence = f"{told}; {law}: {effort.law.gain:.3g} a rad², the current of the supply, duty squared"
+        evidence = f"{visits}; {law}: {effort.law.gain:.3g} a rad², the current of the supply, duty squared"
         advice = (
-            'say torque_from = "supply-current" in [servo] of arm.toml: its root, with the sign of goal - position or '
+            'set torque_from = "supply-current" in [servo] of arm.toml: its root, with the sign of goal - position or '
             "of the duty, is what goes with torque"
         )
         return Finding("supply-current", "fault", joint, evidence, advice)
     advice = (
         "the size of a duty or of a phase current: read its sign (on Feetech's servos bit 10 of the load, bit 15 of "
-        'the current), or say torque_from = "goal" in [servo] of arm.toml'
+        'the current), or set torque_from = "goal" in [servo] of arm.toml'
     )
-    return Finding("unsigned-torque", "fault", joint, f"{told}; {law}", advice)
+    return Finding("unsigned-torque", "fault", joint, f"{visits}; {law}", advice)
 
 
-def _duty_told(effort: Effort) -> str:
+def _duty_evidence(effort: Effort) -> str:
     parts = []
     if effort.law is not None:
         parts.append(
@@ -308,7 +310,7 @@ def _duty_told(effort: Effort) -> str:
 
 
 def play_findings(joints: Sequence[str], plays: Sequence[Play]) -> list[Finding]:
-    """Findings of joints whose play is seen."""
+    """Findings of joints whose play is detected."""
     return [
         Finding(
             "backlash",

@@ -175,7 +175,7 @@ def conversions(arm: Arm) -> list[str]:
 
 
 def constant_unknown(arm: Arm) -> bool:
-    """Whether the torque stays in amperes, since nobody knows the motor's constant."""
+    """Whether the torque stays in amperes, since the motor's constant is unknown."""
     return arm.signals["tau"].torque_constant == "unknown"
 
 
@@ -230,9 +230,9 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
 
     .. math:: dq_k = a\,dq_{k-1} + (1-a)\,(q_k - q_{k-1})/\Delta t, \quad a = e^{-2\pi f \Delta t}
 
-    It lags the true velocity by half a step and by 1/(2 pi f). It sees no future, so a monitor that derives it the same
-    way gets the same values. A step of more than 2.5 median steps starts it anew; a first sample takes the difference
-    that follows it.
+    It lags the true velocity by half a step and by 1/(2 pi f). It uses no future samples, so a monitor that derives it
+    the same way gets the same values. A step of more than 2.5 median steps restarts it; a first sample takes the
+    difference that follows it.
 
     Args:
         t_ns: (samples,), increasing, [ns].
@@ -263,8 +263,8 @@ PIECE_S = 600.0
 """A longer raw recording becomes several recordings of about this length, [s] ..."""
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
-WORTH_SAYING = 1e-3
-"""Share of lost samples from which on it is told."""
+WORTH_REPORTING = 1e-3
+"""Share of lost samples from which on the loss is reported."""
 LATE_S = 1.0
 """A packet may come so much later than its stamp and still be sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
@@ -279,8 +279,8 @@ TORQUE_WORDS = {
 def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
     """Recordings of a raw one, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
 
-    Each is put in order, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
-    in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
+    Each is put in order, merged onto one clock, brought to rad, rad/s and N m at the joint, and
+    lists in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
 
     Args:
         rate_hz: nominal rate; 0: the description's, or else that of the fitted sample period.
@@ -402,7 +402,8 @@ def _piece(
     if arm.servo is None:  # servos count so coarsely that equal rows need not be repeats
         own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
     if not own.all():
-        facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)  # what gaps lost is told apart
+        # samples lost in gaps are reported separately
+        facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)
     start_ns = int(t_ns[0]) if start_ns is None else start_ns
     facts["rate"] = "stated" if rate_hz else "fitted"
     rate_hz = rate_hz or _nominal_rate(t_ns)
@@ -426,7 +427,7 @@ def _piece(
     done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
         done.append(f"{facts['measured_hz']:.4g} samples a second are measurements of their own, the others hold them")
-    if facts["lost_share"] >= WORTH_SAYING:
+    if facts["lost_share"] >= WORTH_REPORTING:
         done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")

@@ -123,7 +123,7 @@ def load_split(folder: Place | str) -> Split:
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
     for key in content:
-        if key != "format" and key not in SETS:  # a list that nobody reads would be a set that is empty unsaid
+        if key != "format" and key not in SETS:  # an ignored list would leave its set silently empty
             raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")
     for set_name in SETS:
         if set_name in OPTIONAL and set_name not in content:
@@ -178,7 +178,7 @@ def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMI
 
 
 def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: int, number: int) -> Recording:
-    """Samples first to end, end left out, as a recording NAME-number; its provenance says of what it is a part."""
+    """Samples first to end, end left out, as a recording NAME-number; its provenance has the origin."""
     whole = load_recording(file, signals, (first, end))
     start_s = first / whole.rate_hz
     part = {"of": whole.name, "from_s": round(start_s, 6), "to_s": round(start_s + whole.duration_s, 6)}
@@ -198,7 +198,7 @@ def ahead(loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
         yield coming.result()
 
 
-# --- A dataset folder: robot file, split, recordings loaded when asked for.
+# --- A dataset folder: robot file, split, recordings loaded on demand.
 
 
 ROBOT_FILES = ("robot.xml", "robot.urdf")

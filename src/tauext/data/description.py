@@ -1,4 +1,4 @@
-"""A robot and how its recordings are to be read: what each column is, and what the robot file does not say."""
+"""A robot and how its recordings are to be read: the meaning of each column, and what the robot file lacks."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class ServoTable:
 
     torque_from: TorqueSource = key(one_of(get_args(TorqueSource)))
     type: tuple[str, ...] = listed(one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint")
-    """One that stands for all joints or one a joint; none: a servo nobody knows."""
+    """One that stands for all joints or one a joint; none: an unknown servo."""
     gain: tuple[float, ...] = key(each(POSITIVE), ())
     """P gain of the position controller, in the servo's own unit; none: what its type usually has."""
     duty_per_rad: tuple[float, ...] = key(each(POSITIVE), ())
@@ -181,7 +181,7 @@ class ServoTable:
     most_duty: tuple[float, ...] = key(each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), ())
     """Largest duty that the servo's registers allow; none: the type's."""
     voltage_v: tuple[float, ...] = key(each(POSITIVE), ())
-    """Of the supply, where no signal says it; none: the type's."""
+    """Of the supply, where no signal measures it; none: the type's."""
     ohm: tuple[float, ...] = key(each(POSITIVE), ())
     back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), ())
     torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), ())

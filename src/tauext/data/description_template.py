@@ -56,7 +56,7 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
             single = signal in ("time", "label")
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
-                # A file with torque and current: the torque needs no constant that somebody must know.
+                # A file with torque and current: the torque needs no constant.
                 found.columns[signal] = min(
                     fits, key=lambda group: (signal == "tau" and _is_current(group), len(group))
                 )
@@ -228,7 +228,7 @@ unit = "V"
 }
 
 TEMPLATE = """\
-# arm.toml: what tauext must know of a robot and of its recordings.
+# arm.toml: description of a robot and of its recordings.
 # A list has one entry a joint, in the order of [robot] joints; one number instead stands for all joints.
 # Keys that are not known are refused. Lines that begin with # are comments or keys left at their default.
 
@@ -242,14 +242,14 @@ joints = @JOINTS@
 # Motor turns a joint turn. Used for signals of side = "motor" and for the rotor inertia.
 # gear_ratio = 1
 # Inertia of motor, rotor and whatever turns with it, before the gear, kg m^2; times gear_ratio squared it is the
-# joint's. It replaces what the robot file says; left out, the file's holds.
+# joint's. It replaces the robot file's; left out, the file's holds.
 # rotor_inertia_kg_m2 = 0.0001
 # Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the file's.
 # gravity_m_s2 = [0, 0, -9.81]
 # LeRobot's calibration file of the arm, for positions and goals of unit = "normalised".
 # calibration = "my_arm.json"
 
-# What the arm carries and the robot file does not know: a tool, a gripper, a sensor.
+# What the arm carries and the robot file lacks: a tool, a gripper, a sensor.
 # [payload]
 # link = "tool0"              # of the robot file
 # mass_kg = 0.0
@@ -257,14 +257,14 @@ joints = @JOINTS@
 # inertia_kg_m2 = [0, 0, 0, 0, 0, 0]  # about the centre of mass: xx, yy, zz, xy, xz, yz
 
 [time]
-# Column of the sample times. "" for bags and LeRobot folders, which bring stamps, or where rate_hz says it all.
+# Column of the sample times. "" for bags and LeRobot folders, which bring stamps, or where rate_hz is enough.
 column = @TIME@
 # s, ms, us or ns.
 unit = @TIME_UNIT@
 # Nominal rate of the recordings, Hz. 0: as measured (the median step of the first recording).
 rate_hz = 0
 # Rows whose measured values all equal the row before, for at most 0.1 s, hold one measurement: keep or drop them.
-# keep: the clock stays regular, and a monitor behind the same reader sees such rows too. drop: for a reader several
+# keep: the clock stays regular, and a monitor behind the same reader gets such rows too. drop: for a reader several
 # times faster than the robot's state, where the monitor will be fed each state once.
 repeats = "keep"
 
@@ -309,14 +309,14 @@ timing = "instant"
 @OPTIONAL@
 # Joints driven by servos: velocity and torque are made of what these report, in recordings and live loops alike.
 # [servo]
-# torque: [signals.tau] says it. phase-current: [signals.current] is that of the windings, signed. supply-current: it is
+# torque: it is [signals.tau]. phase-current: [signals.current] is that of the windings, signed. supply-current: it is
 # what the servo draws, unsigned. duty: [signals.duty]. goal: [signals.q_des] minus q, by the position loop's gain.
 # For all but the first [signals.tau] is left out.
 # torque_from = "torque"
 # @SERVOS@
-# One name, or one a joint; left out: a servo nobody knows.
+# One name, or one a joint; left out: an unknown servo.
 # type = "sts3215-7.4v"
-# What the type does not say, or says otherwise; all at the joint, after the gear.
+# Constants that the type lacks, or that differ from it; all at the joint, after the gear.
 # gain = 16                   # P gain of the position controller, as its register has it
 # duty_per_rad = 2.7          # or: duty a rad of position error
 # most_duty = 0.97            # that its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)
@@ -325,7 +325,7 @@ timing = "instant"
 # back_emf_v_s = 1.28         # V s/rad
 # torque_constant = "unknown" # Nm/A, or "unknown": it is to be fitted
 # counts_a_turn = 4096        # of the encoder
-# Longest stretch that a velocity is derived from, s; 0: [signals.dq] says it.
+# Longest stretch that a velocity is derived from, s; 0: the velocity is [signals.dq].
 # velocity_window_s = 0.2
 # A goal acts so long after its stamp, s; "period": one sample period, where a loop reads first and then sends it.
 # goal_delay_s = "period"
@@ -333,7 +333,7 @@ timing = "instant"
 # timing = "held"
 
 [contact]
-# Column that says whether the arm is touched. "": there is none.
+# Column that marks whether the arm is touched. "": there is none.
 column = @LABEL@
 # Its topic, where several are read.
 # topic = "/touch"

@@ -2,7 +2,7 @@ r"""Play between a motor with its encoder and what it moves, from reversals.
 
 After a reversal the motor crosses the play before it moves its load the other way: the position travels by the width
 while the drive bears its own friction alone. Where gravity keeps a gear at one flank there is nothing to cross, and an
-encoder behind the play sees little of it.
+encoder behind the play measures little of it.
 
 At the same place just before a turn and just after it gravity is the same and inertia nearly so. What is left of the
 drive's torque is friction, twice; as a function of the travel s since the turn
@@ -28,27 +28,27 @@ from tauext.data.recording import Recording
 # --- The step in which a signal counts: that of a register, of an encoder, of a velocity.
 
 
-LOOKED_AT = 200_000
-"""Values that are looked at: all levels of a coarse signal are among them."""
+MOST_VALUES = 200_000
+"""Values that are used: all levels of a coarse signal are among them."""
 LEAST_LEVELS = 3
 FINEST = 1e-5
 """Share of the range that a step is at least: finer ones are those of the number's own precision."""
 ROUNDED_TO = 6
 """Decimals of a position, [rad], that count."""
 NEAR = 0.01
-"""Share by which a turn's counts may be off a power of two: a register that is told in rounded numbers."""
+"""Share by which a turn's counts may be off a power of two: a register that is given in rounded numbers."""
 FEWEST_BITS, MOST_BITS = 8, 24
 
 
 def step_of(values: np.ndarray) -> float | None:
     """Step of which all values are whole multiples but for one offset, in their unit; None where there is none.
 
-    A signal whose every second value is a level of its own counts too finely to tell.
+    A signal whose every second value is a level of its own has no detectable step.
 
     Args:
         values: one signal of one joint, any order.
     """
-    values = values[:: max(1, len(values) // LOOKED_AT)]
+    values = values[:: max(1, len(values) // MOST_VALUES)]
     levels = np.unique(values)
     if not LEAST_LEVELS <= len(levels) <= 0.5 * len(values):
         return None
@@ -57,7 +57,7 @@ def step_of(values: np.ndarray) -> float | None:
     if step <= FINEST * (levels[-1] - levels[0]):
         return None
     above = levels - levels[0]
-    for reach in 8 ** np.arange(1, 9):  # what is known of a few counts tells the number of more, and those the step
+    for reach in 8 ** np.arange(1, 9):  # few counts give a step that numbers more of them, and those a better one
         near = above < (reach + 0.5) * step
         counts = np.round(above[near] / step)
         step = float(counts @ above[near] / max(counts @ counts, 1.0)) or step
@@ -66,10 +66,10 @@ def step_of(values: np.ndarray) -> float | None:
 
 
 def position_step(q: np.ndarray) -> float | None:
-    """Step of an encoder, [rad]; None where it is too fine to tell, or the joint takes too few places.
+    """Step of an encoder, [rad]; None where it is too fine to detect, or the joint takes too few places.
 
-    Encoders that count a power of two a turn are told from positions stored as float32 by that: 2 pi / 4096 and not
-    0.001533951.
+    Where the step is near a power of two counts a turn, it is set to that: 2 pi / 4096 and not 0.001533951, since
+    positions may be stored as float32.
 
     Args:
         q: positions of one joint, [rad].
@@ -83,16 +83,16 @@ def position_step(q: np.ndarray) -> float | None:
     return 2 * math.pi / 2**whole if near else step
 
 
-# --- What a servo tells of its drive: whether it has a sign, and how it goes with the error of position.
+# --- A servo's signal of its drive: whether it has a sign, and how it depends on the error of position.
 #
 # A position-controlled servo drives with a duty that is its gain times the error of position, limited. The current of
 # its motor follows the duty, less what its speed induces; the current of its supply is the motor's times the duty,
-# hence never negative while it drives, and at rest goes with the square of the duty.
+# hence never negative while it drives, and at rest proportional to the square of the duty.
 
 
 AROUND_S = 0.1
 """To either side: a joint rests whose position keeps its place for so long, and moves where it does not."""
-LOOKS = 11
+PROBES = 11
 """At positions in that time: a joint that comes back in between rests at others."""
 MOVED_RAD = 0.004
 """By which it then goes at least; encoders of 12 bits count 0.0015."""
@@ -101,9 +101,10 @@ LOW = 0.02
 HIGH = 0.2
 """... and above which it has left it again."""
 LEAST_VISITS = 10
-"""So often a signal comes down to zero while its joint moves, and goes on on the same side. A signed one crosses it."""
+"""So often a signal comes down to zero while its joint moves, and continues on the same side. A signed one crosses
+it."""
 LEAST_REST = 100
-"""Rows at rest from which on a law is told."""
+"""Rows at rest from which on a law is estimated."""
 BINS = 12
 """Of the error of position, equally full: their means are what a law goes through."""
 STEPS_SEEN = 1.0
@@ -112,7 +113,7 @@ SCATTER = 0.05
 """Of a bin's mean, as a share of it."""
 LEAST_BINS = 4
 SPREAD = 1.5
-"""Times which the largest bin's error of position is the smallest's, for an exponent to be told ..."""
+"""Times which the largest bin's error of position is the smallest's, for an exponent to be estimated ..."""
 UNSURE = 0.25
 """... and its standard error from which on it is not."""
 
@@ -131,7 +132,8 @@ class RestLaw:
 
 
 def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
-    """How often a signal comes down to zero while its joint moves and goes on on the same side; 0 for one with a sign.
+    """How often a signal comes down to zero while its joint moves and continues on the same side; 0 for one with a
+    sign.
 
     Args:
         x: the signal of one joint, (samples,).
@@ -143,9 +145,9 @@ def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
     top = float(np.percentile(size[moving], 99))
     step = step_of(x) or 0.0
     low, high = size <= max(LOW * top, 0.5 * step), size > max(HIGH * top, 1.5 * step)
-    told = np.where(high, 1, np.where(low & moving, -1, 0))
-    told = told[told != 0]
-    return int(np.count_nonzero((told[1:] == -1) & (told[:-1] == 1)))
+    levels = np.where(high, 1, np.where(low & moving, -1, 0))
+    levels = levels[levels != 0]
+    return int(np.count_nonzero((levels[1:] == -1) & (levels[:-1] == 1)))
 
 
 def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +156,7 @@ def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
     around = max(1, round(AROUND_S * recording.rate_hz))
     moving, resting = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
     if len(q) > 2 * around:
-        shifts = np.unique(np.linspace(0, 2 * around, LOOKS).round().astype(int))
+        shifts = np.unique(np.linspace(0, 2 * around, PROBES).round().astype(int))
         low = high = q[: len(q) - 2 * around]
         for shift in shifts[1:]:
             here = q[shift : len(q) - 2 * around + shift]
@@ -167,12 +169,12 @@ def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
 def rest_law(
     signals: Sequence[np.ndarray], errors: Sequence[np.ndarray], resting: Sequence[np.ndarray]
 ) -> RestLaw | None:
-    """How a signal goes with goal minus position while the joint rests; None where the error varies too little.
+    """How a signal depends on goal minus position while the joint rests; None where the error varies too little.
 
     Args:
         signals: of one joint, one a recording, (samples,).
-        errors: goal minus position, likewise, [rad].
-        resting: rows at rest, likewise, bool.
+        errors: goal minus position, as `signals`, [rad].
+        resting: rows at rest, as `signals`, bool.
     """
     x = np.concatenate([s[rest] for s, rest in zip(signals, resting, strict=True)])
     e = np.concatenate([s[rest] for s, rest in zip(errors, resting, strict=True)])
@@ -189,9 +191,9 @@ def rest_law(
         return None
     scatter = np.sqrt(SCATTER**2 + (0.5 * step / level[seen]) ** 2)  # of the logarithm: friction's, and half a step
     columns = np.column_stack([np.log(at[seen]), np.ones(seen.sum())]) / scatter[:, None]
-    said = np.log(level[seen]) / scatter
-    (exponent, offset), *_ = np.linalg.lstsq(columns, said, rcond=None)
-    left = said - columns @ np.array([exponent, offset])
+    target = np.log(level[seen]) / scatter
+    (exponent, offset), *_ = np.linalg.lstsq(columns, target, rcond=None)
+    left = target - columns @ np.array([exponent, offset])
     wider = max(1.0, float(left @ left) / max(1, int(seen.sum()) - 2))
     error = float(np.sqrt(wider * np.linalg.inv(columns.T @ columns)[0, 0]))
     if error > UNSURE:
@@ -238,10 +240,10 @@ FASTEST_HZ = 250.0
 
 @dataclass(frozen=True)
 class Play:
-    """One joint's play, or why none is seen."""
+    """One joint's play, or why none is detected."""
 
     width_rad: float
-    """NaN: not told, from too few turns; 0: not seen."""
+    """NaN: unknown, from too few turns; 0: not detected."""
     error_rad: float
     """Standard error, from leaving out turns and a count of the encoder; NaN where there is no width."""
     lost_rad: float
@@ -258,16 +260,16 @@ class Play:
 def backlash_widths(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
     """Width of each joint's play and its standard error, (joints,) each, [rad].
 
-    The width is the whole way from flank to flank, as the recorded position travels it. 0: none is seen, which says
-    that there is none only where friction and not gravity loads the joint, and the encoder sits before the play; NaN:
-    too few turns to tell. The error is NaN in both cases.
+    The width is the whole way from flank to flank, as the recorded position travels it. 0: none is detected, which
+    proves that there is none only where friction and not gravity loads the joint, and the encoder sits before the play;
+    NaN: too few turns. The error is NaN in both cases.
     """
     plays = [play_of(recordings, j) for j in range(len(recordings[0].joints))]
     return np.array([p.width_rad for p in plays]), np.array([p.error_rad for p in plays])
 
 
 def play_of(recordings: Sequence[Recording], j: int) -> Play:
-    """What the turns of one joint tell of its play."""
+    """Estimate one joint's play from its turns."""
     step_rad = position_step(np.concatenate([r.q[:, j] for r in recordings])) or 0.0
     place_rad = max(step_rad, FINEST_RAD)
     turns = [turn for r in recordings for turn in _turns(r, j, place_rad, step_rad)]
@@ -293,12 +295,12 @@ def play_of(recordings: Sequence[Recording], j: int) -> Play:
     bent = int(np.argmin(np.where(shapes.flat == 0, squares, np.inf)))
     kept = _weights(total[bent])
     saved = np.array([_left(products[bent, g], kept) - _left(products[best, g], weights) for g in range(groups)])
-    told = width_rad > max(LEAST_COUNTS * step_rad, CERTAIN * error_rad) and share > LEAST_SHARE
+    significant = width_rad > max(LEAST_COUNTS * step_rad, CERTAIN * error_rad) and share > LEAST_SHARE
     flat = shapes.flat[best] > FLAT * bend_rad and saved.mean() * np.sqrt(groups) > CERTAIN_FLAT * saved.std(ddof=1)
     return Play(
-        width_rad if told and flat else 0.0,
-        error_rad if told and flat else np.nan,
-        width_rad if told else 0.0,
+        width_rad if significant and flat else 0.0,
+        error_rad if significant and flat else np.nan,
+        width_rad if significant else 0.0,
         share,
         len(turns),
         travel_rad,
@@ -313,7 +315,8 @@ class _Turn:
 
 
 def _drive(recording: Recording, j: int) -> np.ndarray | None:
-    """What goes with the drive's torque and has its sign: tau, else goal minus position; None: there is neither."""
+    """The signal that follows the drive's torque and has its sign: tau, else goal minus position; None: there is
+    neither."""
     tau = recording.tau[:, j]
     if tau.min() < 0 < tau.max():
         return tau

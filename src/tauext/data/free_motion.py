@@ -16,13 +16,13 @@ from tauext.errors import TrainingError
 
 
 def cut(recording: Recording, span: slice | np.ndarray) -> Recording:
-    """Some samples of a recording, at least one, under its name: those of a slice, or where a flag a sample says so."""
+    """Some samples of a recording, at least one, under its name: those of a slice, or those whose flag is set."""
     arrays = {name: getattr(recording, name) for name in ("t_ns", *SIGNALS, *FLAGS)}
     return replace(recording, **{name: a[span] for name, a in arrays.items() if a is not None})
 
 
 def between(recording: Recording, first: int, last: int, name: str) -> Recording:
-    """Rows first to last, last left out, under another name; its provenance says which part it is, in seconds."""
+    """Rows first to last, last left out, under another name; its provenance has the part's times, in seconds."""
     part = {"of": recording.name, "from_s": round(float(recording.time_s[first]), 6)}
     part["to_s"] = round(float(recording.time_s[last - 1]), 6)
     provenance = recording.provenance | {"part": part}
@@ -38,7 +38,7 @@ def within(recording: Recording, from_s: float, to_s: float, name: str) -> Recor
     return recording if len(rows) == recording.samples else between(recording, rows[0], rows[-1] + 1, name)
 
 
-# --- The beginning of a set of recordings: how good is a method that has seen only minutes?
+# --- The beginning of a set of recordings: how good is a method that is trained on minutes?
 
 
 def length_s(recording: Recording) -> float:
@@ -47,7 +47,7 @@ def length_s(recording: Recording) -> float:
 
 
 def total_s(recordings: Sequence[Recording]) -> float:
-    """The same of all together, [s]."""
+    """Total length of the recordings, [s]."""
     return sum(map(length_s, recordings))
 
 
@@ -71,8 +71,8 @@ def _samples(recording: Recording, seconds: float) -> int:
 
 
 STANDING_RAD = 0.02
-"""A joint that stays within so much in every recording stands still, [rad]. Its speed does not tell: that of a standing
-arm may be noise of 0.05 rad/s."""
+"""A joint that stays within so much in every recording stands still, [rad]. Its speed is no evidence: that of a
+standing arm may be noise of 0.05 rad/s."""
 
 
 def standing_joints(recordings: Iterable[Recording]) -> np.ndarray:
@@ -107,7 +107,7 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> n
 def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MARGINS) -> list[Recording]:
     """The free motion of recordings: themselves where nothing touches, else their stretches of a second or more.
 
-    Each stretch is a recording by itself, under the same name, on which filters and windows begin anew: none reaches
+    Each stretch is a recording by itself, under the same name, on which filters and windows restart: none reaches
     into a contact.
     """
     pieces = []
@@ -177,12 +177,12 @@ def _runs(free: np.ndarray, t_ns: np.ndarray, least_s: float) -> list[tuple[int,
     return [(first, last) for first, last in runs_of(free).tolist() if (t_ns[last - 1] - t_ns[first]) * 1e-9 >= least_s]
 
 
-# --- Samples that no arm sends: found by the core's own check, left out as a gap is, and told in words.
+# --- Samples that no arm sends: found by the core's own check, left out as a gap is, and reported.
 
 
 MOST_SHARE = 1e-3
-"""Of the samples that are looked at: more are no glitches, but another unit, a wrong conversion or a broken encoder.
-What is possible is told from the largest values but for this share, so that it cannot hold with more."""
+"""Of the samples that are checked: more are no glitches, but another unit, a wrong conversion or a broken encoder.
+Bounds follow from the largest values but for this share, so that it cannot hold with more."""
 LISTED = 3
 """Samples that a sentence names; provenance names more."""
 KEPT = 100
@@ -190,7 +190,7 @@ KEPT = 100
 
 @dataclass(frozen=True)
 class SignalBounds:
-    """What an arm can do at most, whatever touches it; a value a joint, infinite where nobody knows."""
+    """What an arm can do at most, whatever touches it; a value a joint, infinite where unknown."""
 
     torque_nm: np.ndarray
     """Of \\|tau\\|, in the unit of the answers."""
@@ -199,7 +199,7 @@ class SignalBounds:
 
     @classmethod
     def of(cls, bundle: _core.Bundle) -> SignalBounds:
-        """Those that a bundle knows."""
+        """A bundle's bounds."""
         return cls(np.array(bundle.possible_torque_nm), np.array(bundle.possible_speed_rad_s))
 
 
@@ -232,7 +232,7 @@ class LeftOut:
     what: str
     """Which recordings: training, calibration."""
     samples: int = 0
-    """Looked at."""
+    """Checked."""
     found: list[ImpossibleSample] = field(default_factory=list)
     recordings: int = 0
     """That hold some."""
@@ -260,7 +260,7 @@ class LeftOut:
             return
         raise TrainingError(
             f"{len(self.found)} of {self.samples} samples of the {self.what} recordings are impossible, more than "
-            f"{MOST_SHARE:.1%}: {self._listed()}; look at the units and at the encoders (`tauext check`)"
+            f"{MOST_SHARE:.1%}: {self._listed()}; check the units and the encoders (`tauext check`)"
         )
 
     def sentence(self) -> str:
@@ -286,8 +286,8 @@ def possible_parts(
 ) -> list[Recording]:
     """The recordings without their impossible samples: themselves where there are none.
 
-    More than a network period is left out after each, so that the chain begins anew there as after a gap: what follows
-    is what a monitor sees that refused the sample.
+    More than a network period is left out after each, so that the chain restarts there as after a gap: what follows
+    is what a monitor gets after it refused the sample.
 
     Raises:
         TrainingError: too many samples are impossible.

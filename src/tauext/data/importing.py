@@ -28,7 +28,7 @@ from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
-# --- Which stretch of which raw recording serves for what: as the description lists it, or by rule and said so.
+# --- The set of each stretch of a raw recording: as the description lists it, or by a rule that is reported.
 
 
 WHOLE_FROM = 6
@@ -44,7 +44,7 @@ LEAST_SET_S = 2.0
 
 @dataclass(frozen=True)
 class RawFacts:
-    """What a plan needs to know of a raw recording."""
+    """Facts of a raw recording that a plan needs."""
 
     duration_s: float
     touched: bool
@@ -67,7 +67,7 @@ class Claim:
 
 
 def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]) -> tuple[list[Claim], list[str]]:
-    """Claims on the raw recordings, and sentences that say by which rule.
+    """Claims on the raw recordings, and sentences that name the rule.
 
     Listed in [split]: as listed. Not listed: those with contacts are for collisions, others are split whole
     (from 6 on, some for validation) or each by time with a gap; where every one has contacts, each is split by time
@@ -85,13 +85,13 @@ def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[st
     touched = [name for name, facts in raws.items() if facts.touched]
     free = [name for name in raws if name not in touched]
     gap_s = arm.split.gap_s
-    said: list[str] = []
+    notes: list[str] = []
     short: list[str] = []
     claims = [Claim("collisions", name) for name in touched] if free else []
     if len(free) >= WHOLE_FROM:
         split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
         claims += [Claim(set_name, name) for set_name in WHOLE_SETS for name in getattr(split, set_name)]
-        said.append(f"{len(free)} sources without contact, split as whole recordings")
+        notes.append(f"{len(free)} sources without contact, split as whole recordings")
     else:
         shares = FREE_SHARES if free else TOUCHED_SHARES
         spans = [(name, 0.0, raws[name].duration_s) for name in free or touched]
@@ -99,16 +99,16 @@ def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[st
         listed = ", ".join(f"{set_name} {share:.0%}" for set_name, share in shares.items())
         count = f"{len(spans)} source{'s' * (len(spans) > 1)}"
         kind = "without contact" if free else "with contacts, as all are"
-        said.append(
+        notes.append(
             f"{count} {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between the parts; test and "
             "training come from one run, so errors on the test set flatter"
         )
-        said += short
-    if not free:  # what is free in the collisions' stretch is free motion that nobody trained on
+        notes += short
+    if not free:  # what is free in the collisions' stretch is free motion outside of training
         claims += [Claim("test", c.raw, c.from_s, c.to_s) for c in claims if c.set_name == "collisions"]
     if free and touched:
-        said.append(f"{len(touched)} source{'s' * (len(touched) > 1)} with contacts: whole in collisions")
-    return claims, said
+        notes.append(f"{len(touched)} source{'s' * (len(touched) > 1)} with contacts: whole in collisions")
+    return claims, notes
 
 
 def _listed(
@@ -120,7 +120,7 @@ def _listed(
         for text in getattr(arm.split, set_name)
         for name, from_s, to_s in _parsed(arm, text, raws, files)
     ]
-    said = ["split as listed in [split]"]
+    notes = ["split as listed in [split]"]
     for k, one in enumerate(claims):
         for other in claims[k + 1 :]:
             apart = {one.set_name, other.set_name} == {"test", "collisions"} or one.raw != other.raw
@@ -131,8 +131,8 @@ def _listed(
                 )
     unused = [name for name in raws if name not in {c.raw for c in claims}]
     if unused:
-        said.append(f"in no set: {', '.join(unused)}")
-    return claims, said
+        notes.append(f"in no set: {', '.join(unused)}")
+    return claims, notes
 
 
 def _parsed(
@@ -155,11 +155,11 @@ def _parsed(
 
 
 def _by_time(
-    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], said: list[str]
+    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], notes: list[str]
 ) -> list[Claim]:
     """Successive claims of these shares on each span, with gaps that lie in no set.
 
-    A span that would leave a set of less than 2 s serves whole for the first set, and that is said.
+    A span that would leave a set of less than 2 s serves whole for the first set, and a note reports it.
 
     Raises:
         ConfigError: all spans are so short.
@@ -185,7 +185,7 @@ def _by_time(
             f"{LEAST_SET_S:g} s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
         )
     if short:
-        said.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
+        notes.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
     return claims
 
 
@@ -196,7 +196,7 @@ LEAST_FREE_S = 2.0
 """A shorter stretch between contacts is left out, [s]: a window and the observer's warm-up would not fit."""
 
 ROUNDED_S = 1.0
-"""An interval may end so much after its recording, [s]: whoever marks its end rounds up."""
+"""An interval may end so much after its recording, [s]: its end may be rounded up."""
 
 
 @dataclass
@@ -204,7 +204,7 @@ class Imported:
     """What an import found and wrote."""
 
     split: Split
-    said: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     """How the split came about, and what it lacks."""
 
 
@@ -278,14 +278,14 @@ def write_dataset(
     for raw in raws:
         files.setdefault(raw.path.name, []).append(raw.name)
     facts = {name: RawFacts(duration[name], touched[name]) for name in pieces}
-    claims, said = plan(arm, facts, files)
+    claims, notes = plan(arm, facts, files)
     written: dict[str, list[str]] = {set_name: [] for set_name in SETS}
     for name, paths in pieces.items():
         for path in paths:
             _cut(path, [c for c in claims if c.raw == name], arm, written)
-    said += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
+    notes += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
     if written["train"] and not written["validation"]:
-        said.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
+        notes.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
     for set_name in ("train", "test"):
         if not written[set_name]:
             why = (
@@ -293,14 +293,14 @@ def write_dataset(
                 if any(c.set_name == set_name for c in claims)
                 else "no source"
             )
-            said.append(f"{set_name} is empty ({why}): this dataset serves where no {set_name} set is needed")
+            notes.append(f"{set_name} is empty ({why}): this dataset serves where no {set_name} set is needed")
     split = Split(**{set_name: tuple(names) for set_name, names in written.items()})
     save_split(split, folder)
-    return Imported(split, said)
+    return Imported(split, notes)
 
 
 def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]]) -> None:
-    """Write the claimed stretches of one piece; the piece itself stays where it is claimed whole, or by nobody."""
+    """Write the claimed stretches of one piece; the piece itself stays where it is claimed whole, or not at all."""
     if not claims:
         return
     piece = load_recording(path)
@@ -347,7 +347,7 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         arm_file: their description, arm.toml.
         out: folder to write, which must be empty or not there.
         format: tauext or lerobot.
-        say: is told what was done to the numbers, a line each.
+        say: called with a line on each thing that was done to the numbers.
 
     Raises:
         ConfigError: a description or a folder that cannot be used.
@@ -363,11 +363,11 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
     with new_folder(out) as part:
         if format == "lerobot":
-            recordings = (_told(recording, say) for _, recording in recordings_of(sources, arm, ""))
+            recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
             say(f"{export_lerobot(recordings, part)} episodes")
         else:
             robot = _robot_file(arm, part, say)
-            for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _told(one, say)).said:
+            for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _reported(one, say)).notes:
                 say(line)
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
@@ -375,7 +375,7 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
 
 
 def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
-    """The dataset's robot file: the arm's own with what the description adds, or a placeholder, and said so."""
+    """The dataset's robot file: the arm's own with what the description adds, or a placeholder; reports which."""
     if arm.model is None:
         say("robot: no model; robot.urdf is a placeholder without masses, and train takes the case none")
         return write_placeholder(arm.robot.joints, out)
@@ -388,7 +388,7 @@ def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
     say(f"robot: {arm.model.name} with {tree.size} joints: {', '.join(arm.robot.joints)}")
     shapes = write_shapes(arm.model, out)
     for line in shapes.notes:
-        say(f"  {line}; where touches are is told by guessed shapes there")
+        say(f"  {line}; places of touches there follow from guessed shapes")
     if payload:
         say(f"  payload of {payload.mass_kg:g} kg at {payload.link}")
     if rotors:
@@ -398,8 +398,8 @@ def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
     return path
 
 
-def _told(recording: Recording, say: Say) -> Recording:
-    """The recording, after saying what it is and what was done to it, a line each."""
+def _reported(recording: Recording, say: Say) -> Recording:
+    """Return the recording after reporting what it is and what was done to it, a line each."""
     joints = len(recording.joints)
     head = f"{recording.name}: {recording.duration_s:.2f} s, {recording.rate_hz:g} Hz, {joints} joints, "
     head += f"{recording.samples} samples from {recording.source}"

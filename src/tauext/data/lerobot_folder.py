@@ -84,7 +84,7 @@ class LerobotFolder:
 
 
 def open_folder(path: Path) -> LerobotFolder:
-    """Read what a LeRobot dataset folder says of itself.
+    """Read the metadata of a LeRobot dataset folder.
 
     Raises:
         RecordingError: another version, a file missing or damaged, no episode.
@@ -155,7 +155,7 @@ def episode_rows(folder: LerobotFolder, number: int) -> pa.Table:
             rows = file.read(columns=folder.numeric(file.schema_arrow.names)).sort_by("frame_index")
     if len(rows) != folder.lengths[number]:
         raise RecordingError(
-            f"{folder.path}: episode {number} has {len(rows)} frames, its metadata says {folder.lengths[number]}"
+            f"{folder.path}: episode {number} has {len(rows)} frames, its metadata lists {folder.lengths[number]}"
         )
     return rows
 
@@ -205,7 +205,7 @@ def open_lerobot(path: Path) -> list[RawRecording]:
 
 
 def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
-    """One episode; its frames are read when its blocks are asked for."""
+    """One episode; its frames are read when its blocks are requested."""
 
     def blocks() -> Iterator[RawSignals]:
         rows = episode_rows(folder, number)

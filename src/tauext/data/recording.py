@@ -20,7 +20,7 @@ REPEAT_S = 0.1
 GAP_STEPS = 1.75
 """A step of so many periods or more lost samples; a shorter one is jitter (SignalWatch::kGap)."""
 LONGEST_FITTED = 10
-"""Periods: a longer step is a pause, and says little about the period."""
+"""Periods: a longer step is a pause, and is weak evidence of the period."""
 BRIDGE_STEPS = 2.5
 """Over more than so many sample periods nothing is interpolated or differentiated."""
 
@@ -136,7 +136,7 @@ RATE_TOLERANCE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals of one stretch of motion, validated when made: nobody checks them again.
+    """Signals of one stretch of motion, validated when made, and not checked again.
 
     Arrays are contiguous and read-only; a writable one that is passed in is copied. Stamps may be uneven and may have
     gaps. Signals are (samples, joints) float64, joints in the order of `joints`.
@@ -156,7 +156,7 @@ class Recording:
     dq: np.ndarray
     """Measured velocity, [rad/s]."""
     tau: np.ndarray
-    """Motor torque seen at the joint, after the gear, friction not subtracted, [N m]."""
+    """Motor torque at the joint, after the gear, friction not subtracted, [N m]."""
     rate_hz: float
     """Nominal sample rate: the median step of t_ns agrees with it within 20 %."""
     torque_timing: TorqueTiming
@@ -305,7 +305,7 @@ def check_joints(joints: Any, here: str) -> tuple[str, ...]:
     """Joint names as a tuple: at least one, none twice, and no two that would share a column of the file.
 
     Raises:
-        RecordingError: a name that breaks a rule; `here` says where it stands.
+        RecordingError: a name that breaks a rule; `here` is its place.
     """
     names = tuple(joints) if isinstance(joints, tuple | list) else (joints,)
     if not names:

@@ -63,7 +63,7 @@ ROW_GROUP = 225_000
 
 @dataclass(frozen=True)
 class Description:
-    """What the head of a recording's file says; the samples are not read."""
+    """Head of a recording's file; the samples are not read."""
 
     name: str
     joints: tuple[str, ...]
@@ -191,7 +191,7 @@ def describe(path: Place | str) -> Description:
 def fingerprint(path: Place | str) -> str:
     """SHA-256 of what stands at the end of a recording's file: metadata, and extremes and sizes of every column.
 
-    It tells recordings apart, milliseconds for any length; nobody who means harm is kept from making two alike.
+    It distinguishes recordings, in milliseconds for any length; it is not secure against forgery.
 
     Raises:
         RecordingError: there is no such file, or it is no Parquet file.
@@ -325,11 +325,11 @@ def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
     return value
 
 
-# --- When a recording was made, where its clock says so; the samples are not read.
+# --- The date of a recording, where its clock has one; the samples are not read.
 
 
 EARLIEST_NS = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * 10**9
-"""A clock before it counts from a start of its own, and tells no day."""
+"""A clock before it counts from a start of its own, and has no date."""
 
 
 def recording_date(path: Place) -> date | None:
@@ -342,10 +342,10 @@ def recording_date(path: Place) -> date | None:
             column = file.schema_arrow.get_field_index("t_ns")
             if column < 0 or not file.metadata.num_row_groups:
                 return None
-            told = file.metadata.row_group(0).column(column).statistics
-            if told is None or not told.has_min_max:
+            statistics = file.metadata.row_group(0).column(column).statistics
+            if statistics is None or not statistics.has_min_max:
                 return None
-            first_ns = int(told.min)
+            first_ns = int(statistics.min)
     except (OSError, ValueError, TypeError, StoreError, pa.ArrowException):
         return None
     return datetime.fromtimestamp(first_ns / 1e9, UTC).date() if first_ns >= EARLIEST_NS else None

@@ -14,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.data.servo_types import SERVO_TYPES, ServoType
 from tauext.errors import ConfigError
 
-# --- Recordings whose tau is, or was, a motor current: what their import says of it.
+# --- Recordings whose tau is, or was, a motor current, according to their import.
 
 
 AMPERES = "amperes: the torque constant is unknown"
@@ -22,7 +22,7 @@ FROM_AMPERES = "N m: amperes times given torque constants"
 
 
 def in_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether some were imported as currents whose constants nobody knew."""
+    """Whether some were imported as currents whose constants were unknown."""
     return _unscaled(recordings, AMPERES)
 
 
@@ -31,27 +31,27 @@ def from_amperes(recordings: Sequence[Recording]) -> bool:
     return _unscaled(recordings, FROM_AMPERES)
 
 
-# Flights of tauext 0.1 hold torques that were multiplied already, and say so.
+# Flights of tauext 0.1 hold torques that were multiplied already, as their provenance states.
 def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
     return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)
 
 
-# --- Recordings of servo arms: what their [servo] table says to the core, and velocity and torque by it.
+# --- Recordings of servo arms: the core's settings from their [servo] table, and velocity and torque by them.
 
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
 """What of a servo's report makes its torque, beside position and velocity."""
 CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
 UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
-"""A servo of which nobody knows anything: its torque is in units of the duty, or of the current, times a constant that
+"""An unknown servo: its torque is in units of the duty, or of the current, times a constant that
 training finds; its back-EMF is a viscous friction."""
 
 
 def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettings:
-    """What the core must know of the servos of an arm whose recordings have this rate.
+    """Return the core's settings for the servos of an arm whose recordings have this rate.
 
     Args:
-        q: positions (samples, joints), [rad]: their smallest step is the encoder's, where nobody names that.
+        q: positions (samples, joints), [rad]: their smallest step is the encoder's, where the description has none.
 
     Raises:
         ConfigError: the torque comes from the goal, and the gain of the position controller is not known.

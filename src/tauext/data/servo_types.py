@@ -20,8 +20,8 @@ COUNTS_A_TURN = 4096
 
 @dataclass(frozen=True)
 class ServoType:
-    """Constants of a servo, seen at its output shaft: with gear ratio N, back-EMF and torque constants are N times the
-    motor's. None: nobody has published it; arm.toml may say it, or training finds it."""
+    """Constants of a servo, at its output shaft: with gear ratio N, back-EMF and torque constants are N times the
+    motor's. None: not published; arm.toml may set it, or training finds it."""
 
     volts: float
     """Nominal supply, [V]."""
@@ -73,7 +73,7 @@ SERVO_TYPES = {
         source="Damiao DM-J4310-2EC manual: torque comes in N m; position in 16 bit over ±12.5 rad",
     ),
 }  # fmt: skip
-"""Servo types that arm.toml knows by name."""
+"""Servo types that arm.toml accepts by name."""
 
 
 # --- Angles of servos by a LeRobot calibration file: of counts, of values from -100 to 100 or 0 to 100, of degrees.

@@ -31,7 +31,7 @@ class Dialect:
     decimal: str
     skip_lines: int
     marked: bool = False
-    """Begins with the mark of UTF-8, which only its decoder knows."""
+    """Begins with the mark of UTF-8, which only its decoder removes."""
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line, without quotes."""

@@ -275,7 +275,7 @@ def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     """A ROS 1 bag as one raw recording, a stream a topic.
 
     Raises:
-        RecordingError: now or while it is read: damaged, empty, or without the topics asked for.
+        RecordingError: now or while it is read: damaged, empty, or without the requested topics.
     """
     from rosbags.rosbag1 import Reader
 
@@ -315,7 +315,7 @@ def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     without a definition in the bag are read by the standard one of their type.
 
     Raises:
-        RecordingError: now or while it is read: damaged, empty, or without the topics asked for.
+        RecordingError: now or while it is read: damaged, empty, or without the requested topics.
     """
     files, notes = _storage_files(path)
     connections = []

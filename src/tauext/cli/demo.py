@@ -18,7 +18,7 @@ def demo(
     open: bool = True,
     headless_seconds: float | None = None,
 ) -> None:
-    """Push a simulated arm with the mouse; three methods say what they feel, and the arm reacts.
+    """Push a simulated arm with the mouse; three methods estimate the push, and the arm reacts.
 
     Bundles are trained on first use, within two minutes or so, and kept in $XDG_CACHE_HOME/tauext/demo. The page needs
     the extra tauext[live], and no other host.

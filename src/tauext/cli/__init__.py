@@ -24,7 +24,7 @@ from tauext.errors import ConfigError, FaultyDataError, TauextError
 
 RULE = (
     "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
-    "and a line on stderr says so at the start; datasets and descriptions are refused; flights and recordings get "
+    "and a line on stderr names them at the start; datasets and descriptions are refused; flights and recordings get "
     "another name."
 )
 KILLED = (

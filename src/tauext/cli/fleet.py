@@ -34,7 +34,7 @@ def prior(
 
     Args:
         arms: three arms or more, each a dataset folder, or BUNDLE.tauext:DATA with the bundle that was trained on it,
-            whose terms are taken over instead of being searched for anew.
+            whose terms are taken over instead of being searched for again.
         out: file to write, NAME.prior.json.
         threads: how many to work in; 0: one a core. The result does not depend on it.
         accept: codes of findings that are no fault on your word, at all joints or at one.

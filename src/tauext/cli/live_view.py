@@ -28,7 +28,7 @@ ALARM_STYLES = {"none": "green", "contact": "bold yellow", "collision": "bold wh
 
 
 class LiveView(TextLines):
-    """Text lines, with a panel below them that is drawn anew ten times a second."""
+    """Text lines, with a panel below them that is redrawn ten times a second."""
 
     def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False, console: Console | None = None):
         super().__init__(flights, acknowledges)

@@ -167,7 +167,7 @@ def monitor(
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
-    """Watch a live arm: torque, contact and collision as they happen, and what shall follow from them.
+    """Watch a live arm: torque, contact and collision as they happen, and the reactions to them.
 
     Ctrl-C ends it with a summary. Docs: docs/live.md.
 
@@ -176,12 +176,13 @@ def monitor(
         source: where samples come from: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN,
             ros2.
         speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
-        torque_constants: with --source ur, a file that says how many Nm a motor current makes at each joint.
+        torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
+            current.
         bus: file (TOML) of --source feetech, dynamixel or damiao: which servo is which joint, where its zero is and
             which way it turns; for serial servos LeRobot's calibration file (*.json) will do, too.
         new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
         ros2: topics and quality of service of --source ros2; docs/ros2.md.
-        reactions: file (TOML) of what shall happen at a collision, contact or fault, and when it is over.
+        reactions: file (TOML) of reactions to a collision, contact or fault, and to its end.
         new_reactions: file to write a commented example of reactions to; nothing is watched then.
         profiles: file (TOML) of named factors on the limits, switched while the monitor runs.
         new_profiles: file to write a commented example of profiles to; nothing is watched then.
@@ -341,7 +342,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
         signal.signal(number, before[signal.Signals(number)])
         loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
 
-    steered = weakref.proxy(loop)  # a thread that waits for a line for ever shall not keep it alive
+    steered = weakref.proxy(loop)  # a thread that waits for a line for ever must not keep it alive
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}

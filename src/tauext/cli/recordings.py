@@ -127,7 +127,7 @@ def print_findings(out: Path) -> None:
     faults = [finding for finding in findings if finding.severity == "fault"]
     if faults:
         plural = "" if len(faults) == 1 else "s"
-        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; mend arm.toml, and import again"
+        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; correct arm.toml, and import again"
         terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
 
 

@@ -431,9 +431,7 @@ def describe_fleet_prior(file: Place) -> Content:
         return described(file, prior)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
         why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(
-            f"{file}: what it says of its arms is damaged ({why}); `tauext fleet prior` makes one"
-        ) from error
+        raise ConfigError(f"{file}: its data of the arms is damaged ({why}); `tauext fleet prior` makes one") from error
 
 
 def described(file: Place, prior: FleetPrior) -> Content:

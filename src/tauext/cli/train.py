@@ -142,7 +142,7 @@ def calibrate(
             replaces its key.
         options: what is promised.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
-        refit_error_scale: find anew how errors grow with the motion, on the first fifth of the calibration recordings;
+        refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
     """

@@ -1,4 +1,4 @@
-"""Text, JSON and TOML from a path that may be anything: a pipe that nobody writes to, a device without an end."""
+"""Text, JSON and TOML from a path that may be anything: a pipe without a writer, a device without an end."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def read_json(path: Place, missing: str = "there is no such file", kind: str = "
     """The value in a JSON file.
 
     Args:
-        missing: what a message says where there is no file.
+        missing: text of the message where there is no file.
         kind: of file, for messages: `no LeRobot calibration file: `.
 
     Raises:

@@ -30,7 +30,7 @@ def json_text(content: Any) -> str:
 
 def provenance(command: str, settings: Any, seed: int | None) -> dict:
     """Which command, version, settings and seed made an output."""
-    from importlib.metadata import version  # asked for by whoever writes, not by whoever reads
+    from importlib.metadata import version  # imported by writers only
 
     plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
     return {
@@ -45,7 +45,7 @@ def provenance(command: str, settings: Any, seed: int | None) -> dict:
 
 
 def machine() -> str:
-    """Processor, cores and system, as a reader of a benchmark wants them."""
+    """Processor, cores and system, for readers of a benchmark."""
     processor = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():

@@ -1,4 +1,4 @@
-"""The arms of the demo: what moves, how it is driven, and from where one looks at it."""
+"""The arms of the demo: what moves, how it is driven, and the camera's place."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Push:
 
 @dataclass(frozen=True)
 class DemoArm:
-    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its looks."""
+    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its appearance."""
 
     name: str
     title: str
@@ -68,7 +68,7 @@ class DemoArm:
 
 
 def rig_arm() -> DemoArm:
-    """The paper's two-axis rig, with drums at its joints to look at."""
+    """The paper's two-axis rig, with drums at its joints to make them visible."""
     config = RigConfig()
     spec = mujoco.MjSpec.from_string(arm_xml(config))
     for i, link in enumerate(joint_names(config)):

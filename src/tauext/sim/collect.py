@@ -97,7 +97,7 @@ LEAST_RECORDINGS = 20
 FIRST_CALIBRATION, FIRST_TEST = 1_000_000, 2_000_000
 """Numbers of recordings of free motion that are not of the split: their random streams are their own."""
 BYTES_A_SAMPLE = 30.0
-"""Of a recording, each joint, on disk: measured are 37, and less is asked for than is needed."""
+"""Size of a recording on disk, each joint: 37 are measured; the lower value keeps the disk check a lower bound."""
 LEAST_LENGTH_S = 3.0
 """Of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
 
@@ -218,7 +218,7 @@ def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
 
 
 def _claim(out_dir: Path, settings: dict) -> None:
-    """Make the folder, or find it to be of these settings; run.json says which they are."""
+    """Make the folder, or check that it was made with these settings, which run.json holds."""
     run = out_dir / "run.json"
     if run.exists():
         try:

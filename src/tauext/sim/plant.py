@@ -13,7 +13,7 @@ from tauext import _core
 from tauext.sim.arms import DemoArm
 from tauext.sim.rig import draw_move, encoder, low_pass, quintic
 
-# --- The simulated arm, one sample at a time: drives and a push in, what the instruments say out.
+# --- The simulated arm, one sample at a time: drives and a push in, measurements out.
 
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -30,7 +30,7 @@ class Sample:
     tau_ext: np.ndarray
     """True external torque J^T f of a push, [N m]."""
     tau_held: np.ndarray
-    """The same of a weight in the hand: what a monitor sees that was not told of it, [N m]."""
+    """The same of a weight in the hand: external torque for a monitor without this load, [N m]."""
 
 
 class Plant:
@@ -138,7 +138,7 @@ class Plant:
 
 
 LEAST_LEVER = 0.1
-"""A direction of force whose lever is smaller than this share of the largest is not told from noise."""
+"""A direction of force whose lever is smaller than this share of the largest cannot be distinguished from noise."""
 
 
 @dataclass
@@ -187,7 +187,7 @@ def estimated_force(tau_ext: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarr
     return left @ (weights * (right @ tau_ext)), int(seen.sum())
 
 
-# --- What the arm is told to do: random moves, and what it does instead after a collision.
+# --- Commands to the arm: random moves, and the reaction after a collision.
 
 
 Reaction = Literal["stop", "retreat", "comply", "ignore"]
@@ -229,7 +229,7 @@ class Mover:
 
         Args:
             q, dq: as measured.
-            gravity_nm: what carries the arm's weight, as its controller knows it.
+            gravity_nm: torque that carries the arm's weight, by its controller's model.
         """
         self._time_s += self._period_s
         if self.doing == "comply":

@@ -57,7 +57,7 @@ def draw_motion(
     return q_des, dq_des
 
 
-# --- The plain arm as MJCF: what an integrator knows of it, and the base of every scene.
+# --- The plain arm as MJCF: an integrator's model of it, and the base of every scene.
 
 
 LINK_RADIUS_M = 0.05
@@ -141,7 +141,7 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
 
 
 def add_drivetrain(spec: mujoco.MjSpec, names: Sequence[str], config: Drivetrain) -> None:
-    """Put drive, friction and the three sensors that build_scene tells of on each of these joints, in this order."""
+    """Put drive, friction and the three sensors that build_scene describes on each of these joints, in this order."""
     for name, drive in zip(names, config.drives, strict=True):
         _add_drive(spec, name, drive.stiffness_nm_rad, drive.damping_nm_s_rad)
     for name, friction in zip(names, config.friction, strict=True):

@@ -1,4 +1,4 @@
-"""The ROS 2 messages that are sent and received, as DDS knows them: CDR bytes equal those of any ROS 2 node.
+"""The ROS 2 messages that are sent and received, as DDS types: CDR bytes equal those of any ROS 2 node.
 
 Names follow the mangling of ROS 2: package::msg::dds_::Type_. Annotations are evaluated by cyclonedds when a class is
 made, so this file has no postponed ones.
@@ -138,7 +138,7 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnosti
     status: sequence[DiagnosticStatus] = field(default_factory=list)
 
 
-# What every participant says of its nodes on ros_discovery_info. The ids had 24 bytes up to Humble.
+# Nodes of every participant, published on ros_discovery_info. The ids had 24 bytes up to Humble.
 @dataclass
 class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
     data: array[uint8, 16]

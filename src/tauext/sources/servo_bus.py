@@ -67,7 +67,7 @@ class ServoPort:
             self._serial = None
 
     def begin(self) -> None:
-        """Before a request: nobody uses the port, whatever an earlier one came to."""
+        """Mark the port as unused before a request, however an earlier request ended."""
         if self._serial is None:
             raise Unreachable("the port is closed")
         self.is_using = False
@@ -169,7 +169,8 @@ class Reading:
     errors: dict[int, int] = field(default_factory=dict)
     """Error bits by id, as their packets hold them."""
     corrupt: int = 0
-    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, a servo not asked."""
+    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, an id not in the
+    request."""
 
 
 class ServoBus:
@@ -184,11 +185,11 @@ class ServoBus:
 
     def transaction_s(self, servos: int, length: int) -> float:
         """Shortest time of a reading, by the bytes on the wire, [s]; return delays of the servos are on top."""
-        return self.port.wire_s(self.series.asked + servos * (1 + self.series.overhead + length))
+        return self.port.wire_s(self.series.request_bytes + servos * (1 + self.series.overhead + length))
 
     def read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
-        """Registers address to address + length - 1 of all these servos. Which of them did not answer is for the caller
-        to see.
+        """Registers address to address + length - 1 of all these servos. The caller checks which of
+        them did not answer.
 
         Raises:
             Unreachable: the port has gone.
@@ -197,7 +198,7 @@ class ServoBus:
             return self._read(address, length, ids)
 
     def write(self, address: int, length: int, values: Mapping[int, bytes]) -> None:
-        """Registers of each servo by its id; no servo says whether it took them: read them back.
+        """Write registers of each servo by its id; no servo acknowledges a write: read them back.
 
         Raises:
             Unreachable: the port has gone.

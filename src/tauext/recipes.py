@@ -22,7 +22,7 @@ class Recipe:
 
     name: str
     method: str = "momentum"
-    """Of the residual: a name of the core's ResidualMethod."""
+    """Method of the residual: a name of the core's ResidualMethod."""
     needs_model: str = ""
     """Why there is no such bundle without a model; empty: there is."""
     high_pass: bool = False
@@ -40,7 +40,8 @@ class Recipe:
     """Without a model the fit finds the arm itself, which needs all joints in one unit; others take each by itself,
     in whatever unit."""
     network: Network | None = None
-    """What learns by steps. Behind a fit, where the fit alone is a bundle already, it ships only where it helps."""
+    """Network that is trained in steps. After a fit, which alone makes a bundle, the network is kept only if it
+    helps."""
     chooses_gain: bool = False
     """By default, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False
@@ -50,7 +51,7 @@ class Recipe:
     largest_error_limits: bool = False
     """By default, limits are the largest errors on validation recordings, as in the paper."""
     defaults: Mapping[str, float] = field(default_factory=dict)
-    """Of settings that are None in TrainConfig."""
+    """Values for settings that are None in TrainConfig."""
     baseline: str | None = None
     """Its name among the methods that tauext is compared with; None: it is none of them ..."""
     rank: int = 0
@@ -58,7 +59,7 @@ class Recipe:
 
     @property
     def learns(self) -> bool:
-        """From motion; others are fixed, and find limits alone."""
+        """Whether the recipe learns from motion; others are fixed, and only find limits."""
         return self.fit is not None or self.network is not None
 
     @property
@@ -146,7 +147,7 @@ RECIPES = {
         Recipe("energy", method="energy", baseline="energy", rank=5),
     )
 }
-"""By name, in the order of the help."""
+"""Recipes by name, in the order of the help."""
 
 
 def recipe_of(name: str) -> Recipe:

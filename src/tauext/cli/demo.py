@@ -47,7 +47,7 @@ def demo(
 
 
 def headless(arm_name: str, seconds: float, seed: int) -> str:
-    """What was found in so many seconds with scripted pushes, and of a weight in the hand where the arm has one."""
+    """Results of a run with scripted pushes, and with a weight in the hand if the arm has one."""
     from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
     from tauext.page.headless import carried_weights, describe, describe_weights, scripted_pushes
     from tauext.sim.arms import ARMS

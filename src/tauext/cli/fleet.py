@@ -115,7 +115,7 @@ def write_arm_pages(content: dict[str, Any], out: Path, reporter: Reporter) -> N
 
 
 def lines(content: dict[str, Any]) -> list[str]:
-    """What is named, then what failed."""
+    """Lines about the named arms, then about the failed ones."""
     found = []
     for one in content["named"]:
         where = f"{one['arm']} {one['joint']}" if one["joint"] else one["arm"]

@@ -103,7 +103,7 @@ class TextLines:
 
 
 class LiveTable(TextLines):
-    """The same on a terminal, where a table of stages is redrawn below the lines of what failed."""
+    """Text lines on a terminal, where a table of stages is redrawn below the lines of what failed."""
 
     def __init__(self) -> None:
         from rich.console import Console

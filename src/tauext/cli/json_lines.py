@@ -158,7 +158,7 @@ def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str
 
 
 def found_facts(change: WeighChange) -> dict[str, Any]:
-    """As plain JSON: what was found, and the load to set."""
+    """The result of weighing, and the load to set, as plain JSON."""
     from tauext.monitor.weighing import load_facts as facts_of_found
 
     if change.found is None:

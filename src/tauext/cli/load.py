@@ -86,7 +86,7 @@ def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, const
 
 
 def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -> dict:
-    """The same for scripts."""
+    """The factors as plain JSON."""
     return {
         "factor": known.common,
         "standard_error": known.common_error,

@@ -44,9 +44,9 @@ class Kind:
     """A kind of source."""
 
     target: str
-    """What stands behind its colon; empty: nothing does."""
+    """Name of the target after the colon; empty: the kind has no target."""
     takes: tuple[str, ...] = ()
-    """Of SourceOptions."""
+    """Fields of SourceOptions that the kind accepts."""
 
 
 KINDS = {
@@ -123,12 +123,12 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
 
 STDIN = Path("-")
 MOST_CORES = 1024
-"""That Linux pins threads to."""
+"""Largest number of processors to which Linux pins threads."""
 
 
 @dataclass(frozen=True)
 class Extras:
-    """What runs beside the loop."""
+    """Files, folders and settings of everything that runs beside the loop."""
 
     reactions: Place | None
     profiles: Place | None

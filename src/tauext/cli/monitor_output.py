@@ -123,7 +123,7 @@ class OutputSink:
         self._aside.do(partial(self._output.switched, switch))
 
     def print_news(self) -> None:
-        """What became of reactions and flights."""
+        """Print the outcome of reactions and flights."""
         for news in self._reactions.news():
             self._aside.do(partial(self._output.reaction, news))
         for flight in self._flight_sink.news() if self._flight_sink else ():

@@ -43,7 +43,7 @@ LOCAL: PrimitiveConstructorSpec[Path] = PrimitiveConstructorSpec(
     nargs=1, metavar="PATH", instance_from_str=local, is_instance=is_place, str_from_instance=lambda path: [str(path)]
 )
 LocalArg = Annotated[Path, LOCAL]
-"""Of this machine alone."""
+"""A path on this machine; no URL."""
 
 
 AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]

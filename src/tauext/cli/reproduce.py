@@ -58,7 +58,7 @@ SCALES = {
 
 
 def trainings(scale: Scale, cases: Sequence[str], seed: int) -> dict[str, tuple[ModelCase, TrainConfig]]:
-    """What is trained, by the names of the bundles: every case, then those by another recipe, one after the other."""
+    """Trainings by the names of their bundles: every case, then those by another recipe, one after the other."""
     jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
     if scale.beside is not None:
         other = replace(scale.beside.training, seed=seed)

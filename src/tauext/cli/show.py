@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Content = dict[str, Any]
-"""By identifiers, for --json; units are in their names. Text has the same with blanks, and words beside it."""
+"""Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
 SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
 UNITS = {
     "_nm": "Nm",
@@ -32,7 +32,7 @@ UNITS = {
     "_kg": "kg",
     "_m": "m",
 }
-"""By the end of an identifier; the first that fits."""
+"""Units by the end of an identifier; the first that fits."""
 ESTIMATED = ("limits", "contact_limits", "drift")
 """Beginnings of identifiers whose values have the unit of the estimate, which is not Nm for every bundle."""
 IN_WORDS = ("provenance", "situations", "table")
@@ -192,7 +192,7 @@ def describe_bundle(file: Place) -> Content:
 
 
 def in_order(facts: Any, names: list[str]) -> Any:
-    """The same, with every object that goes by joints in the arm's order of joints."""
+    """The content with the joints of every object in the arm's order."""
     if not isinstance(facts, dict):
         return facts
     keys = [name for name in names if name in facts]
@@ -314,7 +314,7 @@ def situation_lines(content: Content) -> list[str]:
 
 
 def words_of_provenance(content: Content) -> dict[str, str]:
-    """What was learned, accepted, warned of and promised."""
+    """Facts of the training in words: fits, accepted findings, warnings, promises."""
     from tauext.bundle.bundle_file import changed_since_training
     from tauext.bundle.units import sentences
 
@@ -359,7 +359,7 @@ LOOKED = {"accepted": "accepted", "warnings": "warning"}
 
 
 def prior_words(fitted: Content) -> dict[str, str]:
-    """What was fitted, as an engineer would compare it with a data sheet."""
+    """Fitted parameters in the units of a data sheet."""
     rows: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():
         words = [
@@ -435,7 +435,7 @@ def describe_fleet_prior(file: Place) -> Content:
 
 
 def described(file: Place, prior: FleetPrior) -> Content:
-    """The same of what was read; KeyError, TypeError or ValueError of whatever is missing."""
+    """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
     from tauext.fleet.prior import ODD, table
 
     facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
@@ -474,7 +474,7 @@ def term_counts(group: Any) -> Iterator[tuple[str, int]]:
 
 
 def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Content:
-    """What the next arm's limits rest on: errors of the fleet's arms, or its own minute alone."""
+    """Basis of the next arm's limits: errors of the fleet's arms, or its own minute alone."""
     if errors is None:
         return {"limits_of_the_next_arm": "follow from its own minute: no three arms showed more than a minute"}
     return {

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
 
 USUAL_TORQUE_SHARE = 0.05
-"""Of bundles without wrench settings (WrenchSettings::kUsualTorqueShare)."""
+"""Torque error of bundles without wrench settings, as a share (WrenchSettings::kUsualTorqueShare)."""
 BLIND = "blind"
 
 

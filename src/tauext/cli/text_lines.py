@@ -347,7 +347,7 @@ def found_load_words(change: FoundLoad) -> str:
 
 
 def weigh_words(change: WeighChange) -> list[str]:
-    """What was found, sentence by sentence."""
+    """The result of weighing in sentences."""
     from tauext.monitor.weighing import load_sentences
 
     if change.found is None:

@@ -65,7 +65,7 @@ def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
 
 
 def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
-    """The same of the table [alarm] alone."""
+    """Settings of the table [alarm] alone, under those that are given."""
     return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}"), given)
 
 

@@ -53,7 +53,7 @@ def version_of(place: Place) -> str:
 
 
 def version(file: Any) -> str:
-    """Of an open file: the store's own mark of its content, time of change where it has none, and size."""
+    """Version of an open file: the store's mark of its content, or else its time of change, and its size."""
     facts = {key.lower(): value for key, value in (file.metadata() or {}).items()}
     mark = facts.get("etag") or facts.get("last-modified") or b""
     return f"{mark.decode(errors='replace') if isinstance(mark, bytes) else mark} {file.size()}"
@@ -64,7 +64,7 @@ def version(file: Any) -> str:
 
 BLOCK = 8 << 20
 COPIES: dict[StoredPlace, tuple[str, Path]] = {}
-"""What this process fetched: which version, and where it lies."""
+"""Version and path of every file that this process fetched."""
 
 
 @overload
@@ -96,7 +96,7 @@ def local_file(place: Place | None) -> Path | None:
 
 
 def local_folder(place: Place) -> Path:
-    """The same of a folder with all that is in it, or of a file.
+    """A path of this folder with all of its content, or of this file, as local_file.
 
     Raises:
         StoreError: as local_file.
@@ -116,7 +116,7 @@ def local_folder(place: Place) -> Path:
 
 
 def local_beside(place: Place) -> Path:
-    """The same of a file and of all beside it whose names begin like its own: NAME.run.json of NAME.tauext."""
+    """A path of this file, with all files beside it whose names begin alike: NAME.run.json of NAME.tauext."""
     if not isinstance(place, StoredPlace):
         return place
     for file in place.parent.glob(f"{glob.escape(place.stem)}.*"):
@@ -284,7 +284,7 @@ def send_folder(folder: Path, place: StoredPlace, but: Collection[str] = ()) -> 
 
 
 def in_order(file: Path) -> tuple[int, str]:
-    """By which files of a folder are to appear: those of LAST at last."""
+    """Sort key of the order in which a folder's files appear: those of LAST come last."""
     return -LAST.index(file.name) if file.name in LAST else -len(LAST), str(file)
 
 

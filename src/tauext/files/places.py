@@ -124,7 +124,7 @@ class Server:
 
     scheme: str
     bucket: str
-    """As the URL has it; of abfs CONTAINER@ACCOUNT.dfs.core.windows.net."""
+    """Bucket as in the URL; for abfs CONTAINER@ACCOUNT.dfs.core.windows.net."""
     query: str = ""
 
     @classmethod
@@ -157,7 +157,7 @@ class Server:
 
     @property
     def region(self) -> str | None:
-        """Of S3, from the query or the environment."""
+        """Region of S3, from the query or the environment."""
         return self.options.get("region") or os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
 
     @property
@@ -360,11 +360,11 @@ class StoredPlace:
             return bytes(file.read())
 
     def iterdir(self) -> Iterator[StoredPlace]:
-        """What lies in it, by name; nothing where there is no such folder."""
+        """The entries of the folder, by name; none where there is no such folder."""
         yield from self._list(recursive=False)
 
     def glob(self, pattern: str) -> Iterator[StoredPlace]:
-        """Of these the ones whose name the pattern fits; `**/PATTERN` searches folders, too."""
+        """The entries whose name fits the pattern; `**/PATTERN` searches folders, too."""
         deep, pattern = pattern.startswith("**/"), pattern.removeprefix("**/")
         yield from (place for place in self._list(deep) if fnmatchcase(place.name, pattern))
 

@@ -14,10 +14,10 @@ from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, answers
 
 FORMAT = 1
-"""Of every kind of file that this version writes, and reads."""
+"""Format number of every kind of file that this version writes and reads."""
 
 LARGEST_TEXT = 1 << 28
-"""Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
+"""Largest size of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
 
 def expect_file(path: Place) -> None:

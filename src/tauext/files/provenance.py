@@ -1,4 +1,4 @@
-"""What a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
+"""Files that a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_json(content: Any, path: Place) -> None:
 
 
 def json_text(content: Any) -> str:
-    """As all files of ours have it."""
+    """JSON text in the format of all files of tauext."""
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 

@@ -11,7 +11,7 @@ from tauext.files.copies import at_home
 from tauext.files.places import Place, StoredPlace
 
 LEAST_ROOM = 1 << 20
-"""What a disk must have left for a bundle, a page or a description, [bytes]."""
+"""Free space that a disk must have for a bundle, a page or a description, [bytes]."""
 LONGEST_S = 30 * 86400.0
 """Longest time that a command may take, a month, [s]; it is compared with a lower bound."""
 MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")

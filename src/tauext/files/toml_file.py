@@ -176,7 +176,7 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
 
 
 def parse_toml(content: str, path: Place) -> dict[str, Any]:
-    """As read_toml, from the text of the file."""
+    """Content of a TOML text; raises as read_toml."""
     try:
         return toml_of(content)
     except ValueError as error:
@@ -276,7 +276,7 @@ def key_lines(settings: Any, table: str) -> Iterator[str]:
 
 
 def toml_value(value: Any) -> str:
-    """As it is written in TOML; nothing for None."""
+    """The value in TOML syntax; empty for None."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, bool):

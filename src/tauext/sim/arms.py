@@ -56,7 +56,7 @@ class DemoArm:
         return self.changed_model(1.0)
 
     def changed_model(self, friction: float, held: _core.Load | None = None) -> mujoco.MjModel:
-        """The same with so many times its friction, and with a weight in its hand: one body more, behind the links."""
+        """The arm with its friction times a factor, and with a weight in its hand: one more body behind the links."""
         spec = mujoco.MjSpec.from_string(self.xml)
         if held is not None:
             spec.joint(self.joints[-1]).parent.add_body(

@@ -85,7 +85,7 @@ PAPER_FRICTION = (
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """What the rig's instruments do to the signals."""
+    """Effects of the rig's instruments on the signals."""
 
     encoder_counts: int = 2**20
     """Counts of the encoder in one turn of the joint."""
@@ -154,7 +154,7 @@ class PadConfig:
 
 
 class Drivetrain(Protocol):
-    """What every simulated arm has, whatever its links: drives, friction and instruments of its joints."""
+    """Properties of every simulated arm, whatever its links: drives, friction and instruments of its joints."""
 
     @property
     def name(self) -> str: ...

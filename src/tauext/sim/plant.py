@@ -21,7 +21,7 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 @dataclass(frozen=True)
 class Sample:
-    """What one sample measured, and what is true; arrays (joints,)."""
+    """Measured and true values of one sample; arrays (joints,)."""
 
     t_ns: int
     q: np.ndarray
@@ -114,7 +114,7 @@ class Plant:
         return Sample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
 
     def _held_nm(self) -> np.ndarray:
-        """What the weight does to the joints, by gravity and inertia: the wrench from hand to weight, turned round."""
+        """Torque of the weight on the joints, by gravity and inertia: the wrench from hand to weight, turned round."""
         torque = np.zeros(self._n)
         if self._weight is not None:
             mujoco.mj_rnePostConstraint(self.model, self.data)
@@ -146,7 +146,7 @@ class Drag:
     """A point of a link that a pointer pulls towards itself."""
 
     joint: int
-    """That carries the link."""
+    """Joint that carries the link."""
     local_m: np.ndarray
     """The grabbed point in the link's frame (3,)."""
     target_m: np.ndarray
@@ -276,6 +276,6 @@ class Mover:
         return self.q_des + 0.5 * STOP_S * self.dq_des
 
     def _plan(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
-        """From here: what is left of the speed dies away, and after the pause the travel begins."""
+        """Restart from here: the remaining speed decays, and after the pause the travel begins."""
         self._start, self._speed, self._travel = self.q_des, self.dq_des, travel
         self._duration_s, self._pause_s, self._time_s = duration_s, pause_s, -pause_s

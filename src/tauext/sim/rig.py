@@ -109,9 +109,10 @@ def _axial_inertia(mass_kg: float) -> float:
 
 
 Kind = Literal["free", "pulses", "pads"]
-"""What may touch the arm in a recording: nothing, force pulses, or padded bodies."""
+"""Contacts that are possible in a recording: nothing, force pulses, or padded bodies."""
 PULSE_GEARS = ((1, 0, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 1, 0))
-"""What pulls on a link: force along its x and z, torque about the plane's normal, at and in the link's frame."""
+"""Actuators that pull on a link: force along its x and z, torque about the plane's normal, at and in the link's
+frame."""
 
 
 PADDING_IMPEDANCE = (0.2, 0.95, 0.01, 0.5, 2.0)
@@ -259,7 +260,7 @@ class Truth:
     """Contact sensors, (samples, links, 10): found, force xyz, torque xyz, position xyz; no links without pads."""
 
     def after(self, samples: int) -> Truth:
-        """The same without its first samples."""
+        """The signals without their first samples."""
         return Truth(**{f.name: getattr(self, f.name)[samples:] for f in fields(self)})
 
 

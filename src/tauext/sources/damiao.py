@@ -66,10 +66,10 @@ class CanBusFile:
     path: Place
     motors: dict[str, CanMotor]
     interface: str = "socketcan"
-    """Of python-can."""
+    """Interface of python-can."""
     baud: int = BAUD
     fd_baud: int | None = None
-    """Of the data of CAN FD frames; None: classic CAN."""
+    """Bit rate of the data of CAN FD frames, [bit/s]; None: classic CAN."""
     ask: bool = True
     """Poll the state of each motor; False: another program commands them, their answers are overheard, and nothing is
     sent: a request for ranges, too, would be answered where that program expects a state."""
@@ -205,7 +205,7 @@ class DamiaoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Of what is overheard alone: a request that was skipped is counted where it is."""
+        """Count lost samples of overheard motors only; a skipped request is counted where it is skipped."""
         if not self._file.ask:
             super()._count_lost(t_ns)
 

@@ -42,11 +42,11 @@ class FeaturePlan:
     """Which elements of which feature the labels' columns become."""
 
     places: dict[str, tuple[list[int], list[int]]]
-    """By feature: columns of the labels, and their places among the feature's elements."""
+    """Columns of the labels, and their places among the feature's elements, by feature."""
     features: dict[str, dict]
     """All features of the dataset with the labels."""
     added: dict[str, int]
-    """By feature: how many elements are new, after those that there are."""
+    """Number of new elements after the existing ones, by feature."""
 
 
 def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> FeaturePlan:
@@ -169,7 +169,8 @@ def episode_stats(values: np.ndarray) -> Stats:
 
 
 def dataset_stats(episodes: Sequence[Stats]) -> Stats:
-    """Of all episodes, as LeRobot merges them: means and variances by their counts, quantiles as means of quantiles."""
+    """Statistics of all episodes, merged as LeRobot does: means and variances by their counts, quantiles as means of
+    quantiles."""
     count = np.array([stats["count"][0] for stats in episodes], dtype=np.float64)[:, None]
     stacked = {key: np.stack([stats[key] for stats in episodes]) for key in episodes[0] if key != "count"}
     mean = (stacked["mean"] * count).sum(0) / count.sum()
@@ -208,7 +209,7 @@ STATS = "meta/stats.json"
 
 @dataclass
 class LabelReport:
-    """What was labelled, in frames."""
+    """Counts of labelled frames."""
 
     episodes: int = 0
     frames: int = 0

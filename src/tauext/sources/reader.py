@@ -1,4 +1,4 @@
-"""What sources that read in a thread have in common: queue, ticks, disconnection."""
+"""Common parts of sources that read in a thread: queue, ticks, disconnection."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class ReaderSource(ABC):
     """
 
     robot_joints: int
-    """That its samples have."""
+    """Number of joints in its samples."""
 
     def __init__(self, name: str):
         self.name, self.counts = name, SourceCounts()

@@ -69,7 +69,7 @@ class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
 
 @dataclass
 class Inertia(IdlStruct, typename="geometry_msgs::msg::dds_::Inertia_"):
-    """Of a body: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
+    """Inertia of a body: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
 
     m: float64 = 0.0
     com: Vector3 = field(default_factory=Vector3)
@@ -181,7 +181,7 @@ GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
     16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
     24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
 }
-"""By length of an id."""
+"""Types of the graph messages by the length of an id, [bytes]."""
 
 TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",

@@ -94,7 +94,7 @@ class Unreadable:
 
     @classmethod
     def of(cls, domain_id: int) -> Unreadable:
-        """To be called before the domain's first participant is made."""
+        """The counts of a domain; call it before the domain's first participant is made."""
         with cls._beginning:
             if domain_id not in cls._of_domain:
                 cls._of_domain[domain_id] = cls(domain_id)
@@ -196,7 +196,7 @@ class Node:
         return Inbox(self._readers[-1], depth)
 
     def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
-        """To the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
+        """Writer to the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._writers.append(DataWriter(self.participant, self._topic(name, of), qos))
         return self._writers[-1]
@@ -267,5 +267,5 @@ def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:
 
 
 def type_hash(of: type) -> Policy.Userdata:
-    """As nodes from Iron on state it of their endpoints."""
+    """Type hash in the user data of endpoints, as nodes from Iron on send it."""
     return Policy.Userdata(f"typehash=RIHS01_{TYPE_HASHES[of]};".encode())

@@ -1,4 +1,4 @@
-"""What the monitor publishes on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
+"""Output of the monitor on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def number(value: float | None) -> str:
 
 
 LABEL = "force.x force.y force.z torque.x torque.y torque.z"
-"""Of rows and columns of a covariance."""
+"""Labels of the rows and columns of a covariance."""
 SIDE = 6
 
 
@@ -186,7 +186,7 @@ class Wrenches:
 
     @property
     def writers(self) -> list:
-        """To be handed back to the node."""
+        """Writers to return to the node."""
         return [writer for pair in self._writers.values() for writer in pair]
 
     def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:

@@ -1,4 +1,4 @@
-"""What a user chooses of the ROS 2 connection; the command line makes its options of it."""
+"""Settings of the ROS 2 connection, which are also options of the command line."""
 
 from __future__ import annotations
 
@@ -88,5 +88,5 @@ class Ros2Settings:
         return 24 if (self.distro or os.environ.get("ROS_DISTRO", "")) in LONG_GID_DISTROS else 16
 
     def full_name(self, name: str) -> str:
-        """Of a topic: under the namespace, unless it begins with /."""
+        """Full name of a topic: under the namespace, unless it begins with /."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"

@@ -123,10 +123,10 @@ class SampleRate:
     def forget(self) -> None:
         """Restart the learning for another publisher."""
         self.period_ns: int | None = None
-        """Of the publisher; None until it is learnt."""
+        """Period of the publisher, [ns]; None until it is learnt."""
         self.factor = 1
         self.lost = 0
-        """By gaps of the stamps, since it was learnt."""
+        """Samples lost according to gaps of the stamps, since the period was learnt."""
         self._steps: list[int] = []
         self._last_ns: int | None = None
         self._due_ns: int | None = None
@@ -153,7 +153,7 @@ class SampleRate:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong with the publisher's rate, in words."""
+        """The fault of the publisher's rate in words; None: the rate fits."""
         if self.period_ns is None:
             return None
         is_hz, wanted_hz = 1e9 / self.period_ns, 1e9 / self._wanted_ns
@@ -166,7 +166,7 @@ class SampleRate:
         )
 
     def _learn(self, step_ns: int) -> None:
-        """Again for every so many samples, as rates change.
+        """Learn the period again from every LEARNT_FROM samples, since rates change.
 
         The mean step, of steps divided by how many medians they are long: neither lost samples nor jitter count.
         """
@@ -270,7 +270,7 @@ class Temperatures:
 
     @property
     def readers(self) -> list:
-        """To be handed back to the node."""
+        """Readers to return to the node."""
         return [inbox.reader for inbox in self._inboxes]
 
 
@@ -421,7 +421,8 @@ class Ros2Source:
         return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
 
     def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
-        """Of the sample; where its torque means an average, over all samples since the last one given."""
+        """Torque of the sample; if the bundle takes averaged torque, the mean over all samples since the last one
+        given."""
         if not self._averaged or self._rate.factor == 1:
             return tau
         self._torques.append(tau)

@@ -30,13 +30,13 @@ class Identity:
     model: str
     """Its name, by its model number."""
     reports: tuple[str, ...]
-    """As data.servo_types: torque_from that it can serve, beside goal."""
+    """Values of torque_from that the servo can serve, beside goal (data.servo_types)."""
     homing_offset: float
     """[counts]."""
     holds: bool
-    """It follows a goal position: its operating mode is one of those."""
+    """Whether the servo follows a goal position, by its operating mode."""
     ampere: float
-    """Of a count of its current; NaN: it measures none."""
+    """Current of one count, [A]; NaN: the servo measures no current."""
 
 
 class ServoSource(BusSource):
@@ -134,7 +134,7 @@ class ServoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Nothing: stamps are those of requests, and a request that was skipped is counted where it is."""
+        """Do nothing: stamps are those of requests, and a skipped request is counted where it is skipped."""
 
     def _all_of(self, address: int, length: int) -> dict[int, bytes]:
         """Registers of all servos. Raises Unreachable: one does not answer."""
@@ -150,7 +150,7 @@ class ServoSource(BusSource):
         raise Unreachable(f"{silent} does not answer; {found}")
 
     def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
-        """From the bytes of the block `identity`. Raises Unreachable: an unknown servo."""
+        """Decode the block `identity`. Raises Unreachable: an unknown servo."""
         series, first = self._series, self._series.identity[0]
         model, mode, homing = (series.registers[name].of(data, first) for name in ("model", "mode", "homing"))
         if model not in series.models:

@@ -41,7 +41,7 @@ class ServoPort:
     def __init__(self, path: str, baud: int, answer_s: float = ANSWER_S):
         self.path, self.baud, self.answer_s = path, baud, answer_s
         self.is_using = False
-        """Of the vendors' packet handlers."""
+        """Flag that the vendors' packet handlers set."""
         self._serial: Any = None
         self._until = 0.0
 
@@ -135,7 +135,7 @@ def users_of(path: str) -> str:
 
 
 def why_not_open(path: str, error: BaseException) -> str:
-    """What to do about a port that cannot be opened."""
+    """Advice for a port that cannot be opened."""
     number = getattr(error, "errno", None) or next(iter(getattr(error.__context__, "args", ())), None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         ports = importlib.import_module("serial.tools.list_ports").comports()
@@ -155,12 +155,12 @@ def why_not_open(path: str, error: BaseException) -> str:
 
 
 SUCCESS = 0
-"""What the libraries' functions return where nothing is wrong."""
+"""Return value of the libraries' functions without an error."""
 
 
 @dataclass
 class Reading:
-    """What came of one request."""
+    """Answers to one request."""
 
     t_ns: int
     """When it was sent, by time.monotonic_ns(): each servo reads its registers on its way to answer."""

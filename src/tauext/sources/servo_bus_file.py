@@ -1,4 +1,4 @@
-"""What a bus of serial servos carries: ids, zeros and directions of the joints, from a file, ours or LeRobot's."""
+"""Joints on a bus of serial servos: ids, zeros and directions, from a bus file or a LeRobot calibration file."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ServoJoint:
     type: str = ""
     """Type that it must be, for example xl330-m288, or the beginning of it; empty: any known type."""
     homing_offset: int | None = None
-    """That it must hold, [counts]; None: any."""
+    """Homing offset that the servo must hold, [counts]; None: any."""
 
     def __str__(self) -> str:
         return f"servo {self.id} ({self.name})"

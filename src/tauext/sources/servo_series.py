@@ -14,9 +14,9 @@ class Register(NamedTuple):
 
     address: int
     layout: str
-    """Of struct."""
+    """Format character of the module struct."""
     unit: float = 1
-    """Of one count."""
+    """Value of one count."""
     sign_bit: int | None = None
     """This bit is the sign, those below it the amount; None: as the layout has it."""
 
@@ -39,15 +39,15 @@ class Series:
     """One make of servos."""
 
     kind: str
-    """As the command line and the extra of the installation name it."""
+    """Name on the command line, and of the extra of the installation."""
     package: str
     library: str
     """The module of that package."""
     protocol: float
     flags: tuple[Any, ...]
-    """What the library's functions that send and receive take beside the rest."""
+    """Further arguments of the library's functions that send and receive."""
     silence: int
-    """What they return where nothing came."""
+    """Return value of these functions when nothing came."""
     request_bytes: int
     """Bytes of a request for a block beside the ids."""
     overhead: int

@@ -303,7 +303,7 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be shipped for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Who computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
     tauext[torch])."""
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
@@ -420,7 +420,7 @@ class EvaluateStage(EventsConfig):
 
 @dataclass(frozen=True)
 class FleetConfig:
-    """Who works on a fleet's tasks. No output depends on it."""
+    """Workers of a fleet's tasks. No output depends on it."""
 
     workers: int = 0
     """Processes of this machine that work, one thread each; 0: one a core."""

@@ -37,7 +37,7 @@ def prior(
             whose terms are taken over instead of being searched for again.
         out: file to write, NAME.prior.json.
         threads: how many to work in; 0: one a core. The result does not depend on it.
-        accept: codes of findings that are no fault on your word, at all joints or at one.
+        accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
     from tauext.fleet.prior import make_fleet_prior, table
@@ -150,7 +150,7 @@ def run(
         fleet: FLEET.toml: arms, files, settings; `tauext fleet example` prints one.
         out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all. Workers on other machines must find
             it, and what FLEET.toml names, under the same paths, or URLs with the same keys in their environment.
-        config: who works.
+        config: workers of the tasks.
         dry_run: print what would be done, and why, and do nothing.
         as_json: print JSON lines, an object a task that begins or ends.
     """

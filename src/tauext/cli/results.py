@@ -64,7 +64,7 @@ def evaluate(
         threads: threads that train and estimate; 0: one a core. The result does not depend on it.
         keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
             figures.
-        accept: codes of findings that are no fault of the baselines' training data on your word, as of train.
+        accept: codes of faults in the training data of the baselines to accept, as of train.
         inject: add simulated hits, ramps and presses to the free test motion, at the end of each link and in random
             directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
         events: how alarms are held against labels.

@@ -104,7 +104,7 @@ def train(
         robot: URDF or MJCF of the arm; default: the dataset's own.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a minute of this one is enough.
             None: the arm is by itself.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
         options: settings that are often changed.
     """
     from tauext.data.dataset import load_dataset
@@ -144,7 +144,7 @@ def calibrate(
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
     """
     from tauext.data.dataset import load_dataset
     from tauext.train.calibrate import recalibrate
@@ -185,7 +185,7 @@ def refit(
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
             those that did, as far as the fleet's arms showed it from one recording to the next.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.files.provenance import json_text

@@ -21,7 +21,7 @@ LARGEST_TEXT = 1 << 28
 
 
 def expect_file(path: Place) -> None:
-    """Raise OSError unless the path is a file: whoever opens a pipe waits, and a device may have no end."""
+    """Raise OSError unless the path is a file: opening a pipe blocks, and a device may have no end."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

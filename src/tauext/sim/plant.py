@@ -208,7 +208,7 @@ class Mover:
     """Setpoints of one arm, sample by sample: moves around its home until react() is called, and again after resume().
 
     comply: the drive's own PD inputs are used to give the torque that carries the arm's weight, with neither stiffness
-    nor friction compensation, so that whoever pushes harder than the joints' friction moves it.
+    nor friction compensation, so that a push above the joints' friction moves it.
     """
 
     def __init__(self, arm: DemoArm, seed: int = 0):

@@ -138,7 +138,8 @@ class DamiaoSource(BusSource):
     over the ranges that the motor itself names.
 
     A polled motor sends its state whether it is enabled or not. Nothing else is sent, and with ask = false nothing at
-    all: no enable, no MIT frame, and no register is set. There is no stop(): who drives the motors would drive on.
+    all: no enable, no MIT frame, and no register is set. There is no stop(): the program that drives the motors would
+        go on.
     """
 
     def __init__(self, channel: str, file: CanBusFile):
@@ -260,7 +261,7 @@ class DamiaoSource(BusSource):
         self._faults[k] = fault
 
     def _state(self, wait_s: float) -> tuple[int, bytes] | None:
-        """Whose state came, and what it is; None: none of a motor of ours."""
+        """Number of a motor of the bus file and its state that came; None: none came."""
         message = self._receive(wait_s)
         if message is None or len(message.data) != 8:
             return None

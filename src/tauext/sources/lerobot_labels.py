@@ -218,7 +218,7 @@ class LabelReport:
     contact: int = 0
     """In contact."""
     collisions: int = 0
-    """Stretches of collision, not frames."""
+    """Number of collisions, not of frames in collision."""
     held: int = 0
     """Frames that held labels before ..."""
     equal: int = 0

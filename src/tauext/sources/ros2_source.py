@@ -79,7 +79,7 @@ TAKEOVER_NS = 500_000_000
 
 
 class Followed:
-    """The first that publishes the arm, until it is silent; then whoever publishes next. Never two at once."""
+    """The first that publishes the arm, until it is silent; then the next one that publishes. Never two at once."""
 
     def __init__(self) -> None:
         self._handle: int | None = None

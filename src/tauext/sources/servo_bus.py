@@ -174,7 +174,7 @@ class Reading:
 
 
 class ServoBus:
-    """Transactions on a port. Whoever else of this process uses the port holds `lock` meanwhile."""
+    """Transactions on a port. Other users of the port in this process must hold `lock`."""
 
     def __init__(self, port: ServoPort, series: Series):
         self.port, self.series = port, series

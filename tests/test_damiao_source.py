@@ -145,11 +145,11 @@ def test_faults_are_told_and_other_frames_are_not_taken_for_states(motors):
     motors.say(7, state_of(7))
     for one in taken(source, 10):
         assert abs(one.q[0]) < 1e-3
-    assert source.notes() == ["motor 0x01 (pan) says: overload"]
+    assert source.notes() == ["motor 0x01 (pan) reports: overload"]
     motors.states[1] = state_of(1, 0)
     taken(source, 10)
     source.close()
-    assert source.notes() == ["motor 0x01 (pan) says: no fault any more"]
+    assert source.notes() == ["motor 0x01 (pan) reports: no fault any more"]
 
 
 def test_answers_to_another_program_are_overheard_and_nothing_is_sent(motors):
@@ -213,7 +213,7 @@ def test_a_bus_file_is_read(tmp_path):
         ("ask = false\n[joints.a]\nid = 1\n", r"ranges = \[PMAX, VMAX, TMAX\] is missing: with ask = false"),
         ("ask = 1\n[joints.a]\nid = 1\n", "ask = 1 must be true or false"),
         ("interface = 1\n[joints.a]\nid = 1\n", "interface = 1 must be one of python-can"),
-        ("[joints.a]\nid = 1\n[joints.b]\nid = 0x21\nanswer_id = 0x11\n", "joints 'a' and 'b' cannot be told apart"),
+        ("[joints.a]\nid = 1\n[joints.b]\nid = 0x21\nanswer_id = 0x11\n", "joints 'a' and 'b' cannot be distinguished"),
     ],
 )
 def test_a_bus_file_that_breaks_a_rule_says_which(tmp_path, text, message):

@@ -209,7 +209,7 @@ def test_alarms_are_latched_and_told_once(talking, peer, space):
         (verdict(health=HEALTH_STALE, sample=False), STALE, "stale"),
         (verdict(health=FAULT, causes=GAP, sample=False), STALE, "fault: gap"),
         (verdict(alarm=COLLISION, health=FAULT, causes=GAP, sample=False), ERROR, "collision on elbow; fault: gap"),
-        (verdict(drift=True), WARN, "drift at its bound on elbow: record and train anew"),
+        (verdict(drift=True), WARN, "drift at its bound on elbow: record and retrain"),
         (verdict(unfamiliar=0.4), OK, "ok"),
         (verdict(unfamiliar=0.5), WARN, "training never saw such motion: shoulder and elbow together"),
     ],
@@ -258,7 +258,7 @@ def test_diagnostics_of_the_input(talking, peer, space):
     assert told(report(lost=3, overrun=1))[:2] == (WARN, "4 samples lost in the last second")
     assert told(report(lost=3, overrun=1))[:2] == (OK, "ok")
     assert told(report(rate_hz=0.0, lost=3, overrun=1))[:2] == (STALE, "no sample in the last second")
-    publisher._conditions.say("rate", "/joint_states: 500 is less than 1000", time.monotonic_ns())
+    publisher._conditions.report("rate", "/joint_states: 500 is less than 1000", time.monotonic_ns())
     assert told(report(lost=3, overrun=1))[:2] == (WARN, "/joint_states: 500 is less than 1000")
 
 
@@ -301,7 +301,7 @@ def test_others_ask_for_profiles_acknowledge_and_resume(talking, peer, space):
     until(lambda: len(loop.asked) == 3, "the resumption")
     asked = [("careful", "profile"), ("acknowledge", "acknowledge"), ("resume", "resume")]
     assert loop.asked == [(what, f"ros2 {space}/{topic}") for what, topic in asked]
-    assert publisher._conditions.untold() == [f"ros2 {space}/profile: no profile 'wild'; there is careful"]
+    assert publisher._conditions.unreported() == [f"ros2 {space}/profile: no profile 'wild'; there is careful"]
 
 
 def test_others_say_what_the_arm_carries(talking, peer, space):
@@ -314,7 +314,7 @@ def test_others_say_what_the_arm_carries(talking, peer, space):
     until(lambda: len(loop.asked) == 2, "the loads")
     by = f"ros2 {space}/load"
     assert loop.asked == [(Load(2.0, [0.1, 0.2, 0.3], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), by), (Load(), by)]
-    assert publisher._conditions.untold() == [f"{by}: 6 kg are too heavy"]
+    assert publisher._conditions.unreported() == [f"{by}: 6 kg are too heavy"]
 
 
 def test_events_are_json(talking, peer, space):

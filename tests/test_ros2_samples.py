@@ -161,10 +161,10 @@ def test_the_first_publisher_is_followed_until_it_is_silent():
 
 def test_a_condition_is_told_when_it_begins_and_stands_while_it_is_seen():
     conditions = Conditions()
-    conditions.say("rate", "slow", 0)
-    conditions.say("rate", "slower", HOLD_NS)
-    assert conditions.untold() == ["slow"] and conditions.untold() == []
+    conditions.report("rate", "slow", 0)
+    conditions.report("rate", "slower", HOLD_NS)
+    assert conditions.unreported() == ["slow"] and conditions.unreported() == []
     assert conditions.standing(2 * HOLD_NS) == ["slower"]
     assert conditions.standing(2 * HOLD_NS + 1) == []
-    conditions.say("rate", "slow", 2 * HOLD_NS + 1)
-    assert conditions.untold() == ["slow"]
+    conditions.report("rate", "slow", 2 * HOLD_NS + 1)
+    assert conditions.unreported() == ["slow"]

@@ -243,7 +243,7 @@ def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monke
     live = listen(reliability="reliable")
     robot(reliability="best-effort")
     told = until(lambda: live.next_sample(0.02) or [n for n in live.notes() if "offers" in n], "the note")
-    assert told == [f"{topic}: a publisher offers less reliability or durability than is asked of it"]
+    assert told == [f"{topic}: a publisher offers less reliability or durability than is requested"]
 
 
 @pytest.mark.parametrize(

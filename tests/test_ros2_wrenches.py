@@ -109,7 +109,7 @@ def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
 
     with pytest.raises(ConfigError, match=r"wrench_frames 'tool0' must be one of shoulder, elbow.*tip/1$"):
         start("elbow", "tool0")
-    with pytest.raises(ConfigError, match="there is no bundle"):
+    with pytest.raises(ConfigError, match="without a bundle no force"):
         start("elbow", of=None)
     with pytest.raises(ConfigError, match="a topic's name of its own"):
         start("tip/1", "tip_1")
@@ -118,5 +118,5 @@ def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
     for link in links:
         link.mass = 0.0
     empty.links = links
-    with pytest.raises(ConfigError, match="no force can be told, the bundle has no model"):
+    with pytest.raises(ConfigError, match="no force can be estimated, the bundle has no model"):
         start("elbow", of=empty)

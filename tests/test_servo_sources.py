@@ -194,7 +194,7 @@ def test_a_servo_that_is_not_there_is_told_at_once(rig):
 
 def test_another_servo_or_another_arm_is_refused(rig):
     rig.source._file = bus_file(ServoJoint("pan", 1, type="dm4310"), ServoJoint("lift", 2), ServoJoint("elbow", 3))
-    with pytest.raises(ConfigError, match=r"servo 1 \(pan\) is a (sts3215|xl330-m288), bus.toml says dm4310"):
+    with pytest.raises(ConfigError, match=r"servo 1 \(pan\) is a (sts3215|xl330-m288), bus.toml names dm4310"):
         rig.open()
     rig.source._file = bus_file(ServoJoint("pan", 1, homing_offset=-7), ServoJoint("lift", 2), ServoJoint("elbow", 3))
     with pytest.raises(ConfigError, match=r"pan\) has homing offset 0, bus.toml -7: is it another arm's calibration"):
@@ -204,7 +204,7 @@ def test_another_servo_or_another_arm_is_refused(rig):
     taken(rig.source, 1)
     rig.source.close()
     rig.bus.put(2, "H", 3 if rig.kind == "feetech" else 0, 999)
-    with pytest.raises(ConfigError, match=r"servo 2 \(lift\) says model 999; known are "):
+    with pytest.raises(ConfigError, match=r"servo 2 \(lift\) reports model 999; known are "):
         rig.open()
 
 
@@ -521,10 +521,10 @@ def test_what_a_servo_complains_of_is_told_once(two):
         two.errors[2] = error
         taken(source, 10)
         (note,) = source.notes()
-        assert note.startswith(f"servo 2 (lift) says: {text}")
+        assert note.startswith(f"servo 2 (lift) reports: {text}")
         two.errors[2] = 0
         taken(source, 10)
-        assert source.notes() == ["servo 2 (lift) has no more to say"]
+        assert source.notes() == ["servo 2 (lift) reports no error any more"]
     finally:
         source.close()
 

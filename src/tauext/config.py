@@ -35,8 +35,8 @@ class ModelCase:
     com_factor: float = 1.0
     """Factor on the distance of every centre of mass from its joint."""
     no_model: bool = False
-    """Whether the model is zero throughout, rotor inertia included: the observer sees minus the low-passed motor
-    torque."""
+    """Whether the model is zero throughout, rotor inertia included: the observer's residual is minus the low-passed
+    motor torque."""
 
 
 PAPER_CASES = {
@@ -50,7 +50,7 @@ PAPER_CASES = {
     )
 }
 
-# Choices that the help lists, from the tables; a type checker wants its choices written out, and takes any name.
+# Choices that the help lists, from the tables; a type checker needs its choices written out, and takes any name.
 if TYPE_CHECKING:
     CaseName = str
     RecipeName = str
@@ -64,8 +64,8 @@ class ObserverConfig:
 
     gain_per_s: float | Literal["auto"] | None = None
     """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: of 20, 50 and 100 the one that
-    finds a hit soonest, as errors on left-out motion say (recipes tauext and prior). None: auto for these two, the
-    paper's 20 for the others."""
+    finds a hit soonest, according to errors on left-out motion (recipes tauext and prior). None: auto for these two,
+    the paper's 20 for the others."""
     network_period_s: float = 0.01
     """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""
     window_s: float = 1.0
@@ -134,7 +134,7 @@ class AlarmConfig:
     minutes of motion 1 + (factor - 1)(1 - e^(-T/4)), since the reserve for friction covers the first ones."""
     after_contact_factor: float = 2.0
     """Factor on the limits of a joint that was pushed while it was stuck, from the end of the contact until it has
-    slid: its friction is not what its motion tells (recipes tauext and prior); 1: none."""
+    slid: its friction does not follow from its motion (recipes tauext and prior); 1: none."""
     collision_hold_s: float = 0.01
     """Time that a joint must stay over its collision limit before a collision is reported, where there are no
     calibration recordings to choose it from, [s]."""
@@ -166,7 +166,7 @@ class AlarmConfig:
 
 @dataclass(frozen=True)
 class PriorConfig:
-    """What physics may explain before a network is asked (recipe tauext)."""
+    """Physics that is fitted before a network is trained (recipe tauext)."""
 
     widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
@@ -183,7 +183,7 @@ class PriorConfig:
     correct_model: bool = True
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
     find_kinematics: bool = True
-    """Without a model, look for the arm's axes and link lengths in its motion."""
+    """Without a model, find the arm's axes and link lengths from its motion."""
     follow_temperature: bool = True
     """Where recordings hold temperatures of the joints, let friction follow them if that helps on motion left out."""
 
@@ -237,8 +237,8 @@ class DriftConfig:
 
 @dataclass(frozen=True)
 class FilterConfig:
-    """Filters of the observer's r, which tell a collision from a model error by how fast it changes (recipes highpass
-    and bandpass)."""
+    """Filters of the observer's r, which distinguish a collision from a model error by how fast it changes (recipes
+    highpass and bandpass)."""
 
     high_pass_per_s: float = 5.0
     """Cut-off of the first-order high-pass of recipes highpass and bandpass, [1/s]: what changes more slowly is taken
@@ -260,7 +260,7 @@ class FilterConfig:
 
 @dataclass(frozen=True)
 class EventsConfig:
-    """How alarms are held against labels that nobody vouches for."""
+    """How alarms are compared with labels that may be wrong."""
 
     shortest_event_s: float = 0.0
     """Length of the shortest labelled event that counts, [s]; shorter ones are neither an event nor free time."""
@@ -291,7 +291,7 @@ class TrainConfig:
     epochs: int | None = None
     """Passes over all training windows, of recipe paper alone (None: 500); the others draw theirs at random."""
     max_steps: int | None = None
-    """Steps after which training stops (None: paper as its epochs say; dense 45,000; tauext and feedforward 10,000)."""
+    """Steps after which training stops (None: paper by its epochs; dense 45,000; tauext and feedforward 10,000)."""
     batch: int | None = None
     """Windows or sequences a training step (None: paper and feedforward 1000, dense and tauext 64)."""
     learning_rate: float | None = None
@@ -303,7 +303,7 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be shipped for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Who computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
     tauext[torch])."""
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
@@ -313,10 +313,10 @@ class TrainConfig:
     """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
     """How limits are found. promised: from the false alarms that the alarm options allow, on the dataset's calibration
-    recordings. supported: for the fewest false alarms that its validation recordings support, and what a fit says of
-    training motion that was left out of it. paper: the largest errors on its validation recordings. auto: paper for
-    the recipes paper and dense; else promised where there are calibration recordings and supported where there are
-    none."""
+    recordings. supported: for the fewest false alarms that its validation recordings support, and a fit's
+    errors on training motion that was left out of it. paper: the largest errors on its validation recordings. auto:
+    paper for the recipes paper and dense; else promised where there are calibration recordings and supported where
+    there are none."""
     error_scale: OnOff | None = None
     """Whether limits follow the error that the motion announces, or are constants (None: on for recipes tauext and
     prior, off for the others)."""
@@ -325,7 +325,7 @@ class TrainConfig:
     model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
     constants are corrected."""
     load_frame: str | None = None
-    """Link (URDF) or body (MJCF) in whose frame the monitor is told what the arm carries. None: the last one that is
+    """Link (URDF) or body (MJCF) in whose frame the payload is given to the monitor. None: the last one that is
     fixed behind the last joint, such as tool0, else the last joint's own."""
     torque_constants: tuple[float, ...] | None = None
     """Torque constants that are known, one a joint, N m a unit of the recordings' tau: taken as they are (`tauext load
@@ -400,7 +400,7 @@ class CalibrateStage(AlarmConfig):
     """A fleet's stage calibrate: the promise, and how it is found."""
 
     refit_error_scale: bool = False
-    """Find anew how errors grow with the motion, on the first fifth of the calibration recordings."""
+    """Refit how errors grow with the motion, on the first fifth of the calibration recordings."""
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ class EvaluateStage(EventsConfig):
 
 @dataclass(frozen=True)
 class FleetConfig:
-    """Who works on a fleet's tasks. No output depends on it."""
+    """Workers of a fleet's tasks. No output depends on it."""
 
     workers: int = 0
     """Processes of this machine that work, one thread each; 0: one a core."""

@@ -18,11 +18,11 @@ at every step. samples: no memory at all, a feed-forward network on x(k), drawn 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What makes one kind of bundle: which r, what is fitted to it, which network learns what is left, which limits."""
+    """What makes one kind of bundle: the residual, the fit, the network for the rest, and the limits."""
 
     name: str
     method: str = "momentum"
-    """Of the residual: a name of the core's ResidualMethod."""
+    """Method of the residual: a name of the core's ResidualMethod."""
     needs_model: str = ""
     """Why there is no such bundle without a model; empty: there is."""
     high_pass: bool = False
@@ -33,32 +33,33 @@ class Recipe:
     """Function that fits a prior, as "module:function" (see tauext.train.fitting), imported when it is used; None:
     there is no prior."""
     presliding: bool = False
-    """The prior has presliding states, of which the setting `prior` tells."""
+    """The prior has presliding states, described by the setting `prior`."""
     drift: bool = False
     """The monitor follows slow changes of the prior's friction and offset: the setting `drift`."""
     finds_arm: bool = False
-    """Without a model the fit looks for the arm itself, which needs all joints in one unit; others take each by itself,
+    """Without a model the fit finds the arm itself, which needs all joints in one unit; others take each by itself,
     in whatever unit."""
     network: Network | None = None
-    """What learns by steps. Behind a fit, where the fit alone is a bundle already, it ships only where it helps."""
+    """Network that is trained in steps. After a fit, which alone makes a bundle, the network is kept only if it
+    helps."""
     chooses_gain: bool = False
-    """Unless told otherwise, the observer's gain is the one that finds a hit soonest; others have the paper's."""
+    """By default, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False
-    """The monitor tells motion that training never saw."""
+    """The monitor reports motion that training never saw."""
     error_scale: bool = False
-    """Unless told otherwise, limits follow the error that the motion announces; others are constants."""
+    """By default, limits follow the error that the motion announces; others are constants."""
     largest_error_limits: bool = False
-    """Unless told otherwise, limits are the largest errors on validation recordings, as in the paper."""
+    """By default, limits are the largest errors on validation recordings, as in the paper."""
     defaults: Mapping[str, float] = field(default_factory=dict)
-    """Of settings that are None in TrainConfig."""
+    """Values for settings that are None in TrainConfig."""
     baseline: str | None = None
-    """What it is called among the methods that tauext is compared with; None: it is none of them ..."""
+    """Its name among the methods that tauext is compared with; None: it is none of them ..."""
     rank: int = 0
     """... and its place there, simplest first."""
 
     @property
     def learns(self) -> bool:
-        """From motion; others are fixed, and find limits alone."""
+        """Whether the recipe learns from motion; others are fixed, and only find limits."""
         return self.fit is not None or self.network is not None
 
     @property
@@ -146,7 +147,7 @@ RECIPES = {
         Recipe("energy", method="energy", baseline="energy", rank=5),
     )
 }
-"""By name, in the order of the help."""
+"""Recipes by name, in the order of the help."""
 
 
 def recipe_of(name: str) -> Recipe:

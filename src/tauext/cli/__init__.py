@@ -17,14 +17,14 @@ from typing import Any
 
 # The fits solve many small systems: more threads of the linear algebra only wait for each other. NumPy reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Nothing is drawn by MuJoCo here. Its import would look for a window system in a process of its own, and lose a Ctrl-C.
+# MuJoCo draws nothing here. Its import would search for a window system in a subprocess, and lose a Ctrl-C.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 
 RULE = (
     "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
-    "and a line on stderr says so at the start; datasets and descriptions are refused; flights and recordings get "
+    "and a line on stderr names them at the start; datasets and descriptions are refused; flights and recordings get "
     "another name."
 )
 KILLED = (
@@ -136,9 +136,9 @@ def named(words: Sequence[str], commands: Collection[str], prog: str) -> str:
 
 
 def overview(argv: Sequence[str]) -> str | None:
-    """The help of all commands, or of those of fleet, where the arguments ask for one; that of --config."""
-    help_asked = ("-h", "--help")
-    if argv[:1] and argv[0] in help_asked:
+    """Help of all commands, of the fleet commands or of --config; None: the arguments request none of these."""
+    help_options = ("-h", "--help")
+    if argv[:1] and argv[0] in help_options:
         lists = {title: listed({name: row[1] for name, row in group.items()}) for title, group in GROUPS.items()}
         groups = "\n\n".join(f"{title}:\n{commands}" for title, commands in lists.items())
         return (
@@ -146,7 +146,7 @@ def overview(argv: Sequence[str]) -> str | None:
             "`tauext COMMAND --help` lists the options of a command; `tauext --version` prints the versions of\n"
             "package, core and bundles."
         )
-    if argv[:1] == ["fleet"] and argv[1:2] and argv[1] in help_asked:
+    if argv[:1] == ["fleet"] and argv[1:2] and argv[1] in help_options:
         return f"usage: tauext fleet COMMAND [OPTIONS]\n\nMany arms on many cores.\n\n{listed(FLEET)}"
     if argv[:1] == ["train"] and "--help-config" in argv:
         from tauext.config import TrainConfig
@@ -161,10 +161,10 @@ def listed(commands: Mapping[str, str]) -> str:
 
 
 def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str]) -> Callable[[], Any]:
-    """The call that the arguments ask for; `--help` prints and exits here.
+    """The call that the arguments describe; `--help` prints and exits here.
 
     Raises:
-        ConfigError: they cannot be understood.
+        ConfigError: they are invalid.
     """
     import tyro
 
@@ -195,8 +195,8 @@ def in_one_line(box: str) -> str:
             sections.append([])
         elif len(inside) - len(inside.lstrip()) < PARSER_INDENT:
             sections[-1].append(inside.strip())
-    told = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
-    return "; ".join(told) or "the options cannot be understood"
+    messages = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
+    return "; ".join(messages) or "the options are invalid"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -205,7 +205,7 @@ def main(argv: list[str] | None = None) -> int:
     0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
     """
     argv = sys.argv[1:] if argv is None else argv
-    # What overflows is found by whoever checks the number; the interpreter's own words about it are none of ours.
+    # Range checks report an overflow; the interpreter's own warnings add nothing.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.unraisablehook = not_swallowed
     try:
@@ -227,15 +227,15 @@ def main(argv: list[str] | None = None) -> int:
         status = understood(command, prog, spelled_out(argv[len(prog.split()) - 1 :]))()
         flush()
     except FaultyDataError as error:
-        tell(f"tauext: error: {error}")  # a block: what is found in data, and how to mend it
+        print_error(f"tauext: error: {error}")  # several lines: findings in the data, and how to correct them
         return 2
     except TauextError as error:
         return refused(str(error))
     except KeyboardInterrupt as stop:
         kept = str(stop) or "what was finished is kept, and the same command goes on from there"
-        tell(f"tauext: interrupted; {kept}")
+        print_error(f"tauext: interrupted; {kept}")
         return 130
-    except BrokenPipeError:  # `tauext run --json | head`: nobody reads on
+    except BrokenPipeError:  # `tauext run --json | head`: the reader is gone
         forget(sys.stdout)
         return 141
     except OSError as error:
@@ -244,7 +244,7 @@ def main(argv: list[str] | None = None) -> int:
     except UnicodeError as error:
         return refused(f"a name or text is no UTF-8: {error}")
     except MemoryError as error:
-        return refused(f"this needs more memory than there is; ask for less at a time ({str(error) or 'none is left'})")
+        return refused(f"this needs more memory than there is; request less at a time ({str(error) or 'none is left'})")
     return status if isinstance(status, int) else 0
 
 
@@ -257,14 +257,14 @@ def not_swallowed(lost: sys.UnraisableHookArgs) -> None:
 
 
 def refused(why: str) -> int:
-    """Say in one line why there is nothing; the exit status."""
+    """Print the reason of a failure in one line, and return the exit status."""
     line = " ".join(why.split())
-    tell(f"tauext: error: {line if len(line) <= LONGEST_ERROR else f'{line[:LONGEST_ERROR]} ...'}")
+    print_error(f"tauext: error: {line if len(line) <= LONGEST_ERROR else f'{line[:LONGEST_ERROR]} ...'}")
     return 2
 
 
-def tell(line: str) -> None:
-    """On stderr, which may be full or closed."""
+def print_error(line: str) -> None:
+    """Print a line on stderr, which may be full or closed."""
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:
@@ -272,12 +272,12 @@ def tell(line: str) -> None:
 
 
 def flush() -> None:
-    """What is printed and does not arrive is an error here, not a word of the interpreter at its end."""
+    """Raise OSError here if stdout cannot be written, rather than at the interpreter's exit."""
     if sys.stdout is not None:
         sys.stdout.flush()
 
 
 def forget(stream: Any) -> None:
-    """What stands in its buffer cannot be written: the interpreter shall not try again at its end."""
+    """Discard the stream's buffer, so that the interpreter does not try to write it again at exit."""
     with suppress(OSError, AttributeError, ValueError):  # none, closed or a test's own
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

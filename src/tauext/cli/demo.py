@@ -18,7 +18,7 @@ def demo(
     open: bool = True,
     headless_seconds: float | None = None,
 ) -> None:
-    """Push a simulated arm with the mouse; three methods say what they feel, and the arm reacts.
+    """Push a simulated arm with the mouse; three methods estimate the push, and the arm reacts.
 
     Bundles are trained on first use, within two minutes or so, and kept in $XDG_CACHE_HOME/tauext/demo. The page needs
     the extra tauext[live], and no other host.
@@ -47,7 +47,7 @@ def demo(
 
 
 def headless(arm_name: str, seconds: float, seed: int) -> str:
-    """What was found in so many seconds with scripted pushes, and of a weight in the hand where the arm has one."""
+    """Results of a run with scripted pushes, and with a weight in the hand if the arm has one."""
     from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
     from tauext.page.headless import carried_weights, describe, describe_weights, scripted_pushes
     from tauext.sim.arms import ARMS

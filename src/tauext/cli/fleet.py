@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, tell_replaced
+from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import FleetConfig, TrainConfig, require_threads
 from tauext.errors import ConfigError, TauextError
@@ -18,7 +18,7 @@ from tauext.files.room import expect_folder
 from tauext.files.toml_file import write_template
 from tauext.progress import Reporter
 
-# --- `tauext fleet prior`: what arms of one type know that the next one does not.
+# --- `tauext fleet prior`: what the data of several arms contributes to the next arm of their type.
 
 
 def prior(
@@ -34,10 +34,10 @@ def prior(
 
     Args:
         arms: three arms or more, each a dataset folder, or BUNDLE.tauext:DATA with the bundle that was trained on it,
-            whose terms are taken over instead of being searched for anew.
+            whose terms are taken over instead of being searched for again.
         out: file to write, NAME.prior.json.
         threads: how many to work in; 0: one a core. The result does not depend on it.
-        accept: codes of findings that are no fault on your word, at all joints or at one.
+        accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
     from tauext.fleet.prior import make_fleet_prior, table
@@ -45,7 +45,7 @@ def prior(
 
     config = TrainConfig(recipe="prior", threads=threads)
     fleet = fleet_arms(arms)
-    tell_replaced(out)
+    print_replaced(out)
     found = make_fleet_prior(fleet, out, config, accept, Terminal())
     print(table(dict(found.facts)))
     print(out)
@@ -97,7 +97,7 @@ def report(
 
 
 def write_arm_pages(content: dict[str, Any], out: Path, reporter: Reporter) -> None:
-    """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
+    """Write the page of every arm at its last date; an arm that cannot be drawn is reported and skipped."""
     from tauext.fleet.page import arm_folder, is_newer
     from tauext.report.page import write_report
 
@@ -115,7 +115,7 @@ def write_arm_pages(content: dict[str, Any], out: Path, reporter: Reporter) -> N
 
 
 def lines(content: dict[str, Any]) -> list[str]:
-    """What is named, then what failed."""
+    """Lines about the named arms, then about the failed ones."""
     found = []
     for one in content["named"]:
         where = f"{one['arm']} {one['joint']}" if one["joint"] else one["arm"]
@@ -150,18 +150,18 @@ def run(
         fleet: FLEET.toml: arms, files, settings; `tauext fleet example` prints one.
         out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all. Workers on other machines must find
             it, and what FLEET.toml names, under the same paths, or URLs with the same keys in their environment.
-        config: who works.
-        dry_run: say what would be done, and why, and do nothing.
+        config: workers of the tasks.
+        dry_run: print what would be done, and why, and do nothing.
         as_json: print JSON lines, an object a task that begins or ends.
     """
-    from tauext.cli.fleet_output import open_watcher, tell_plan
+    from tauext.cli.fleet_output import open_watcher, print_plan
     from tauext.fleet.book import plan_fleet
     from tauext.fleet.fleet_file import load_fleet
     from tauext.fleet.run import run_fleet
 
     read = load_fleet(fleet)
     if dry_run:
-        tell_plan(plan_fleet(read, out), as_json)
+        print_plan(plan_fleet(read, out), as_json)
         return 0
     with open_watcher(as_json) as watcher:
         try:

@@ -1,4 +1,4 @@
-"""What `tauext fleet run` tells: a table on a terminal, lines elsewhere, JSON lines for programs."""
+"""Output of `tauext fleet run`: a table on a terminal, lines elsewhere, JSON lines for programs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STATES = ("done", "refused", "failed", "skipped", "waiting")
 
 
 def open_watcher(as_json: bool) -> JsonLines | TextLines:
-    """JSON lines where asked for, a table that is redrawn on a terminal, else a line a task."""
+    """JSON lines if as_json, a table that is redrawn on a terminal, else a line a task."""
     if as_json:
         return JsonLines()
     if sys.stderr.isatty():
@@ -53,7 +53,7 @@ class JsonLines:
         self._write("begun", arm=task.arm, stage=task.stage)
 
     def ended(self, ended: Ended) -> None:
-        self._write("task", **about(ended.task), **told(ended.outcome), begun=ended.begun)
+        self._write("task", **about(ended.task), **outcome_facts(ended.outcome), begun=ended.begun)
 
     def finish(self, end: FleetEnd) -> None:
         failed = [{"arm": arm, "stage": stage, "reason": why} for arm, stage, why in end.book.failures()]
@@ -69,7 +69,7 @@ class TextLines:
 
     def __init__(self) -> None:
         self._done = self._of = 0
-        self._told = time.monotonic()
+        self._printed_s = time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -78,32 +78,32 @@ class TextLines:
         pass
 
     def reading(self, done: int, of: int) -> None:
-        if time.monotonic() - self._told > READING_EVERY_S:
-            self._told = time.monotonic()
-            self.say(f"reading what the arms depend on: {done} of {of} files")
+        if time.monotonic() - self._printed_s > READING_EVERY_S:
+            self._printed_s = time.monotonic()
+            self.print_line(f"reading what the arms depend on: {done} of {of} files")
 
     def started(self, plan: Sequence[PlannedArm]) -> None:
         steps = [step for arm in plan for step in arm.steps]
         self._of = sum(step.there is None for step in steps)
-        self.say(f"{len(plan)} arms, {len(steps)} tasks, of which {len(steps) - self._of} are done already")
+        self.print_line(f"{len(plan)} arms, {len(steps)} tasks, of which {len(steps) - self._of} are done already")
 
     def begun(self, task: Task) -> None:
         pass
 
     def ended(self, ended: Ended) -> None:
         self._done += 1
-        self.say(f"[{self._done}/{self._of}] {task_line(ended)}")
+        self.print_line(f"[{self._done}/{self._of}] {task_line(ended)}")
 
     def finish(self, end: FleetEnd) -> None:
         for line in summary_lines(end):
             print(line)
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
 class LiveTable(TextLines):
-    """The same on a terminal, where a table of stages is redrawn below the lines of what failed."""
+    """Text lines on a terminal, where a table of stages is redrawn below the lines of what failed."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -141,10 +141,10 @@ class LiveTable(TextLines):
         self._counts[task.stage]["waiting"] -= 1
         self._counts[task.stage][ended.outcome.state] += 1
         if ended.outcome.state != "done":
-            self.say(task_line(ended))
+            self.print_line(task_line(ended))
         self._draw()
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         self._console.print(line, markup=False)
 
     def _draw(self) -> None:
@@ -161,16 +161,17 @@ class LiveTable(TextLines):
         self._live.update(table)
 
 
-def tell_plan(plan: Sequence[PlannedArm], as_json: bool) -> None:
-    """What would be done, and why; of each arm the first stage says it, and those after it follow."""
+def print_plan(plan: Sequence[PlannedArm], as_json: bool) -> None:
+    """Print what would be done, and why; the first stage of each arm gives the reason, the later ones follow from
+    it."""
     to_do = 0
     for arm in plan:
         for step in arm.steps:
             to_do += step.there is None
             if as_json:
                 state = "to do" if step.there is None else step.there.state
-                said = {"event": "task", **about(step.task), "state": state, "why": step.why or None}
-                print(json.dumps(said, allow_nan=False))
+                event = {"event": "task", **about(step.task), "state": state, "why": step.why or None}
+                print(json.dumps(event, allow_nan=False))
             elif step.there is None:
                 print(f"{arm.arm.name} {step.task.stage}: {step.why}")
             elif step.there.state == "refused":
@@ -186,7 +187,7 @@ def about(task: Task) -> dict[str, Any]:
     return {"arm": task.arm, "stage": task.stage, "hash": task.hash}
 
 
-def told(outcome: Outcome) -> dict[str, Any]:
+def outcome_facts(outcome: Outcome) -> dict[str, Any]:
     return {"state": outcome.state, "seconds": round(outcome.seconds, 3), "reason": outcome.reason or None}
 
 

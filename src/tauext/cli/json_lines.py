@@ -80,8 +80,8 @@ class JsonLines:
             self._write(event, row=row, **self._when(t_ns), **content)
 
     def flight(self, news: FlightNews) -> None:
-        told = {"file": str(news.path)} if news.path else {"file": None, "error": news.error}
-        self._write("flight", what=news.what, **self._when(news.t_ns), **told)
+        outcome = {"file": str(news.path)} if news.path else {"file": None, "error": news.error}
+        self._write("flight", what=news.what, **self._when(news.t_ns), **outcome)
 
     def note(self, text: str) -> None:
         self._write("note", text=text)
@@ -92,9 +92,9 @@ class JsonLines:
 
     def reaction(self, news: ReactionNews) -> None:
         event = news.event
-        told = {"what": event.kind, "joint": event.joint, "merged": event.merged}
+        facts = {"what": event.kind, "joint": event.joint, "merged": event.merged}
         self._write(
-            "reaction", name=news.reaction, **self._when(event.t_ns), **told, start_us=news.start_us, error=news.error
+            "reaction", name=news.reaction, **self._when(event.t_ns), **facts, start_us=news.start_us, error=news.error
         )
 
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
@@ -126,8 +126,8 @@ Output = TextLines | JsonLines
 def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
     """Name of the event, and its content beside row and time."""
     if isinstance(change, LoadChange):
-        told = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
-        return "load", {**load_facts(change.load), **told}
+        facts = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
+        return "load", {**load_facts(change.load), **facts}
     if isinstance(change, FoundLoad):
         return "load", {"mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
     if isinstance(change, WeighChange):
@@ -143,8 +143,8 @@ def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str
         raised = {"alarm": ALARMS[change.alarm], "joint": joint, "since_s": change.since_s}
         return "place", {**raised, **place_facts(change, joints)}
     if isinstance(change, HealthChange):
-        said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
-        return "health", {**said, "joint": joint}
+        facts = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
+        return "health", {**facts, "joint": joint}
     return "alarm", {
         "alarm": ALARMS[change.alarm],
         "was": ALARMS[change.was],
@@ -158,7 +158,7 @@ def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str
 
 
 def found_facts(change: WeighChange) -> dict[str, Any]:
-    """As plain JSON: what was found, and the load to set."""
+    """The result of weighing, and the load to set, as plain JSON."""
     from tauext.monitor.weighing import load_facts as facts_of_found
 
     if change.found is None:

@@ -28,7 +28,7 @@ ALARM_STYLES = {"none": "green", "contact": "bold yellow", "collision": "bold wh
 
 
 class LiveView(TextLines):
-    """Text lines, with a panel below them that is drawn anew ten times a second."""
+    """Text lines, with a panel below them that is redrawn ten times a second."""
 
     def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False, console: Console | None = None):
         super().__init__(flights, acknowledges)
@@ -43,7 +43,7 @@ class LiveView(TextLines):
     def __exit__(self, *error: object) -> None:
         self._live.stop()
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
@@ -53,16 +53,16 @@ class LiveView(TextLines):
             self._drawn = now
             self._live.update(self.panel(chunk, now - self._began), refresh=True)
 
-    def _tell_rest(self) -> None:
+    def _print_rest(self) -> None:
         self._live.update("", refresh=True)
-        super()._tell_rest()
+        super()._print_rest()
 
     def panel(self, chunk: Chunk, wall_s: float) -> Group:
-        """What the monitor said of the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
-        said = chunk.said
+        """The monitor's estimates at the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
+        estimates = chunk.said
         time_s = self._time_s(int(chunk.t_ns[-1]))
-        health, alarm = HEALTHS[said["health"][-1]], ALARMS[said["alarm"][-1]]
-        causes = ", ".join(cause_names(int(said["causes"][-1])))
+        health, alarm = HEALTHS[estimates["health"][-1]], ALARMS[estimates["alarm"][-1]]
+        causes = ", ".join(cause_names(int(estimates["causes"][-1])))
         status = Text.assemble(
             "health ",
             (health, HEALTH_STYLES[health]),
@@ -70,8 +70,8 @@ class LiveView(TextLines):
             "   alarm ",
             (alarm, ALARM_STYLES[alarm]),
         )
-        if said["alarm_joint"][-1] >= 0:
-            status.append(f" {self._joints[said['alarm_joint'][-1]]}")
+        if estimates["alarm_joint"][-1] >= 0:
+            status.append(f" {self._joints[estimates['alarm_joint'][-1]]}")
         if alarm == "collision" and self._behind:
             status.append(f", hides {self._behind} more; --acknowledge-after-s 1 shows them")
         return Group(Text(self.heading(time_s, wall_s)), status, self.joints(chunk))
@@ -92,18 +92,18 @@ class LiveView(TextLines):
         for title in (f"tau_ext, {unit}", f"limit, {unit}", f"margin, {unit}", "speed, rad/s"):
             table.add_column(title, justify="right")
         table.add_column("")
-        said = chunk.said
+        estimates = chunk.said
         for j, joint in enumerate(self._joints):
-            tau_ext, limit = said["tau_ext"][:, j], said["limit_nm"][:, j]
+            tau_ext, limit = estimates["tau_ext"][:, j], estimates["limit_nm"][:, j]
             k = chunk.peak_row(j)
-            sigma = said["contact_sigma_nm"][-1, j]
-            near = "near stiction" if said["near_stiction"][-1, j] else ""
+            sigma = estimates["contact_sigma_nm"][-1, j]
+            near = "near stiction" if estimates["near_stiction"][-1, j] else ""
             table.add_row(
                 f"{joint} [{short(self._units[j])}]" if unit == SEVERAL else joint,
                 bar(tau_ext[k] / limit[k]),
                 text_number(tau_ext[-1], "+") + (f" ± {sigma:.2f}" if math.isfinite(sigma) else ""),
                 text_number(limit[-1]),
-                text_number(said["margin_nm"][-1, j], "+"),
+                text_number(estimates["margin_nm"][-1, j], "+"),
                 readable(chunk.dq[-1, j], "+.3f"),
                 near,
             )

@@ -1,4 +1,4 @@
-"""`tauext load`: what the arm carries, by its own joints; torque constants, by a weight that is known."""
+"""`tauext load`: the payload from the arm's own joints; torque constants from a known weight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tauext.monitor.known_load import KnownWeight
     from tauext.monitor.weighing import LoadEstimate, NamedFrame, Seen
 
-# --- `tauext load --known-kg`: torque constants from a weight that is known.
+# --- `tauext load --known-kg`: torque constants from a known weight.
 
 
 def set_constants(
@@ -31,10 +31,10 @@ def set_constants(
     out: Place | None,
     as_json: bool,
 ) -> None:
-    """Find the factors, say them, and write a bundle with the common one where that is asked for.
+    """Find the factors, print them, and write a bundle with the common factor if `out` is given.
 
     Raises:
-        ConfigError: the weight does not tell, or the new bundle cannot be written.
+        ConfigError: the weight does not determine the factors, or the new bundle cannot be written.
     """
     from tauext.monitor.known_load import scaled_bundle, weigh_constants, with_provenance
 
@@ -77,16 +77,16 @@ def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, const
             "numbers times the common factor, so that their limits hold"
         )
     if not known.one_factor and not left_out:
-        told = " ".join(f"{constant:.5g}" for constant in constants)
+        given = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
-            "joints differ by more than their errors, which do not know how far the bundle's own arm was fitted with "
-            f"wrong constants; a bundle takes one factor. A training of its own takes all: --torque-constants {told}"
+            "joints differ by more than their errors, which leave out how far the bundle's own arm was fitted with "
+            f"wrong constants; a bundle takes one factor. A new training takes all: --torque-constants {given}"
         )
     return lines
 
 
 def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -> dict:
-    """The same for scripts."""
+    """The factors as plain JSON."""
     return {
         "factor": known.common,
         "standard_error": known.common_error,
@@ -117,9 +117,9 @@ def load(
 ) -> None:
     """Weigh what the arm carries: mass and centre of mass, from seconds of ordinary motion or some standing poses.
 
-    The bundle must have been trained without this load, and nothing may touch the arm. What the motion cannot tell is
-    named, and so is what turns unlike gravity: a contact. With --known-kg the question is turned round: a weight that
-    is known sets the torque constants.
+    The bundle must have been trained without this load, and nothing may touch the arm. What the motion does not
+    determine is named, and so is a torque that turns unlike gravity: a contact. With --known-kg the known weight sets
+    the torque constants instead.
 
     Args:
         bundle: bundle (*.tauext) of the arm.
@@ -130,7 +130,7 @@ def load(
         reach_m: how far from that frame's origin the centre of mass can be at most, [m].
         known_kg: what the load weighs, [kg]: find torque constants instead of a mass. None: it is not known.
         known_com_m: centre of mass of the known weight in that frame, [m]. None: it is found.
-        out: bundle (*.tauext) to write with the torque constants that a known weight told. None: none is written.
+        out: bundle (*.tauext) to write with the torque constants that a known weight gives. None: none is written.
         as_json: print one JSON object for scripts.
     """
     require(1e-3 <= reach_m <= 100, "reach_m", reach_m, "0.001 to 100")
@@ -158,7 +158,7 @@ def load(
 
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
-    """Print what all of it says, and what each window says alone."""
+    """Print the load from all of the motion, and from each window alone."""
     from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
@@ -186,4 +186,4 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, 
 def scatter_sentence(alone: list[tuple[str, float, LoadEstimate]]) -> str:
     """How the windows agree."""
     masses = sorted(own.mass_kg for _, _, own in alone)
-    return f"by windows of 4 s each alone: {len(masses)} say {masses[0]:.2f} to {masses[-1]:.2f} kg"
+    return f"by windows of 4 s each alone: {len(masses)} give {masses[0]:.2f} to {masses[-1]:.2f} kg"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tauext.monitor.sink import Sink
     from tauext.monitor.source import Source
 
-# --- The sources that `tauext monitor --source` knows; a new one is registered here.
+# --- The sources of `tauext monitor --source`; a new one is registered here.
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Kind:
     """A kind of source."""
 
     target: str
-    """What stands behind its colon; empty: nothing does."""
+    """Name of the target after the colon; empty: the kind has no target."""
     takes: tuple[str, ...] = ()
-    """Of SourceOptions."""
+    """Fields of SourceOptions that the kind accepts."""
 
 
 KINDS = {
@@ -61,21 +61,21 @@ KINDS = {
 
 
 def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> tuple[Source, tuple[Sink, ...]]:
-    """The source of this text, KIND:TARGET, not open yet, and who publishes on its side.
+    """The source of this text, KIND:TARGET, not open yet, and the publishers that belong to it.
 
     Args:
-        bundle: what publishers tell forces with.
+        bundle: basis of the forces that publishers send.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
     """
     kind, colon, target = text.partition(":")
-    choices = ", ".join(f"{name}:{known.target}" if known.target else name for name, known in KINDS.items())
-    known = KINDS.get(kind)
-    if known is None or bool(target) != bool(known.target) or (colon and not target):
+    choices = ", ".join(f"{name}:{one.target}" if one.target else name for name, one in KINDS.items())
+    chosen = KINDS.get(kind)
+    if chosen is None or bool(target) != bool(chosen.target) or (colon and not target):
         raise ConfigError(f"--source {text!r} must be one of {choices}")
     for name in SourceOptions.__dataclass_fields__:
-        if getattr(options, name) is not None and name not in known.takes:
+        if getattr(options, name) is not None and name not in chosen.takes:
             those = ", ".join(other for other, one in KINDS.items() if name in one.takes)
             raise ConfigError(f"--{name.replace('_', '-')} is for source {those}, not for {kind}")
     if kind == "ros2":
@@ -87,7 +87,7 @@ def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> 
 
 
 def source_of(kind: str, target: str, options: SourceOptions) -> Source:
-    """A source that nobody publishes beside; only what this kind needs is imported."""
+    """A source without publishers of its own; only the modules of this kind are imported."""
     if kind == "replay":
         from tauext.sources.replay import ReplaySource
 
@@ -106,8 +106,8 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
 
         return FrankaSource(target)
     if options.bus is None:
-        known = f"{kind}:{KINDS[kind].target}"
-        raise ConfigError(f"--source {known} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
+        named = f"{kind}:{KINDS[kind].target}"
+        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
     if kind == "damiao":
         from tauext.sources.damiao import DamiaoSource, load_can_bus
 
@@ -123,12 +123,12 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
 
 STDIN = Path("-")
 MOST_CORES = 1024
-"""That Linux pins threads to."""
+"""Largest number of processors to which Linux pins threads."""
 
 
 @dataclass(frozen=True)
 class Extras:
-    """What runs beside the loop."""
+    """Files, folders and settings of everything that runs beside the loop."""
 
     reactions: Place | None
     profiles: Place | None
@@ -167,7 +167,7 @@ def monitor(
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
-    """Watch a live arm: torque, contact and collision as they happen, and what shall follow from them.
+    """Watch a live arm: torque, contact and collision as they happen, and the reactions to them.
 
     Ctrl-C ends it with a summary. Docs: docs/live.md.
 
@@ -176,12 +176,13 @@ def monitor(
         source: where samples come from: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN,
             ros2.
         speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
-        torque_constants: with --source ur, a file that says how many Nm a motor current makes at each joint.
+        torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
+            current.
         bus: file (TOML) of --source feetech, dynamixel or damiao: which servo is which joint, where its zero is and
             which way it turns; for serial servos LeRobot's calibration file (*.json) will do, too.
         new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
         ros2: topics and quality of service of --source ros2; docs/ros2.md.
-        reactions: file (TOML) of what shall happen at a collision, contact or fault, and when it is over.
+        reactions: file (TOML) of reactions to a collision, contact or fault, and to its end.
         new_reactions: file to write a commented example of reactions to; nothing is watched then.
         profiles: file (TOML) of named factors on the limits, switched while the monitor runs.
         new_profiles: file to write a commented example of profiles to; nothing is watched then.
@@ -189,8 +190,8 @@ def monitor(
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         missing_after_ms: time after the last sample when the next one counts as missing, [ms]. None: two periods, or
             a period and 2 ms where that is more.
-        acknowledge_after_s: seconds after which a collision is acknowledged. None: only when asked to.
-        duration_s: time after which watching ends, [s]. None: with the source, or when asked to.
+        acknowledge_after_s: seconds after which a collision is acknowledged. None: only on request.
+        duration_s: time after which watching ends, [s]. None: with the source, or on request.
         flights: folder for flights: recording, estimates and an explanation in words around every collision and fault;
             files that are there are never overwritten. None: no flights.
         before_s: seconds that a flight keeps from before its event.
@@ -200,8 +201,8 @@ def monitor(
         segment_s: length of each of the recordings, [s]: what a killed process loses at most.
         core: processor core that the loop and what receives samples are pinned to. None: any.
         priority: real-time priority of the loop and what receives samples, SCHED_FIFO, 1 to 99. None: an ordinary one.
-        wrench: frame of the bundle at which the force of every touch is told, too, with how far it may be wrong and
-            its direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
+        wrench: frame of the bundle at which the force of every touch is reported, too, with its uncertainty and
+            direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
         as_json: print JSON lines, an object an event.
         status_hz: with --json, how many times per second the estimates are printed, too; 0: events only.
     """
@@ -234,14 +235,14 @@ def monitor(
 
 
 def quiet_library(source: str) -> AbstractContextManager[None]:
-    """A publisher of garbage is told of by its count, not by the library's line for each message."""
+    """Silence the library's line for each damaged message of a publisher; the source reports their count."""
     if source != "ros2":
         return nullcontext()
     import sys
 
     try:
         from tauext.sources.ros2_node import without_lines
-    except ImportError:  # the source says what is missing
+    except ImportError:  # the source reports what is missing
         return nullcontext()
     return without_lines() if sys.stderr is sys.__stderr__ else nullcontext()
 
@@ -253,7 +254,7 @@ def require_positive(**values: float | None) -> None:
 
 
 def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | None, also_run: bool) -> None:
-    """Write the files that were asked for."""
+    """Write the template files whose paths are given."""
     from tauext.files.toml_file import write_template
     from tauext.monitor.profiles import TEMPLATE as PROFILES
     from tauext.monitor.reaction_file import TEMPLATE as REACTIONS
@@ -272,7 +273,7 @@ def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | N
 def watch(
     path: Place, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: Output
 ) -> None:
-    """Connect everything, run the loop, tell the summary.
+    """Connect everything, run the loop, print the summary.
 
     Raises:
         ConfigError: something does not fit, before the first sample; or, at the end, samples or flights are lost.
@@ -313,7 +314,7 @@ def watch(
         stack.enter_context(controlled(extras.control, loop))
         aside.do(partial(output.start_live, source.name, bundle))
         loop.run()
-        shown.tell_news()
+        shown.print_news()
         if recorder is not None:
             shown.flights.missed = recorder.missed
         outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
@@ -341,7 +342,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
         signal.signal(number, before[signal.Signals(number)])
         loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
 
-    steered = weakref.proxy(loop)  # a thread that waits for a line for ever shall not keep it alive
+    steered = weakref.proxy(loop)  # a thread that waits for a line for ever must not keep it alive
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}

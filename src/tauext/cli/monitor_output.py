@@ -16,13 +16,13 @@ from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.replay import PACED_CHUNK_S, Tally
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
-# --- Output beside the loop: a terminal that draws, or a pipe that nobody reads, delays no sample.
+# --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
 
 
 MOST_WAITING = 1000
-"""Things to tell before those that may be left out are: twenty seconds of chunks."""
+"""Waiting outputs above which optional ones are dropped: twenty seconds of chunks."""
 END_S = 5.0
-"""A reader has so long for what is left at the end."""
+"""Time that a reader has at the end for the outputs that still wait, [s]."""
 
 
 class Aside:
@@ -33,7 +33,7 @@ class Aside:
 
     def __init__(self, failed: Callable[[], None]):
         self.left_out = 0
-        """Things that were not told, as too many waited."""
+        """Outputs that were dropped because too many waited."""
         self._failed = failed
         self._error: BaseException | None = None
         self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -66,7 +66,7 @@ class Aside:
                 return
 
 
-# --- What the loop reports, told aside.
+# --- Reports of the loop, printed in another thread.
 
 
 QUIET_S = 10
@@ -74,7 +74,8 @@ QUIET_S = 10
 
 
 class OutputSink:
-    """Counts verdicts, and has them told aside in chunks of a viewer's eye-blink, ended early by every change."""
+    """Counts verdicts and prints them in another thread, in chunks of PACED_CHUNK_S; every change ends a chunk
+    early."""
 
     def __init__(
         self,
@@ -101,17 +102,17 @@ class OutputSink:
             self._aside.do(partial(self._output.first, verdict.t_ns))
         self._verdicts.append(verdict)
         if verdict.changes or len(self._verdicts) >= self._most:
-            self._tell()
+            self._print()
 
     def every_second(self, report: LoopReport) -> None:
         if not self._seen:
             if self._silent_s % QUIET_S == 0:
                 self.note("no sample yet")
             self._silent_s += 1
-        self._tell()
+        self._print()
 
     def close(self) -> None:
-        self._tell()
+        self._print()
 
     def note(self, text: str) -> None:
         """For the loop."""
@@ -121,20 +122,20 @@ class OutputSink:
         """For the loop."""
         self._aside.do(partial(self._output.switched, switch))
 
-    def tell_news(self) -> None:
-        """What became of reactions and flights."""
+    def print_news(self) -> None:
+        """Print the outcome of reactions and flights."""
         for news in self._reactions.news():
             self._aside.do(partial(self._output.reaction, news))
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
             self._aside.do(partial(self._output.flight, flight))
 
-    def _tell(self) -> None:
+    def _print(self) -> None:
         """Samples that did not come are shown, and not counted."""
-        self.tell_news()
-        told, self._verdicts = self._verdicts, []
-        if not told:
+        self.print_news()
+        verdicts, self._verdicts = self._verdicts, []
+        if not verdicts:
             return
-        chunk = chunk_of(told)
-        self.tally.add(chunk, self._monitor, [one.sample is not None for one in told])
+        chunk = chunk_of(verdicts)
+        self.tally.add(chunk, self._monitor, [one.sample is not None for one in verdicts])
         self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)

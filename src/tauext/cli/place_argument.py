@@ -43,7 +43,7 @@ LOCAL: PrimitiveConstructorSpec[Path] = PrimitiveConstructorSpec(
     nargs=1, metavar="PATH", instance_from_str=local, is_instance=is_place, str_from_instance=lambda path: [str(path)]
 )
 LocalArg = Annotated[Path, LOCAL]
-"""Of this machine alone."""
+"""A path on this machine; no URL."""
 
 
 AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]
@@ -52,11 +52,11 @@ JsonArg = Annotated[bool, tyro.conf.arg(name="json")]
 """The option --json."""
 
 
-# --- The one rule for outputs that stand already: results are replaced, and a line says so before the work begins.
+# --- Outputs that exist already: results are replaced, and a line on stderr names them before the work begins.
 
 
-def tell_replaced(*outputs: Place) -> None:
-    """Name those of these files that are there, on stderr."""
+def print_replaced(*outputs: Place) -> None:
+    """Print on stderr which of these files exist and will be replaced."""
     for path in outputs:
         if path.is_file():
             print(f"tauext: {path} is there already and will be replaced", file=sys.stderr)
@@ -80,7 +80,7 @@ def expect_another(out: Place, source: Place, purpose: str) -> None:
 
 def write_another(new: Bundle, source: Place, out: Place) -> None:
     """Both files or none; those that are replaced are named on stderr."""
-    tell_replaced(out)
+    print_replaced(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     run = source.with_suffix(".run.json")
     beside = [run] if run.is_file() else []

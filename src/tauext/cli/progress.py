@@ -1,4 +1,4 @@
-"""What commands print: sentences and progress bars on stderr, so that stdout stays clean; tables."""
+"""Output of commands: sentences and progress bars on stderr, so that stdout stays clean; tables."""
 
 from __future__ import annotations
 

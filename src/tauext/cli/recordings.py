@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tauext.cli.place_argument import JsonArg, PlaceArg, tell_replaced
+from tauext.cli.place_argument import JsonArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal
 from tauext.config import require, require_seed
 from tauext.errors import ConfigError
@@ -36,8 +36,8 @@ def import_data(
 
     First `tauext import --new arm.toml --source FILE --robot FILE` writes a description to fill in, then
     `tauext import --source FILE ... --arm arm.toml --out DIR` imports. All that was done to the numbers is printed and
-    kept in the recordings. In the end all that would be trained on is looked at: faults, which train will refuse, and
-    warnings are told; the dataset stays, so that `tauext check` can draw it.
+    kept in the recordings. At the end all training data is checked: faults, which train will refuse, and
+    warnings are printed; the dataset stays, so that `tauext check` can draw it.
 
     Args:
         source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
@@ -68,7 +68,7 @@ def import_data(
     with staged(out, fresh=True) as folder:
         import_dataset([local_folder(one) for one in source], arm, folder, format, print)
         if format == "tauext":
-            tell_findings(folder)
+            print_findings(folder)
     print(out)
 
 
@@ -106,8 +106,8 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
     return ""
 
 
-def tell_findings(out: Path) -> None:
-    """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
+def print_findings(out: Path) -> None:
+    """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
     from tauext.check.look import entries, sentence, told
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
@@ -128,7 +128,7 @@ def tell_findings(out: Path) -> None:
     faults = [finding for finding in findings if finding.severity == "fault"]
     if faults:
         plural = "" if len(faults) == 1 else "s"
-        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; mend arm.toml, and import again"
+        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; correct arm.toml, and import again"
         terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
 
 
@@ -192,16 +192,16 @@ def check(
     gravity: tuple[float, float, float] | None = None,
     as_json: JsonArg = False,
 ) -> int:
-    """Look for mistakes of units, signs, order and timing in recordings, and in the robot file.
+    """Detect mistakes of units, signs, order and timing in recordings, and in the robot file.
 
     Prints each finding with its evidence and what to do. Exit status: 0 no fault (there may be warnings), 1 a fault,
     2 bad input.
 
     Args:
         data: a dataset folder, a folder of recordings, or recordings (*.parquet), of free motion.
-        robot: URDF or MJCF of the arm; default: the dataset's own. Without any, what needs a model is not looked for.
-        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures; those that are
-            there are replaced, and said to be.
+        robot: URDF or MJCF of the arm; default: the dataset's own. Without any, checks that need a model are left out.
+        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures; existing
+            ones are replaced, and named on stderr.
         gravity: acceleration of free fall in the base frame, m/s^2; default: the robot file's.
         as_json: print the findings as JSON for scripts.
     """
@@ -209,7 +209,7 @@ def check(
 
     if out is not None:
         expect_folder(out)
-        tell_replaced(out / "check.json")
+        print_replaced(out / "check.json")
     recordings, free, robot = gather(data, robot, Terminal())
     diagnosis = examine(recordings, robot, gravity, free, Terminal())
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
@@ -239,8 +239,8 @@ def label(
     """Add external torque, contact and collision to every frame of a LeRobot dataset that has state and action only.
 
     Reads and writes datasets of v3.0 (lerobot 0.4 and later) and v2.1 (0.3), without LeRobot. The torque comes from
-    the goal (the action of the frame before) minus the state. Every episode begins with a monitor that knows nothing:
-    for about a second contact and collision are -1, not known. The dataset itself is only read; what is written
+    the goal (the action of the frame before) minus the state. Every episode begins with a new monitor:
+    for about a second contact and collision are -1, unknown. The dataset itself is only read; what is written
     appears whole or not at all, with features and statistics brought up to date, and videos linked or copied as they
     are. The bundle comes from the same kind of data: `tauext import --source DATASET --arm arm.toml --out DIR`, then
     `tauext train --data DIR --out arm.tauext`.
@@ -255,7 +255,7 @@ def label(
             that arm.toml names.
         into: where labels go. state: elements of observation.state, as a robot wrapped by lerobot_robot_tauext records
             them; features: observation.tau_ext, observation.contact and observation.collision, which leaves the state
-            as policies trained on it know it.
+            as it was when policies were trained on it.
         as_json: print the counts as one JSON object.
     """
     from tauext.bundle.bundle_file import load_bundle

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from tauext.cli.place_argument import PlaceArg, tell_replaced
+from tauext.cli.place_argument import PlaceArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.cli.results import command_line
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
@@ -58,7 +58,7 @@ SCALES = {
 
 
 def trainings(scale: Scale, cases: Sequence[str], seed: int) -> dict[str, tuple[ModelCase, TrainConfig]]:
-    """What is trained, by the names of the bundles: every case, then those by another recipe, one after the other."""
+    """Trainings by the names of their bundles: every case, then those by another recipe, one after the other."""
     jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
     if scale.beside is not None:
         other = replace(scale.beside.training, seed=seed)
@@ -80,7 +80,7 @@ def reproduce_paper(
 
     Args:
         command: what is run, for the report.
-        report: is told how far it is.
+        report: receives the progress.
     """
     from tauext.data.dataset import load_dataset
     from tauext.evaluate.results_folder import evaluate_bundles
@@ -108,7 +108,7 @@ def reproduce_paper(
     if missing:
         robot = dataset.robot_file(None)
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
-        # One look for all: with a model it holds all that one without a model would.
+        # One check for all: with a model it contains every check that works without a model.
         case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
         looked = look_first(dataset, Given(robot, case, training, validation), config, (), report)
         for name in missing:
@@ -130,8 +130,8 @@ def reproduce(
 ) -> None:
     """Simulate, train five models, evaluate and report: the whole paper in one command.
 
-    What is finished is kept: the same command goes on where it was interrupted. Results and report are written anew,
-    and those that are there said to be replaced.
+    What is finished is kept: the same command goes on where it was interrupted. Existing results and an
+    existing report are replaced, and named on stderr.
 
     Args:
         out: folder for data, bundles, results and report.
@@ -144,7 +144,7 @@ def reproduce(
     """
     require_seed(seed)
     expect_folder(out)
-    tell_replaced(out / "results" / "results.json", out / "report" / "report.html")
+    print_replaced(out / "results" / "results.json", out / "report" / "report.html")
     with staged(out) as folder:
         page = reproduce_paper(folder, scale, SCALES[scale], cases, seed, command_line(), Terminal())
     print(out / page.relative_to(folder).as_posix())

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
+from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
@@ -54,17 +54,17 @@ def evaluate(
 
     Args:
         data: dataset folder; its test and collision recordings are used.
-        out: results folder to write: results.json and estimates/; results that are there are replaced, and said to be.
+        out: results folder to write: results.json and estimates/; existing results are replaced, and named on stderr.
         bundles: bundles (*.tauext) to compare, named in the results by their file names.
         baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
-            compare them, beside detectors that know nothing; those that are there are used again.
+            compare them, beside trivial detectors; existing ones are used again.
         case: model case of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
         seed: seed of the baselines' training and of the choice of the ten collisions.
         threads: threads that train and estimate; 0: one a core. The result does not depend on it.
         keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
             figures.
-        accept: codes of findings that are no fault of the baselines' training data on your word, as of train.
+        accept: codes of faults in the training data of the baselines to accept, as of train.
         inject: add simulated hits, ramps and presses to the free test motion, at the end of each link and in random
             directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
         events: how alarms are held against labels.
@@ -83,7 +83,7 @@ def evaluate(
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
         raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
-    tell_replaced(out / "results.json")
+    print_replaced(out / "results.json")
     dataset = load_dataset(data)
     with staged(out) as folder:
         paths = list(bundles)
@@ -129,7 +129,7 @@ def report(
     Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
 
     Args:
-        out: folder to write the page and its figures to; a page that is there is replaced, and said to be.
+        out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
         results: results folder to draw (`tauext evaluate` makes one).
         data: dataset folder that was evaluated.
         flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
@@ -153,7 +153,7 @@ def report(
             print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
         print(page)
     elif results is not None and data is not None:
-        tell_replaced(out / "report.html")
+        print_replaced(out / "report.html")
         with staged(out, fresh=True) as folder:
             page = write_report(local_folder(results), load_dataset(data).folder, folder, page_mb, trace_methods)
         print(out / page.name)

@@ -36,7 +36,7 @@ class RunSettings:
     flights: FlightSettings | None
     loads: tuple[TimedLoad, ...]
     wrench: str | None
-    """Frame that the force of a touch is told at, too."""
+    """Frame at which the force of a touch is reported, too."""
 
 
 def run(
@@ -58,8 +58,8 @@ def run(
 ) -> None:
     """Replay recordings through the monitor: alarms, health and their causes as a control loop would see them.
 
-    The same core runs in the loop, so what is said here is said there, sample by sample, however fast the replay. Every
-    recording begins with a monitor that knows nothing: it warms up for about a second. On a terminal a live view is
+    The same core runs in the loop, so both give the same estimates, sample by sample, however fast the replay. Every
+    recording begins with a new monitor: it warms up for about a second. On a terminal a live view is
     shown; elsewhere a line an event, and a summary at the end.
 
     Args:
@@ -76,10 +76,10 @@ def run(
         after_s: seconds that a flight keeps from after its event.
         contacts: write flights of contacts, too.
         load: what the arm carries all the time, in the bundle's load frame: "mass=2.8, com=0 0 0.05", with
-            inertia=XX YY ZZ XY XZ YZ and error=SHARE where they are known; in kg, m, kg m^2.
+            inertia=XX YY ZZ XY XZ YZ and error=SHARE if they are known; in kg, m, kg m^2.
         loads: file (TOML) of what it carries from when on; docs/monitor.md.
-        wrench: frame of the bundle at which the force of every touch is told, too, with how far it may be wrong and
-            its direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
+        wrench: frame of the bundle at which the force of every touch is reported, too, with its uncertainty and
+            direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
             only.
@@ -98,8 +98,8 @@ def run(
         kept = None
         if folder is not None and flights is not None:
             kept = FlightSettings(folder, before_s, after_s, contacts, flights)
-        told = told_loads(loaded, load, loads)
-        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, told, wrench)
+        carried = timed_loads(loaded, load, loads)
+        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench)
         PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
         if kept is not None:
             kept.recorder(loaded)
@@ -107,8 +107,8 @@ def run(
             replay_all(loaded, recordings, settings, output)
 
 
-def told_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[TimedLoad, ...]:
-    """What the arm carries, and from when on.
+def timed_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[TimedLoad, ...]:
+    """Loads of the arm, with the times from which on it carries them.
 
     Raises:
         ConfigError: it cannot be read, or the bundle takes no such load.
@@ -116,14 +116,16 @@ def told_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[T
     from tauext.monitor.loads import TimedLoad, expect_load, load_of_text, read_loads
 
     require(load is None or loads is None, "load", load, "left out where --loads gives a file of them")
-    told = [TimedLoad(0.0, load_of_text(load))] if load is not None else read_loads(loads) if loads is not None else []
-    for one in told:
+    listed = (
+        [TimedLoad(0.0, load_of_text(load))] if load is not None else read_loads(loads) if loads is not None else []
+    )
+    for one in listed:
         expect_load(bundle.load_settings, one.load)
-    return tuple(told)
+    return tuple(listed)
 
 
 def open_output(as_json: bool, status_hz: float, flights: Place | Path | None, acknowledges: bool) -> Output:
-    """JSON lines where asked for, a live view on a terminal, else lines of text."""
+    """JSON lines if as_json, a live view on a terminal, else lines of text."""
     if as_json:
         from tauext.cli.json_lines import JsonLines
 
@@ -138,7 +140,7 @@ def open_output(as_json: bool, status_hz: float, flights: Place | Path | None, a
 
 
 def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
-    """The bundle, after a look at the head of every recording: all of them fit it.
+    """Load the bundle, and check by the head of every recording that it fits.
 
     Raises:
         ConfigError: no recording.
@@ -205,7 +207,7 @@ def replay_one(
         writer = FlightWriter(recorder, partial(write_flight, folder=kept.folder, source=source))
         chunk_s = min(chunk_s, max(kept.after_s, PACED_CHUNK_S))
 
-    def tell_flights() -> None:
+    def print_flights() -> None:
         for news in writer.news() if writer is not None else ():
             flights.add(news)
             if kept is not None and news.path is not None:  # not where it waits to be sent
@@ -221,9 +223,9 @@ def replay_one(
                 if writer is not None:
                     writer.catch_up()
                 output.chunk(chunk, tally)
-                tell_flights()
+                print_flights()
     finally:
-        tell_flights()
+        print_flights()
         if recorder is not None:
             flights.missed += recorder.missed
         total.merge(tally)

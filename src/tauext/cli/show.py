@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Content = dict[str, Any]
-"""By identifiers, for --json; units are in their names. Text has the same with blanks, and words beside it."""
+"""Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
 SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
 UNITS = {
     "_nm": "Nm",
@@ -32,7 +32,7 @@ UNITS = {
     "_kg": "kg",
     "_m": "m",
 }
-"""By the end of an identifier; the first that fits."""
+"""Units by the end of an identifier; the first that fits."""
 ESTIMATED = ("limits", "contact_limits", "drift")
 """Beginnings of identifiers whose values have the unit of the estimate, which is not Nm for every bundle."""
 IN_WORDS = ("provenance", "situations", "table")
@@ -57,7 +57,7 @@ def show(
         as_json: print what is found as JSON for scripts.
         force: print what force at each link's end goes over a bundle's limits, in newtons.
         data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
-        frame: frames that --force tells, too.
+        frame: frames at which --force gives the force, too.
         picture: PNG that --force draws.
     """
     if not file.is_file():
@@ -192,7 +192,7 @@ def describe_bundle(file: Place) -> Content:
 
 
 def in_order(facts: Any, names: list[str]) -> Any:
-    """The same, with every object that goes by joints in the arm's order of joints."""
+    """The content with the joints of every object in the arm's order."""
     if not isinstance(facts, dict):
         return facts
     keys = [name for name in names if name in facts]
@@ -218,9 +218,9 @@ def beyond(bundle: Bundle, joint: int) -> str:
     unit = short(bundle.estimate_units[joint])
     speed_unit = "m/s" if bundle.links[joint].type.name == "prismatic" else "rad/s"
     torque, speed = bundle.possible_torque_nm[joint], bundle.possible_speed_rad_s[joint]
-    told = [f"{torque:.4g} {unit}"] if math.isfinite(torque) else []
-    told += [f"{speed:.4g} {speed_unit}, also from one position to the next"] if math.isfinite(speed) else []
-    return " and ".join(told) or "nothing is known"
+    bounds = [f"{torque:.4g} {unit}"] if math.isfinite(torque) else []
+    bounds += [f"{speed:.4g} {speed_unit}, also from one position to the next"] if math.isfinite(speed) else []
+    return " and ".join(bounds) or "unknown"
 
 
 def describe_load(settings: LoadSettings) -> Content:
@@ -280,7 +280,7 @@ def describe_drift(bundle: Bundle, names: list[str]) -> Content:
 
 
 def describe_coverage(bundle: Bundle, names: list[str]) -> Content:
-    """What motion training saw; nothing where nobody knows."""
+    """Motion that the training data covers; empty where the bundle does not hold it."""
     coverage = bundle.coverage
     if coverage.empty:
         return {}
@@ -314,53 +314,53 @@ def situation_lines(content: Content) -> list[str]:
 
 
 def words_of_provenance(content: Content) -> dict[str, str]:
-    """What was learned, accepted, warned of and promised."""
+    """Facts of the training in words: fits, accepted findings, warnings, promises."""
     from tauext.bundle.bundle_file import changed_since_training
     from tauext.bundle.units import sentences
 
     facts: Content = content["provenance"]
     made = {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")}
-    told: dict[str, str] = {"made by": in_text({key: value for key, value in made.items() if value is not None})}
-    told |= prior_words(facts.get("prior", {}))
-    told |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
-    told |= changed_since_training(facts)
+    rows: dict[str, str] = {"made by": in_text({key: value for key, value in made.items() if value is not None})}
+    rows |= prior_words(facts.get("prior", {}))
+    rows |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
+    rows |= changed_since_training(facts)
     for recordings, looked in facts.get("look", {}).items():
         for what, entries in looked.items():
             for entry in entries:
                 joint = f" of {entry['joint']}" if entry["joint"] else ""
-                told[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
+                rows[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
     if "minutes_factor" in limits:
-        told["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
+        rows["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
     if "friction_reserve" in limits:
-        told["share of the friction in the limits, since it changes"] = in_text(limits["friction_reserve"])
+        rows["share of the friction in the limits, since it changes"] = in_text(limits["friction_reserve"])
     if "hours" in scale:
-        told["error scale was found on [h]"] = in_text(scale["hours"])
+        rows["error scale was found on [h]"] = in_text(scale["hours"])
     if found := content.get("situations"):
-        told |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
+        rows |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
     if "reason" in facts.get("gain", {}):
-        told["gain was chosen"] = facts["gain"]["reason"]
+        rows["gain was chosen"] = facts["gain"]["reason"]
     for moment in limits.get("one_moment", []):
-        told[f"warning: one moment sets the limit of {moment['joint']}"] = (
+        rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} Nm "
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} Nm"
         )
     if "sentence" in limits:
-        told["limits promise"] = limits["sentence"]
+        rows["limits promise"] = limits["sentence"]
     if "other_motion" in limits:
-        told["in other motion"] = limits["other_motion"]["sentence"]
+        rows["in other motion"] = limits["other_motion"]["sentence"]
     if "set_for" in limits:
-        told["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
-    return told
+        rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
+    return rows
 
 
 LOOKED = {"accepted": "accepted", "warnings": "warning"}
-"""What a look found, by its name in the provenance."""
+"""Words for the findings of the checks before training, by their names in the provenance."""
 
 
 def prior_words(fitted: Content) -> dict[str, str]:
-    """What was fitted, as an engineer would compare it with a data sheet."""
-    told: dict[str, str] = {}
+    """Fitted parameters in the units of a data sheet."""
+    rows: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():
         words = [
             f"Coulomb {friction['coulomb_nm']:.3g} Nm",
@@ -370,19 +370,19 @@ def prior_words(fitted: Content) -> dict[str, str]:
         ]
         if friction["not_supported"]:
             words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
-        told[f"friction of {joint}"] = "; ".join(words)
+        rows[f"friction of {joint}"] = "; ".join(words)
     for joint, found in fitted.get("arm", {}).items():
         words = ["axis " + " ".join(f"{value:.2g}" for value in found["axis"])]
         if "angle_deg" in found:
             words.append(f"{found['angle_deg']:.3g}° and {found['distance_m']:.2g} m from the axis before")
-        told[f"found in the motion of {joint}"] = "; ".join(words)
+        rows[f"found in the motion of {joint}"] = "; ".join(words)
     for joint, corrections in fitted.get("model", {}).items():
         supported = {name: value for name, value in corrections.items() if isinstance(value, dict)}
         words = [f"{name} {value['by']:+.3g} ± {value['standard_error']:.1g}" for name, value in supported.items()]
         left = [name.split(" ")[0] for name in corrections if name not in supported]
         words.append(f"not supported by the data: {', '.join(left)}")
-        told[f"model error of {joint}"] = "; ".join(words)
-    return told
+        rows[f"model error of {joint}"] = "; ".join(words)
+    return rows
 
 
 # --- A recording.
@@ -431,13 +431,11 @@ def describe_fleet_prior(file: Place) -> Content:
         return described(file, prior)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
         why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(
-            f"{file}: what it says of its arms is damaged ({why}); `tauext fleet prior` makes one"
-        ) from error
+        raise ConfigError(f"{file}: its data of the arms is damaged ({why}); `tauext fleet prior` makes one") from error
 
 
 def described(file: Place, prior: FleetPrior) -> Content:
-    """The same of what was read; KeyError, TypeError or ValueError of whatever is missing."""
+    """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
     from tauext.fleet.prior import ODD, table
 
     facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
@@ -476,7 +474,7 @@ def term_counts(group: Any) -> Iterator[tuple[str, int]]:
 
 
 def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Content:
-    """What the next arm's limits rest on: errors of the fleet's arms, or its own minute alone."""
+    """Basis of the next arm's limits: errors of the fleet's arms, or its own minute alone."""
     if errors is None:
         return {"limits_of_the_next_arm": "follow from its own minute: no three arms showed more than a minute"}
     return {

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
 
 USUAL_TORQUE_SHARE = 0.05
-"""Of bundles without wrench settings (WrenchSettings::kUsualTorqueShare)."""
+"""Torque error of bundles without wrench settings, as a share (WrenchSettings::kUsualTorqueShare)."""
 BLIND = "blind"
 
 
 def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequence[str], picture: Place | None) -> None:
-    """Print, and draw where that is asked for, what force on a link a bundle notices."""
+    """Print what force on a link a bundle notices, and draw it if `picture` is given."""
     if file.suffix != ".tauext":
         raise ConfigError(f"{file}: --force is of a bundle (*.tauext)")
     expect_picture(picture)
@@ -35,7 +35,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
     """Forces that a bundle's limits notice, over the poses of recordings or over those that it keeps.
 
     Raises:
-        BundleError: it tells no forces, or keeps no poses and no recording is given.
+        BundleError: it estimates no forces, or keeps no poses and no recording is given.
         ConfigError: there is no such frame or recording.
     """
     from tauext.bundle.bundle_file import load_bundle
@@ -50,7 +50,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         found = noticed_in_usual_motion(bundle, frames)
         of = (
             "that the bundle keeps of its training's motion, with its limits in usual motion (after a stop or while it "
-            "speeds up they are higher; --data tells)"
+            "speeds up they are higher; --data shows them)"
         )
     share = max(bundle.wrench_settings.torque_share or [USUAL_TORQUE_SHARE])
     return {"bundle": bundle.name, "poses_of": of, "torque_share": share, **found}
@@ -87,7 +87,7 @@ def expect_picture(picture: Place | None) -> None:
 
 
 def force_lines(found: dict) -> list[str]:
-    """The tables, and what they say and do not say."""
+    """The tables, with the conditions under which they hold."""
     from tauext.report.force_figures import CLOSING, joined, left_out_words, surely
 
     lines = [
@@ -100,12 +100,12 @@ def force_lines(found: dict) -> list[str]:
     for name, entries in joined(found["limits"]).items():
         lines += ["", f"limit: {name}", *aligned([HEADING, *map(cells, entries)])]
     after, hold = found["twice_after_s"], found["hold_s"]
-    told = [f"{level} after {1e3 * after[level]:.0f} ms (held for {1e3 * hold[level]:g} ms)" for level in after]
+    levels = [f"{level} after {1e3 * after[level]:.0f} ms (held for {1e3 * hold[level]:g} ms)" for level in after]
     return [
         *lines,
         "",
         f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found['gain_per_s']:g} 1/s. "
-        f"Twice such a force is told as a {' and as a '.join(told)}. A shorter impact may peak higher unnoticed.",
+        f"Twice such a force is reported as a {' and as a '.join(levels)}. A shorter impact may peak higher unnoticed.",
         f"The estimate errs, by {found['error_share']:.0%} of a limit (one standard error): 19 of 20 forces go over it "
         f"from {surely(found['error_share']):.2g} times these on. Torque constants and gears: up to "
         f"{found['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
 MOST_UNFAMILIAR = 3
-"""Of what training never saw."""
+"""Largest number of kinds of unfamiliar motion that the summary lists."""
 MOST_BEHIND_LINES = 10
 """About collisions behind one alarm that stands."""
 
@@ -81,7 +81,7 @@ class TextLines:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         print(line, flush=True)
 
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
@@ -89,7 +89,7 @@ class TextLines:
         self._of = of
         self._begin(recording.name, bundle, int(recording.t_ns[0]), recording.duration_s)
         which = f" ({number} of {of})" if of > 1 else ""
-        self.say(
+        self.print_line(
             f"{recording.name}{which}: {recording.duration_s:.1f} s, {recording.samples:,} samples at "
             f"{recording.rate_hz:g} Hz, bundle {bundle.name}"
         )
@@ -98,7 +98,7 @@ class TextLines:
         """A live source begins."""
         self._begin(source, bundle, None, math.inf)
         rate_hz = 1e9 / bundle.observer.sample_period_ns
-        self.say(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
+        self.print_line(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
 
     def first(self, t_ns: int) -> None:
         """The first live sample."""
@@ -128,7 +128,7 @@ class TextLines:
         self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
 
     def note(self, text: str) -> None:
-        self.say(f"{'':13}  {text}")
+        self.print_line(f"{'':13}  {text}")
 
     def switched(self, switch: ProfileSwitch) -> None:
         text = f"profile {switch.new}" + (f" (was {switch.old})" if switch.old else "") + f", by {switch.by}"
@@ -149,45 +149,45 @@ class TextLines:
 
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
         """The end of one recording."""
-        self._tell_rest()
+        self._print_rest()
         if self._of > 1:
-            self._say_all(summary_lines(tally, flights, self._flights))
+            self._print_all(summary_lines(tally, flights, self._flights))
 
     def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None:
         """The end of all recordings."""
         if tally.samples:
             stopped = ", interrupted" if interrupted else ""
-            self.say(f"{recordings} recording{'s' * (recordings != 1)} to the end{stopped}")
-            self._say_all(summary_lines(tally, flights, self._flights))
+            self.print_line(f"{recordings} recording{'s' * (recordings != 1)} to the end{stopped}")
+            self._print_all(summary_lines(tally, flights, self._flights))
 
     def finish(self, outcome: Outcome) -> None:
         """The end of a live source."""
-        self._tell_rest()
-        self.say("ended")
+        self._print_rest()
+        self.print_line("ended")
         counts = outcome.counts
-        lines = summary_lines(outcome.tally, outcome.flights, self._flights, f"told after {outcome.tick.text()}")
+        lines = summary_lines(outcome.tally, outcome.flights, self._flights, f"reported after {outcome.tick.text()}")
         gone = [f"{n} {what}" for what, n in asdict(counts).items() if n and what != "received"]
         gone += [f"{outcome.missing} times none in time"] if outcome.missing else []
         lines.insert(1, f"source        {counts.received:,} received, {', '.join(gone) if gone else 'none lost'}")
         for name, count in outcome.reactions.items():
-            told = [f"{n} {what.replace('_', ' ')}" for what, n in count.summary().items() if what != "start" and n]
+            events = [f"{n} {what.replace('_', ' ')}" for what, n in count.summary().items() if what != "start" and n]
             start = f"; began after {count.start.text()}" if count.start.count else ""
-            lines.append(f"reaction      {name}: {', '.join(told) if told else 'no event'}{start}")
+            lines.append(f"reaction      {name}: {', '.join(events) if events else 'no event'}{start}")
         if (kept := outcome.recorded) is not None:
             left = f", {kept.unfit} unfit" if kept.unfit else ""
             lost = f", {kept.lost} LOST: {kept.error}" if kept.lost else ""
             lines.append(f"recorded      {kept.samples:,} samples in {kept.files} files{left}{lost}")
-        self._say_all(lines)
+        self._print_all(lines)
 
-    def _say_all(self, lines: list[str]) -> None:
+    def _print_all(self, lines: list[str]) -> None:
         for line in lines:
-            self.say(f"  {line}")
+            self.print_line(f"  {line}")
 
     def _time_s(self, t_ns: int) -> float:
         return (t_ns - (self._start_ns or 0)) * 1e-9
 
     def _event(self, t_ns: int, text: str) -> None:
-        self.say(f"{self._time_s(t_ns):11.3f} s  {text}")
+        self.print_line(f"{self._time_s(t_ns):11.3f} s  {text}")
 
     def _health(self, change: HealthChange) -> None:
         """The first of its kind, and a line at the end about the others: a bad cable can fail at every sample."""
@@ -197,16 +197,16 @@ class TextLines:
             self._event(change.t_ns, health_words(change, self._joints))
         self._healths[kind] = times + 1, change
 
-    def _tell_rest(self) -> None:
+    def _print_rest(self) -> None:
         """How often health failed, and what an alarm hid that stands at the end."""
         for times, last in self._healths.values():
             if times > 1 and HEALTHS[last.health] in ("stale", "fault"):
                 words = health_words(replace(last, was=last.health), self._joints)
-                self.say(f"  {words}: {times:,} times, the last at {self._time_s(last.t_ns):.3f} s")
+                self.print_line(f"  {words}: {times:,} times, the last at {self._time_s(last.t_ns):.3f} s")
         if self._latched_s is None or self._acknowledges:
             return
         count = collisions_text(self._behind) if self._behind else "what came after it"
-        self.say(
+        self.print_line(
             f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid {count}; "
             "--acknowledge-after-s 1 ends each alarm after a second and shows all"
         )
@@ -287,23 +287,23 @@ def touch_words(change: TouchChange) -> str:
 
 
 def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | None, timing: str = "") -> list[str]:
-    """The summary of one recording or of all. timing: said of the samples instead of the core's time for each."""
-    told = tally.summary()
+    """The summary of one recording or of all. timing: printed with the samples instead of the core's time for each."""
+    summary = tally.summary()
     if not tally.samples:
         return ["no samples"]
-    shares = [f"{name} {share:.2%}" for name, share in told["health_share"].items() if share]
+    shares = [f"{name} {share:.2%}" for name, share in summary["health_share"].items() if share]
     alarms = []
-    for level, counts in told["alarms"].items():
+    for level, counts in summary["alarms"].items():
         raised = [f"{joint} {count}" for joint, count in counts.items() if count]
         alarms.append(f"{level} {', '.join(raised) if raised else 'none'}")
     margins = [
         f"{joint} {margin:+.2f} {short(unit)}"
-        for (joint, margin), unit in zip(told["worst_margin_nm"].items(), tally.units, strict=True)
+        for (joint, margin), unit in zip(summary["worst_margin_nm"].items(), tally.units, strict=True)
         if margin is not None
     ]
     lines = [
         f"samples       {tally.samples:,} ({duration_text(tally.hours)}), "
-        + (timing or f"{told['us_per_sample']:.2f} µs each"),
+        + (timing or f"{summary['us_per_sample']:.2f} µs each"),
         f"health        {', '.join(shares)}",
         f"alarms        {'; '.join(alarms)}"
         + (f"; {tally.acknowledged} acknowledged" if tally.acknowledged else "")
@@ -321,7 +321,7 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | Non
 
 
 def unfamiliar_text(tally: Tally) -> str:
-    """How much of the motion training never saw, what of it, and what to do where that is no accident."""
+    """Share of the motion that training never saw, its kinds, and what to do if it is intended."""
     most = tally.unfamiliar.most_common(MOST_UNFAMILIAR)
     words = [f"{unseen_words(unseen, tally.joints)} {count / tally.samples:.2%}" for unseen, count in most]
     more = len(tally.unfamiliar) - len(most)
@@ -334,10 +334,10 @@ def unfamiliar_text(tally: Tally) -> str:
 
 def load_change_words(change: LoadChange) -> str:
     since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
-    told = f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
+    words = f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
     if not change.left_out or change.load.mass == 0:
-        return told
-    return f"{told}; limits of {', '.join(change.left_out)}, not in Nm, are higher by all that it may show there"
+        return words
+    return f"{words}; limits of {', '.join(change.left_out)}, not in Nm, are higher by all that it may show there"
 
 
 def found_load_words(change: FoundLoad) -> str:
@@ -347,7 +347,7 @@ def found_load_words(change: FoundLoad) -> str:
 
 
 def weigh_words(change: WeighChange) -> list[str]:
-    """What was found, sentence by sentence."""
+    """The result of weighing in sentences."""
     from tauext.monitor.weighing import load_sentences
 
     if change.found is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, expect_another, tell_replaced
+from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
@@ -65,7 +65,7 @@ def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
 
 
 def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
-    """The same of the table [alarm] alone."""
+    """Settings of the table [alarm] alone, under those that are given."""
     return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}"), given)
 
 
@@ -89,14 +89,14 @@ def train(
 ) -> None:
     """Train on a dataset's free motion, find the limits on its validation recordings, write one bundle.
 
-    First all that is used is looked at, as `tauext check` does; a second training of the same data does not look again.
-    A fault refuses, unless it is accepted; warnings are told, and stand in the bundle.
+    First all data is checked, as by `tauext check`; a second training of the same data skips the checks. A fault
+    stops the training, unless it is accepted; warnings are printed, and kept in the bundle.
 
     Args:
         data: dataset folder (`tauext simulate` makes one).
-        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be. While its network is trained,
-            a checkpoint beside it is written every 20 s, and kept until the bundle is: after Ctrl-C, or whatever ends
-            the process, the same command goes on from there. What comes before the network is done again.
+        out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr. While its network is
+            trained, a checkpoint beside it is written every 20 s, and kept until the bundle is: after Ctrl-C, or
+            whatever ends the process, the same command goes on from there. What comes before the network is done again.
         config: FILE.toml with further settings; `tauext train --help-config` lists its keys. An option of the command
             line replaces its key.
         case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
@@ -104,7 +104,7 @@ def train(
         robot: URDF or MJCF of the arm; default: the dataset's own.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a minute of this one is enough.
             None: the arm is by itself.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
         options: settings that are often changed.
     """
     from tauext.data.dataset import load_dataset
@@ -115,7 +115,7 @@ def train(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     settings = train_settings(config, options)
     known = None if like is None else load_fleet_prior(like)
-    tell_replaced(out)
+    print_replaced(out)
     train_bundle(load_dataset(data), out, case, robot, settings, Terminal(), accept, like=known)
     print(out)
 
@@ -137,14 +137,14 @@ def calibrate(
     Args:
         bundle: bundle (*.tauext) to begin with; it stays as it is.
         data: dataset folder; its calibration recordings are used.
-        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be.
+        out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
         config: FILE.toml of `tauext train`, whose table [alarm] holds further settings. An option of the command line
             replaces its key.
         options: what is promised.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
-        refit_error_scale: find anew how errors grow with the motion, on the first fifth of the calibration recordings;
+        refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
     """
     from tauext.data.dataset import load_dataset
     from tauext.train.calibrate import recalibrate
@@ -152,7 +152,7 @@ def calibrate(
     require_threads(threads)
     alarm = alarm_settings(config, options)
     expect_another(out, bundle, "begin with")
-    tell_replaced(out)
+    print_replaced(out)
     promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)
     print(promised.sentence())
     print(out)
@@ -174,18 +174,18 @@ def refit(
     Friction of a joint moves by a common factor first, then apart as the motion supports it; gravity and inertia stay.
     Limits grow where today's error is larger, and never shrink. Printed is what changed, a row a joint, and whether the
     promise of false alarms still stands. First the recordings are looked at, by those checks of `tauext check` that are
-    cheap: a fault refuses. Labelled contacts are left out; so is what no friction explains, and it is told.
+    cheap: a fault refuses. Labelled contacts are left out; so is what no friction explains; it is reported.
 
     Args:
         bundle: bundle (*.tauext) with a prior, of recipe tauext or prior; it stays as it is.
         data: recording (*.parquet), or dataset folder whose training recordings are used.
-        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be.
+        out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
             those that did, as far as the fleet's arms showed it from one recording to the next.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
-        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.files.provenance import json_text
@@ -195,7 +195,7 @@ def refit(
     require_threads(threads)
     expect_another(out, bundle, "begin with")
     known = None if like is None else load_fleet_prior(like)
-    tell_replaced(out)
+    print_replaced(out)
     span = Span(from_s, to_s)
     found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)
     if as_json:

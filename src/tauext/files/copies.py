@@ -23,7 +23,8 @@ from tauext.files.places import Place, StoredPlace, answers, file_system, named_
 
 @contextmanager
 def reading(place: Place) -> Iterator[Any]:
-    """What libraries read a place by: the path itself, or a stored file, of which only what is asked for is sent.
+    """The argument from which libraries read a place: the path, or a stored file, whose requested ranges alone are
+    sent.
 
     A connection that is lost is tried again. A range that comes short is an error.
 
@@ -52,7 +53,7 @@ def version_of(place: Place) -> str:
 
 
 def version(file: Any) -> str:
-    """Of an open file: the store's own mark of its content, time of change where it has none, and size."""
+    """Version of an open file: the store's mark of its content, or else its time of change, and its size."""
     facts = {key.lower(): value for key, value in (file.metadata() or {}).items()}
     mark = facts.get("etag") or facts.get("last-modified") or b""
     return f"{mark.decode(errors='replace') if isinstance(mark, bytes) else mark} {file.size()}"
@@ -63,7 +64,7 @@ def version(file: Any) -> str:
 
 BLOCK = 8 << 20
 COPIES: dict[StoredPlace, tuple[str, Path]] = {}
-"""What this process fetched: which version, and where it lies."""
+"""Version and path of every file that this process fetched."""
 
 
 @overload
@@ -86,16 +87,16 @@ def local_file(place: Place | None) -> Path | None:
         there = version_of(place)
     except FileNotFoundError:
         return all_copies(os.getpid()) / "nothing" / place.name
-    known = COPIES.get(place)
-    if known is None or known[0] != there:
+    kept = COPIES.get(place)
+    if kept is None or kept[0] != there:
         path = copy_of(place)
         fetch(place, path)
-        COPIES[place] = known = (there, path)
-    return known[1]
+        COPIES[place] = kept = (there, path)
+    return kept[1]
 
 
 def local_folder(place: Place) -> Path:
-    """The same of a folder with all that is in it, or of a file.
+    """A path of this folder with all of its content, or of this file, as local_file.
 
     Raises:
         StoreError: as local_file.
@@ -115,7 +116,7 @@ def local_folder(place: Place) -> Path:
 
 
 def local_beside(place: Place) -> Path:
-    """The same of a file and of all beside it whose names begin like its own: NAME.run.json of NAME.tauext."""
+    """A path of this file, with all files beside it whose names begin alike: NAME.run.json of NAME.tauext."""
     if not isinstance(place, StoredPlace):
         return place
     for file in place.parent.glob(f"{glob.escape(place.stem)}.*"):
@@ -183,8 +184,8 @@ def cache_folder() -> Path:
 
 # --- What is written to a store: on this machine until it is whole, then sent.
 #
-# A file is one PUT, or an upload in parts that the store puts together at the end: nobody sees half of it. A folder is
-# sent file by file, the ones that say that it is whole at last; a store renames no folder.
+# A file is one PUT, or an upload in parts that the store puts together at the end: half a file is never visible. A
+# folder is sent file by file, those that mark it as whole last; a store renames no folder.
 
 
 LAST = ("fleet.html", "task.json", "results.json", "report.html", "split.json", "run.json", "check.json")
@@ -217,7 +218,7 @@ def at_home(place: Place) -> Path:
     """Where on this machine work on this place is kept until it is done: the same for the same URL."""
     if not isinstance(place, StoredPlace):
         return place
-    parent = f"{place.parent.url} {place.server.told}"  # one name at two servers is two places
+    parent = f"{place.parent.url} {place.server.location}"  # one name at two servers is two places
     url = hashlib.sha256(parent.encode()).hexdigest()[:16]
     folder = cache_folder() / "staged" / url
     folder.mkdir(parents=True, exist_ok=True)
@@ -283,7 +284,7 @@ def send_folder(folder: Path, place: StoredPlace, but: Collection[str] = ()) -> 
 
 
 def in_order(file: Path) -> tuple[int, str]:
-    """By which files of a folder are to appear: those of LAST at last."""
+    """Sort key of the order in which a folder's files appear: those of LAST come last."""
     return -LAST.index(file.name) if file.name in LAST else -len(LAST), str(file)
 
 

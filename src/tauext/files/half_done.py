@@ -52,7 +52,7 @@ class HalfDone:
         self._written = time.monotonic()
 
     def load(self) -> Any | None:
-        """What was offered last for this key; None: nothing that can be used."""
+        """The state that was offered last for this key; None: no usable state."""
         try:
             with self._path.open("rb") as file:
                 key, state = _Reader(file, self._outside).load()

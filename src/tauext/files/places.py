@@ -20,11 +20,11 @@ from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 from tauext.config import StoreConfig
 from tauext.errors import ConfigError, StoreError
 
-# --- What a store's own words mean, in one line: which URL, what happened, how often it was tried, what to do.
+# --- Errors of a store in one line: which URL, what happened, how often it was tried, what to do.
 
 
 TRANSPORT = ("AWS Error", "curlCode", "google::cloud", "Azure", "HTTP status")
-"""In the words of an error of the store, and not of what a file holds."""
+"""Texts that occur in errors of the store, and not in errors of a file's content."""
 REFUSED = (
     "accessdenied",
     "invalidaccesskeyid",
@@ -42,12 +42,12 @@ REFUSED = (
 """In lower case and without underscores: servers spell them in several ways."""
 LOST = ("curlCode: 18", "curlCode: 52", "curlCode: 55", "curlCode: 56", "curlCode: 35")
 LONGEST = 200
-"""Letters of words that are not known."""
+"""Letters that are kept of an unknown error's text."""
 
 
 @contextmanager
 def answers(place: Any) -> Iterator[None]:
-    """Raise what the store says about this place as StoreError; what is only not there stays FileNotFoundError.
+    """Raise errors of the store at this place as StoreError; a missing file stays FileNotFoundError.
 
     Errors that are none of the store's, a damaged file's for example, pass. So does everything of a path.
     """
@@ -62,39 +62,44 @@ def answers(place: Any) -> Iterator[None]:
 
 
 def is_transport(error: BaseException) -> bool:
-    """Whether it is of the way to the store."""
+    """Whether the error is one of the connection to the store or of the store itself."""
     return any(sign in str(error) for sign in TRANSPORT)
 
 
-def meaning(place: Any, said: str) -> StoreError:
-    """The one line."""
-    limits, told = StoreConfig.of_environment(), place.server.told
-    if "NO_SUCH_BUCKET" in said or "NoSuchBucket" in said:
+def meaning(place: Any, message: str) -> StoreError:
+    """The error in one line: the URL, what happened, how often it was tried, what to do."""
+    limits, where = StoreConfig.of_environment(), place.server.location
+    if "NO_SUCH_BUCKET" in message or "NoSuchBucket" in message:
         return no_bucket(place)
-    if any(sign in said.lower().replace("_", "") for sign in REFUSED):
+    if any(sign in message.lower().replace("_", "") for sign in REFUSED):
         return StoreError(
-            f"{place}: access is denied by {told}; check the keys in the environment, and what they may do"
+            f"{place}: access is denied by {where}; check the keys in the environment, and what they may do"
         )
     tried = f"tried {limits.tries} times"
-    if "curlCode: 28" in said:
+    if "curlCode: 28" in message:
         return StoreError(
-            f"{place}: {told} stalled, {tried}: nothing came for {limits.stall_s:g} s, or no connection within "
+            f"{place}: {where} stalled, {tried}: nothing came for {limits.stall_s:g} s, or no connection within "
             f"{limits.connect_s:g} s; check the network, or set TAUEXT_STORE_STALL_S to wait longer"
         )
-    if "curlCode: 6," in said or "curlCode: 7," in said:
-        return StoreError(f"{place}: {told} cannot be reached, {tried}; check the endpoint and the network")
-    if any(sign in said for sign in LOST):
-        return StoreError(f"{place}: the connection to {told} was lost, {tried}; the same command again goes on")
-    if "HTTP status 5" in said or "SLOW_DOWN" in said or "SERVICE_UNAVAILABLE" in said or "INTERNAL_FAILURE" in said:
-        return StoreError(f"{place}: {told} is overloaded or failed, {tried}; the same command later goes on")
-    line = " ".join(said.split())
-    return StoreError(f"{place}: {told} could not do it ({line[:LONGEST]}); check the URL")
+    if "curlCode: 6," in message or "curlCode: 7," in message:
+        return StoreError(f"{place}: {where} cannot be reached, {tried}; check the endpoint and the network")
+    if any(sign in message for sign in LOST):
+        return StoreError(f"{place}: the connection to {where} was lost, {tried}; the same command again goes on")
+    if (
+        "HTTP status 5" in message
+        or "SLOW_DOWN" in message
+        or "SERVICE_UNAVAILABLE" in message
+        or "INTERNAL_FAILURE" in message
+    ):
+        return StoreError(f"{place}: {where} is overloaded or failed, {tried}; the same command later goes on")
+    line = " ".join(message.split())
+    return StoreError(f"{place}: {where} could not do it ({line[:LONGEST]}); check the URL")
 
 
 def no_bucket(place: Any) -> StoreError:
     """There is no such bucket."""
     return StoreError(
-        f"{place}: there is no bucket '{place.server.root}' at {place.server.told}; make it, or mend the URL"
+        f"{place}: there is no bucket '{place.server.root}' at {place.server.location}; make it, or correct the URL"
     )
 
 
@@ -107,7 +112,7 @@ OPTIONS = {
     "abfs": ("blob_storage_authority", "dfs_storage_authority", "enable_tls"),
 }
 OPTIONS["abfss"] = OPTIONS["abfs"]
-"""What the query of a URL may say: where the store is, and nothing secret."""
+"""Keys that the query of a URL may hold: they locate the store; none is secret."""
 
 
 KEYS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_PROFILE")
@@ -115,54 +120,54 @@ KEYS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_
 
 @dataclass(frozen=True, order=True)
 class Server:
-    """Whom to ask for a bucket."""
+    """A bucket and the store that holds it."""
 
     scheme: str
     bucket: str
-    """As the URL has it; of abfs CONTAINER@ACCOUNT.dfs.core.windows.net."""
+    """Bucket as in the URL; for abfs CONTAINER@ACCOUNT.dfs.core.windows.net."""
     query: str = ""
 
     @classmethod
     def of(cls, scheme: str, bucket: str, query: str, plain: str) -> Server:
-        """Raises ConfigError where the query says something else than OPTIONS."""
-        said = dict(parse_qsl(query))
-        for name in said:
+        """Raises ConfigError where the query has other keys than OPTIONS."""
+        options = dict(parse_qsl(query))
+        for name in options:
             if name not in OPTIONS[scheme]:
                 raise ConfigError(f"{plain}: '{name}' in its query is unknown; known are {', '.join(OPTIONS[scheme])}")
-        return cls(scheme, bucket, urlencode(said))
+        return cls(scheme, bucket, urlencode(options))
 
     @property
     def root(self) -> str:
-        """The bucket or container as the file system calls it."""
+        """Name of the bucket or container in the file system."""
         return self.bucket.partition("@")[0]
 
     @property
-    def said(self) -> dict[str, str]:
+    def options(self) -> dict[str, str]:
         return dict(parse_qsl(self.query))
 
     @property
     def endpoint(self) -> tuple[str | None, str | None]:
-        """HOST:PORT of S3 and how it is spoken to, from the query or the environment; None: Amazon's own."""
-        given = self.said.get("endpoint_override")
+        """HOST:PORT and scheme of S3, from the query or the environment; None: Amazon's own."""
+        given = self.options.get("endpoint_override")
         given = given or os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
         if not given:
-            return None, self.said.get("scheme")
-        url = urlsplit(given if "://" in given else f"{self.said.get('scheme', 'https')}://{given}")
+            return None, self.options.get("scheme")
+        url = urlsplit(given if "://" in given else f"{self.options.get('scheme', 'https')}://{given}")
         return url.netloc.rpartition("@")[2] + url.path.rstrip("/"), url.scheme
 
     @property
     def region(self) -> str | None:
-        """Of S3, from the query or the environment."""
-        return self.said.get("region") or os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
+        """Region of S3, from the query or the environment."""
+        return self.options.get("region") or os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
 
     @property
-    def told(self) -> str:
-        """Where it is, for people."""
+    def location(self) -> str:
+        """Address of the store for messages."""
         return (self.endpoint[0] if self.scheme == "s3" else None) or f"the store of {self.scheme}://{self.root}"
 
 
 def file_system(server: Server) -> Any:
-    """One a bucket, process and environment; nothing is asked yet."""
+    """The file system, one for each bucket, process and environment; sends nothing yet."""
     keys = hash(tuple(os.environ.get(name) for name in KEYS))
     return made(server, server.endpoint, server.region, keys, StoreConfig.of_environment())
 
@@ -178,7 +183,8 @@ def made(
     """The file system.
 
     Args:
-        keys: tells others of the environment apart; which they are the store's own library reads there.
+        keys: hash of the environment's keys, so that other keys give another file system; the store's library
+            reads the keys themselves.
     """
     from pyarrow import fs
 
@@ -195,13 +201,13 @@ def made(
         )
     if server.scheme == "gs":
         again = timedelta(seconds=max(1, round(limits.tries * limits.stall_s)))
-        return fs.GcsFileSystem(retry_time_limit=again, **server.said)
+        return fs.GcsFileSystem(retry_time_limit=again, **server.options)
     query = f"?{server.query}" if server.query else ""
     found, _ = fs.FileSystem.from_uri(f"{server.scheme}://{server.bucket}{query}")
     return found
 
 
-# --- A file or folder in an object store, asked as a path is: pyarrow's file systems do the work, once it is asked.
+# --- A file or folder in an object store, with the methods of a path; pyarrow's file systems do the work on demand.
 
 
 SCHEMES = ("s3", "gs", "abfs", "abfss")
@@ -218,7 +224,7 @@ class StoredPlace:
     key: str
     """Below the bucket, without slashes at its ends; "" is the bucket itself."""
     found: Any = field(default=None, compare=False, repr=False)
-    """What a listing said of it, which nobody asks for again."""
+    """FileInfo from a listing, which is not requested again; None: unknown."""
 
     @classmethod
     def of_url(cls, text: str) -> StoredPlace:
@@ -245,12 +251,12 @@ class StoredPlace:
 
     @property
     def url(self) -> str:
-        """With the query that says where the store is, for another process."""
+        """The URL with the query that locates the store, for another process."""
         return str(self) + (f"?{self.server.query}" if self.server.query else "")
 
     @property
     def path(self) -> str:
-        """As the file system calls it."""
+        """Path in the file system."""
         return posixpath.join(self.server.root, self.key)
 
     @property
@@ -340,7 +346,7 @@ class StoredPlace:
         )
 
     def open(self, mode: str = "rb") -> Any:
-        """The file, to read by ranges; whatever fails later comes as pyarrow says it, see `answers`.
+        """The file, to read by ranges; later failures raise pyarrow's own errors, see `answers`.
 
         Raises:
             FileNotFoundError: there is none.
@@ -354,11 +360,11 @@ class StoredPlace:
             return bytes(file.read())
 
     def iterdir(self) -> Iterator[StoredPlace]:
-        """What lies in it, by name; nothing where there is no such folder."""
+        """The entries of the folder, by name; none where there is no such folder."""
         yield from self._list(recursive=False)
 
     def glob(self, pattern: str) -> Iterator[StoredPlace]:
-        """Of these the ones whose name the pattern fits; `**/PATTERN` looks into folders, too."""
+        """The entries whose name fits the pattern; `**/PATTERN` searches folders, too."""
         deep, pattern = pattern.startswith("**/"), pattern.removeprefix("**/")
         yield from (place for place in self._list(deep) if fnmatchcase(place.name, pattern))
 
@@ -377,7 +383,7 @@ class StoredPlace:
         return sorted(place for place in places if place.key != self.key)
 
     def expect_bucket(self) -> None:
-        """Raise StoreError unless the bucket is there and can be asked."""
+        """Raise StoreError unless the bucket exists and can be reached."""
         with answers(self):
             expect_bucket(self)
 
@@ -397,7 +403,7 @@ KNOWN_BUCKETS: set[Server] = set()
 
 
 def expect_bucket(place: StoredPlace) -> None:
-    """Raise StoreError where there is no such bucket: else a file in it would only be said not to be there."""
+    """Raise StoreError where there is no such bucket; otherwise only the file in it would be reported as missing."""
     if place.server in KNOWN_BUCKETS:
         return
     (info,) = file_system(place.server).get_file_info([place.server.root])
@@ -415,7 +421,7 @@ def clean(key: str) -> str:
 
 
 Place = Path | StoredPlace
-"""Whoever takes both asks it as a path is asked: name, parent, /, is_file(), open("rb"), ..."""
+"""Both have the methods of a path: name, parent, /, is_file(), open("rb"), ..."""
 URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 
 
@@ -463,7 +469,7 @@ def is_stored(place: Place) -> bool:
 NAMED_FILE = re.compile(r"""\b(?:file|filename)\s*=\s*["']([^"']+)["']""")
 NAMED_FOLDER = re.compile(r"""\b(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
 SHAPES_FILE = "robot.shapes.json"
-"""Beside the robot file of a dataset: what its links look like."""
+"""Beside the robot file of a dataset: shapes of its links."""
 ROBOT_SUFFIXES = (".xml", ".urdf", ".mjcf")
 
 

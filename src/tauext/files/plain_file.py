@@ -1,4 +1,4 @@
-"""Text, JSON and TOML from a path that may be anything: a pipe that nobody writes to, a device without an end."""
+"""Text, JSON and TOML from a path that may be anything: a pipe without a writer, a device without an end."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, answers
 
 FORMAT = 1
-"""Of every kind of file that this version writes, and reads."""
+"""Format number of every kind of file that this version writes and reads."""
 
 LARGEST_TEXT = 1 << 28
-"""Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
+"""Largest size of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
 
 def expect_file(path: Place) -> None:
-    """Raise OSError unless the path is a file: whoever opens a pipe waits, and a device may have no end."""
+    """Raise OSError unless the path is a file: opening a pipe blocks, and a device may have no end."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -70,7 +70,7 @@ def read_json(path: Place, missing: str = "there is no such file", kind: str = "
     """The value in a JSON file.
 
     Args:
-        missing: what a message says where there is no file.
+        missing: text of the message where there is no file.
         kind: of file, for messages: `no LeRobot calibration file: `.
 
     Raises:

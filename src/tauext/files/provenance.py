@@ -1,4 +1,4 @@
-"""What a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
+"""Files that a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def write_json(content: Any, path: Place) -> None:
 
 
 def json_text(content: Any) -> str:
-    """As all files of ours have it."""
+    """JSON text in the format of all files of tauext."""
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def provenance(command: str, settings: Any, seed: int | None) -> dict:
     """Which command, version, settings and seed made an output."""
-    from importlib.metadata import version  # asked for by whoever writes, not by whoever reads
+    from importlib.metadata import version  # imported by writers only
 
     plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
     return {
@@ -45,7 +45,7 @@ def provenance(command: str, settings: Any, seed: int | None) -> dict:
 
 
 def machine() -> str:
-    """Processor, cores and system, as a reader of a benchmark wants them."""
+    """Processor, cores and system, for readers of a benchmark."""
     processor = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():

@@ -1,4 +1,4 @@
-"""Whether there is room for what is asked, before work begins: memory, disk, time, and a place for what is written."""
+"""Checks before work begins that a request fits: memory, disk, time, and a place for the output."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tauext.files.copies import at_home
 from tauext.files.places import Place, StoredPlace
 
 LEAST_ROOM = 1 << 20
-"""What a disk must have left for a bundle, a page or a description, [bytes]."""
+"""Free space that a disk must have for a bundle, a page or a description, [bytes]."""
 LONGEST_S = 30 * 86400.0
-"""Nobody waits longer than a month, [s]; what is compared with it is a lower bound."""
+"""Longest time that a command may take, a month, [s]; it is compared with a lower bound."""
 MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
@@ -42,7 +42,7 @@ def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> No
 
     Args:
         size: of what is to be written, [bytes].
-        what: asks for so much: `minutes = 1e9`.
+        what: setting that needs so much: `minutes = 1e9`.
     """
     expect_text(folder)
     if isinstance(folder, StoredPlace):
@@ -61,24 +61,24 @@ def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> No
         raise ConfigError(f"{folder}: cannot be written to ({error.strerror or error})") from error
     if free < size:
         needs = f"{what} needs" if what else "what is written needs"
-        raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; ask for less")
+        raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; request less")
 
 
 def expect_memory(size: float, what: str) -> None:
-    """Raise ConfigError where what is asked for needs more bytes than the machine has free."""
+    """Raise ConfigError where the request needs more bytes than the machine has free."""
     there = free_memory()
     if there is not None and not size <= there:
-        raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; ask for less")
+        raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; request less")
 
 
 def expect_time(seconds: float, what: str) -> None:
-    """Raise ConfigError where what is asked for takes more than a month even by a lower bound."""
+    """Raise ConfigError where the request takes more than a month even by a lower bound."""
     if not seconds <= LONGEST_S:
-        raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(LONGEST_S)} are the most; ask for less")
+        raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(LONGEST_S)} are the most; request less")
 
 
 def free_memory() -> int | None:
-    """What the system can still give, [bytes]; None where it does not say."""
+    """Memory that the system has available, [bytes]; None: unknown."""
     try:
         with open("/proc/meminfo") as file:
             for line in file:

@@ -176,7 +176,7 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
 
 
 def parse_toml(content: str, path: Place) -> dict[str, Any]:
-    """As read_toml, from the text of the file."""
+    """Content of a TOML text; raises as read_toml."""
     try:
         return toml_of(content)
     except ValueError as error:
@@ -276,7 +276,7 @@ def key_lines(settings: Any, table: str) -> Iterator[str]:
 
 
 def toml_value(value: Any) -> str:
-    """As it is written in TOML; nothing for None."""
+    """The value in TOML syntax; empty for None."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, bool):
@@ -285,7 +285,7 @@ def toml_value(value: Any) -> str:
 
 
 def unknown_key(where: str, key: str, known: Iterable[str]) -> ConfigError:
-    """What is said of a key that nobody knows."""
+    """The error for an unknown key."""
     names = list(known)
     near = difflib.get_close_matches(key, names, 1, 0.0)
     nearest = f"the nearest known is '{near[0]}'" if near else "none is known"
@@ -336,7 +336,7 @@ def described(hint: Any) -> str:
 
 
 def plain(settings: Any) -> dict[str, Any]:
-    """The settings as a table that settings_of reads: without what is None, as TOML knows no such value."""
+    """The settings as a table that settings_of reads: without what is None, as TOML has no such value."""
     found: dict[str, Any] = {}
     for one in fields(settings):
         value = getattr(settings, one.name)

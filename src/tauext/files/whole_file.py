@@ -27,7 +27,7 @@ def whole_file(path: Place) -> Iterator[Path]:
 
 @contextmanager
 def whole_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
-    """The same for files that belong together: none is renamed before all are written; the last one is so at last."""
+    """Write files that belong together: none is renamed before all are written; the last one is renamed last."""
     parts = tuple(written_as(path) for path in paths)
     try:
         yield parts

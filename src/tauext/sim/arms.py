@@ -1,4 +1,4 @@
-"""The arms of the demo: what moves, how it is driven, and from where one looks at it."""
+"""The arms of the demo: what moves, how it is driven, and the camera's place."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Push:
 
 @dataclass(frozen=True)
 class DemoArm:
-    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its looks."""
+    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its appearance."""
 
     name: str
     title: str
@@ -56,7 +56,7 @@ class DemoArm:
         return self.changed_model(1.0)
 
     def changed_model(self, friction: float, held: _core.Load | None = None) -> mujoco.MjModel:
-        """The same with so many times its friction, and with a weight in its hand: one body more, behind the links."""
+        """The arm with its friction times a factor, and with a weight in its hand: one more body behind the links."""
         spec = mujoco.MjSpec.from_string(self.xml)
         if held is not None:
             spec.joint(self.joints[-1]).parent.add_body(
@@ -68,7 +68,7 @@ class DemoArm:
 
 
 def rig_arm() -> DemoArm:
-    """The paper's two-axis rig, with drums at its joints to look at."""
+    """The paper's two-axis rig, with drums at its joints to make them visible."""
     config = RigConfig()
     spec = mujoco.MjSpec.from_string(arm_xml(config))
     for i, link in enumerate(joint_names(config)):

@@ -69,7 +69,7 @@ def simulate_recording(
 def simulate_motion(
     config: RigConfig, kind: Kind, q_des: np.ndarray, dq_des: np.ndarray, settle: int, rng: np.random.Generator
 ) -> tuple[Truth, np.ndarray, np.ndarray]:
-    """What happens along these setpoints (samples, joints), the first `settle` samples cut off.
+    """Simulate the motion along these setpoints (samples, joints), the first `settle` samples cut off.
 
     Returns: true signals; true external torque (samples, joints), [N m]; force on each link (samples, links), [N].
     """
@@ -93,13 +93,13 @@ def simulate_motion(
 
 
 LEAST_RECORDINGS = 20
-"""Of free motion: whole recordings are dealt to train, validation and test."""
+"""Smallest number of free-motion recordings: whole recordings are dealt to train, validation and test."""
 FIRST_CALIBRATION, FIRST_TEST = 1_000_000, 2_000_000
 """Numbers of recordings of free motion that are not of the split: their random streams are their own."""
 BYTES_A_SAMPLE = 30.0
-"""Of a recording, each joint, on disk: measured are 37, and less is asked for than is needed."""
+"""Size of a recording on disk, each joint: 37 are measured; the lower value keeps the disk check a lower bound."""
 LEAST_LENGTH_S = 3.0
-"""Of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
+"""Shortest length of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -205,7 +205,7 @@ def _cut(minutes: float, config: RigConfig) -> tuple[int, float]:
 
 
 def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
-    """What the recordings depend on, as plain JSON."""
+    """All settings on which the recordings depend, as plain JSON."""
     settings = settings | {"config": asdict(config)}
     return {
         "format": FORMAT,
@@ -218,7 +218,7 @@ def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
 
 
 def _claim(out_dir: Path, settings: dict) -> None:
-    """Make the folder, or find it to be of these settings; run.json says which they are."""
+    """Make the folder, or check that it was made with these settings, which run.json holds."""
     run = out_dir / "run.json"
     if run.exists():
         try:

@@ -1,4 +1,4 @@
-"""Every number of the virtual rig, in frozen dataclasses; docs/rig.md says where each comes from."""
+"""Every number of the virtual rig, in frozen dataclasses; docs/rig.md gives the source of each."""
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Protocol
@@ -85,7 +85,7 @@ PAPER_FRICTION = (
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """What the rig's instruments do to the signals."""
+    """Effects of the rig's instruments on the signals."""
 
     encoder_counts: int = 2**20
     """Counts of the encoder in one turn of the joint."""
@@ -131,7 +131,8 @@ class PulseConfig:
 
 @dataclass(frozen=True)
 class PadConfig:
-    """A padded body (a hand, say) that meets a link, pushes, and leaves; its path is planned in the link's frame."""
+    """A padded body (a hand, for example) that meets a link, pushes, and leaves; its path is planned in the link's
+    frame."""
 
     mass_kg: float = 1.0
     radius_m: float = 0.05
@@ -153,7 +154,7 @@ class PadConfig:
 
 
 class Drivetrain(Protocol):
-    """What every simulated arm has, whatever its links: drives, friction and instruments of its joints."""
+    """Properties of every simulated arm, whatever its links: drives, friction and instruments of its joints."""
 
     @property
     def name(self) -> str: ...
@@ -184,7 +185,7 @@ class RigConfig:
     rate_hz: int = 1000
     """Sample rate; the drives and the simulation step at it."""
     recording_s: float = 90.0
-    """Length of a free-motion recording; shorter where fewer than twenty would come of the minutes asked for."""
+    """Length of a free-motion recording; shorter where fewer than twenty would result from the given minutes."""
     collision_recording_s: float = 90.0
     collisions_per_recording: int = 10
     gap_s: float = 3.0

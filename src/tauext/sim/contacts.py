@@ -60,7 +60,7 @@ def spread(lengths_s: list[float], total_s: float, gap_s: float, rng: np.random.
     if slack < 0.0:
         raise ConfigError(
             f"collision_recording_s = {total_s:g} must hold {len(lengths_s)} collisions of {sum(lengths_s):.1f} s in "
-            f"all and gaps of gap_s = {gap_s:g}: lengthen the recording or ask for fewer collisions"
+            f"all and gaps of gap_s = {gap_s:g}: lengthen the recording or request fewer collisions"
         )
     before = np.cumsum([0.0, *lengths_s])[:-1]
     return before + gap_s * np.arange(1, len(lengths_s) + 1) + slack * np.sort(rng.uniform(size=len(lengths_s)))

@@ -13,7 +13,7 @@ from tauext import _core
 from tauext.sim.arms import DemoArm
 from tauext.sim.rig import draw_move, encoder, low_pass, quintic
 
-# --- The simulated arm, one sample at a time: drives and a push in, what the instruments say out.
+# --- The simulated arm, one sample at a time: drives and a push in, measurements out.
 
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -21,7 +21,7 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 @dataclass(frozen=True)
 class Sample:
-    """What one sample measured, and what is true; arrays (joints,)."""
+    """Measured and true values of one sample; arrays (joints,)."""
 
     t_ns: int
     q: np.ndarray
@@ -30,7 +30,7 @@ class Sample:
     tau_ext: np.ndarray
     """True external torque J^T f of a push, [N m]."""
     tau_held: np.ndarray
-    """The same of a weight in the hand: what a monitor sees that was not told of it, [N m]."""
+    """The same of a weight in the hand: external torque for a monitor without this load, [N m]."""
 
 
 class Plant:
@@ -114,7 +114,7 @@ class Plant:
         return Sample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
 
     def _held_nm(self) -> np.ndarray:
-        """What the weight does to the joints, by gravity and inertia: the wrench from hand to weight, turned round."""
+        """Torque of the weight on the joints, by gravity and inertia: the wrench from hand to weight, turned round."""
         torque = np.zeros(self._n)
         if self._weight is not None:
             mujoco.mj_rnePostConstraint(self.model, self.data)
@@ -138,7 +138,7 @@ class Plant:
 
 
 LEAST_LEVER = 0.1
-"""A direction of force whose lever is smaller than this share of the largest is not told from noise."""
+"""A direction of force whose lever is smaller than this share of the largest cannot be distinguished from noise."""
 
 
 @dataclass
@@ -146,7 +146,7 @@ class Drag:
     """A point of a link that a pointer pulls towards itself."""
 
     joint: int
-    """That carries the link."""
+    """Joint that carries the link."""
     local_m: np.ndarray
     """The grabbed point in the link's frame (3,)."""
     target_m: np.ndarray
@@ -187,7 +187,7 @@ def estimated_force(tau_ext: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarr
     return left @ (weights * (right @ tau_ext)), int(seen.sum())
 
 
-# --- What the arm is told to do: random moves, and what it does instead after a collision.
+# --- Commands to the arm: random moves, and the reaction after a collision.
 
 
 Reaction = Literal["stop", "retreat", "comply", "ignore"]
@@ -208,7 +208,7 @@ class Mover:
     """Setpoints of one arm, sample by sample: moves around its home until react() is called, and again after resume().
 
     comply: the drive's own PD inputs are used to give the torque that carries the arm's weight, with neither stiffness
-    nor friction compensation, so that whoever pushes harder than the joints' friction moves it.
+    nor friction compensation, so that a push above the joints' friction moves it.
     """
 
     def __init__(self, arm: DemoArm, seed: int = 0):
@@ -229,7 +229,7 @@ class Mover:
 
         Args:
             q, dq: as measured.
-            gravity_nm: what carries the arm's weight, as its controller knows it.
+            gravity_nm: torque that carries the arm's weight, by its controller's model.
         """
         self._time_s += self._period_s
         if self.doing == "comply":
@@ -276,6 +276,6 @@ class Mover:
         return self.q_des + 0.5 * STOP_S * self.dq_des
 
     def _plan(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
-        """From here: what is left of the speed dies away, and after the pause the travel begins."""
+        """Restart from here: the remaining speed decays, and after the pause the travel begins."""
         self._start, self._speed, self._travel = self.q_des, self.dq_des, travel
         self._duration_s, self._pause_s, self._time_s = duration_s, pause_s, -pause_s

@@ -57,7 +57,7 @@ def draw_motion(
     return q_des, dq_des
 
 
-# --- The plain arm as MJCF: what an integrator knows of it, and the base of every scene.
+# --- The plain arm as MJCF: an integrator's model of it, and the base of every scene.
 
 
 LINK_RADIUS_M = 0.05
@@ -109,9 +109,10 @@ def _axial_inertia(mass_kg: float) -> float:
 
 
 Kind = Literal["free", "pulses", "pads"]
-"""What may touch the arm in a recording: nothing, force pulses, or padded bodies."""
+"""Contacts that are possible in a recording: nothing, force pulses, or padded bodies."""
 PULSE_GEARS = ((1, 0, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 1, 0))
-"""What pulls on a link: force along its x and z, torque about the plane's normal, at and in the link's frame."""
+"""Actuators that pull on a link: force along its x and z, torque about the plane's normal, at and in the link's
+frame."""
 
 
 PADDING_IMPEDANCE = (0.2, 0.95, 0.01, 0.5, 2.0)
@@ -141,7 +142,7 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
 
 
 def add_drivetrain(spec: mujoco.MjSpec, names: Sequence[str], config: Drivetrain) -> None:
-    """Put drive, friction and the three sensors that build_scene tells of on each of these joints, in this order."""
+    """Put drive, friction and the three sensors that build_scene describes on each of these joints, in this order."""
     for name, drive in zip(names, config.drives, strict=True):
         _add_drive(spec, name, drive.stiffness_nm_rad, drive.damping_nm_s_rad)
     for name, friction in zip(names, config.friction, strict=True):
@@ -259,7 +260,7 @@ class Truth:
     """Contact sensors, (samples, links, 10): found, force xyz, torque xyz, position xyz; no links without pads."""
 
     def after(self, samples: int) -> Truth:
-        """The same without its first samples."""
+        """The signals without their first samples."""
         return Truth(**{f.name: getattr(self, f.name)[samples:] for f in fields(self)})
 
 

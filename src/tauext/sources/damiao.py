@@ -45,15 +45,15 @@ class CanMotor:
 
     name: str
     id: int
-    """ESC_ID: that it is asked by."""
+    """ESC_ID: id of requests to it."""
     answer_id: int
-    """MST_ID: that it answers with."""
+    """MST_ID: id of its answers."""
     zero_rad: float = 0.0
     """Its position where the joint's angle is 0, [rad]."""
     sign: int = 1
     """-1: the joint's angle falls as the motor's rises."""
     ranges: tuple[float, float, float] | None = None
-    """PMAX [rad], VMAX [rad/s], TMAX [N m]: ends of the numbers in its answers; None: the motor is asked for them."""
+    """PMAX [rad], VMAX [rad/s], TMAX [N m]: ends of the numbers in its answers; None: they are read from the motor."""
 
     def __str__(self) -> str:
         return f"motor {self.id:#04x} ({self.name})"
@@ -66,13 +66,13 @@ class CanBusFile:
     path: Place
     motors: dict[str, CanMotor]
     interface: str = "socketcan"
-    """Of python-can."""
+    """Interface of python-can."""
     baud: int = BAUD
     fd_baud: int | None = None
-    """Of the data of CAN FD frames; None: classic CAN."""
+    """Bit rate of the data of CAN FD frames, [bit/s]; None: classic CAN."""
     ask: bool = True
-    """Ask each motor for its state; False: another program commands them, their answers are overheard, and nothing is
-    sent: a question for ranges, too, would be answered where that program expects a state."""
+    """Poll the state of each motor; False: another program commands them, their answers are overheard, and nothing is
+    sent: a request for ranges, too, would be answered where that program expects a state."""
 
 
 def load_can_bus(path: Place) -> CanBusFile:
@@ -86,7 +86,7 @@ def load_can_bus(path: Place) -> CanBusFile:
         id = 0x01                  # answer_id = 0x11: id + 0x10 if left out
         # zero_rad = 0.0           # the motor's position where the joint's angle is 0
         # sign = -1
-        # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; the motor is asked if left out, which needs ask = true
+        # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; read from the motor if left out, which needs ask = true
 
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.
@@ -101,14 +101,14 @@ def load_can_bus(path: Place) -> CanBusFile:
     for name, motor in motors.items():
         if (other := by_id.setdefault((motor.answer_id, motor.id & 0xF), name)) != name:
             raise ConfigError(
-                f"{path}: answers of joints '{other}' and '{name}' cannot be told apart: one answer_id, and ids "
+                f"{path}: answers of joints '{other}' and '{name}' cannot be distinguished: one answer_id, and ids "
                 "with the same last digit"
             )
     for motor in motors.values():
         if not bus["ask"] and motor.ranges is None:
             raise ConfigError(
                 f"{path}: [joints.{motor.name}] ranges = [PMAX, VMAX, TMAX] is missing: with ask = false the motor "
-                "is not asked for them"
+                "cannot be polled for them"
             )
     return CanBusFile(path, motors, bus["interface"], bus["baud"], bus["fd_baud"], bus["ask"])
 
@@ -128,7 +128,7 @@ WAIT_S = 0.1
 TRIES = 3
 FAULTS = {
     0x8: "too high a voltage", 0x9: "too low a voltage", 0xA: "overcurrent", 0xB: "hot bridge", 0xC: "hot windings",
-    0xD: "nobody commands it any more", 0xE: "overload",
+    0xD: "communication lost", 0xE: "overload",
 }  # fmt: skip
 """Upper half of a state's first byte; 0 and 1: disabled, enabled."""
 
@@ -137,8 +137,9 @@ class DamiaoSource(BusSource):
     """Position, speed, torque [N m] and temperature of the windings, a state of each motor a period: 16, 12 and 12 bits
     over the ranges that the motor itself names.
 
-    Asked, a motor sends its state whether it is enabled or not. Nothing else is sent, or nothing at all (ask = false):
-    no enable, no MIT frame, and no register is set. There is no stop(): who drives the motors would drive on.
+    A polled motor sends its state whether it is enabled or not. Nothing else is sent, and with ask = false nothing at
+    all: no enable, no MIT frame, and no register is set. There is no stop(): the program that drives the motors would
+        go on.
     """
 
     def __init__(self, channel: str, file: CanBusFile):
@@ -205,7 +206,7 @@ class DamiaoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Of what is overheard alone: a question that was skipped is counted where it is."""
+        """Count lost samples of overheard motors only; a skipped request is counted where it is skipped."""
         if not self._file.ask:
             super()._count_lost(t_ns)
 
@@ -256,17 +257,17 @@ class DamiaoSource(BusSource):
 
     def _complain(self, k: int, fault: int) -> None:
         if fault != self._faults[k] and (fault in FAULTS or self._faults[k] in FAULTS):
-            self._note(f"{self._motors[k]} says: {FAULTS.get(fault, 'no fault any more')}")
+            self._note(f"{self._motors[k]} reports: {FAULTS.get(fault, 'no fault any more')}")
         self._faults[k] = fault
 
     def _state(self, wait_s: float) -> tuple[int, bytes] | None:
-        """Whose state came, and what it is; None: none of a motor of ours."""
+        """Number of a motor of the bus file and its state that came; None: none came."""
         message = self._receive(wait_s)
         if message is None or len(message.data) != 8:
             return None
         data = bytes(message.data)
         if data[1] == 0 and data[2] in (REGISTER, WRITTEN, STORED) and data[3] <= LAST_REGISTER:
-            return None  # a register that somebody asked for; as a state it would be at the end of the range
+            return None  # a register that another program requested; as a state it would be at the end of the range
         k = self._which.get((message.arbitration_id, data[0] & 0xF))
         return None if k is None else (k, data)
 
@@ -285,7 +286,7 @@ class DamiaoSource(BusSource):
                     f"{motor} does not answer: has it power, this id, and answers with {motor.answer_id:#04x}?"
                 )
             if not 0 < value < 1e4:
-                raise Unreachable(f"{motor} says {value:g} in its register {register}, the end of a range")
+                raise Unreachable(f"{motor} reports {value:g} in its register {register}, the end of a range")
             found.append(value)
         return found
 

@@ -22,7 +22,7 @@ from tauext.errors import BundleError, ConfigError, RecordingError
 
 CONTACT_NAME, COLLISION_NAME = "contact", "collision"
 UNKNOWN = -1.0
-"""contact and collision while the monitor knows nothing: warming up, or a fault; tau_ext is 0 there, since a single NaN
+"""contact and collision while there is no estimate: warming up, or a fault; tau_ext is 0 there, since a single NaN
 makes LeRobot's statistics, and a policy that is normalised by them, NaN."""
 
 
@@ -60,7 +60,7 @@ def labels_of(health: np.ndarray, held_alarm: np.ndarray, tau_ext: np.ndarray) -
 
 
 def bare_name(element: str) -> str:
-    """A joint as LeRobot calls its motor: without `.pos`."""
+    """LeRobot's name of a joint's motor: without `.pos`."""
     return element.removesuffix(".pos")
 
 
@@ -127,7 +127,7 @@ class ServoFrames:
             row, joint = np.argwhere(far)[0]
             column, unit = self._places["q"][joint], self.arm.signals["q"].unit
             raise RecordingError(
-                f"{self._names[column]} = {rows[row, column]:g} is no angle in {unit}: say in {self.arm.path}, "
+                f"{self._names[column]} = {rows[row, column]:g} is no angle in {unit}: set in {self.arm.path}, "
                 "[signals.q] and [signals.q_des], whether unit is 'deg' or 'normalised' (LeRobot's -100 to 100, with "
                 "its calibration file)"
             )
@@ -138,9 +138,10 @@ class ServoFrames:
 
 
 class FrameLabeller:
-    """Labels frame after frame what `tauext label` says of the same frames in a dataset, to the last bit.
+    """Labels frame after frame as `tauext label` labels the same frames in a dataset, to the last bit.
 
-    It sees what is stored: numbers in single precision, at frame_index / fps. Frames are counted from the last restart.
+    Its input is what is stored: numbers in single precision, at frame_index / fps. Frames are counted from the last
+    restart.
 
     Args:
         names: of the numbers that step() gets, as the importer names them: `observation.state[elbow.pos]`.
@@ -164,7 +165,7 @@ class FrameLabeller:
         return self._frame
 
     def restart(self) -> None:
-        """The next frame is the first of an episode; the monitor begins anew and warms up."""
+        """The next frame is the first of an episode; the monitor is reset and warms up."""
         self._input.reset()
         self._monitor.reset()
         self._frame = 0
@@ -177,11 +178,11 @@ class FrameLabeller:
         self._frame += 1
         q = signals.pop("q")
         dq, tau = self._input.step(t_ns, q, **signals)
-        said = self._monitor.step(t_ns, q, dq, tau)
+        verdict = self._monitor.step(t_ns, q, dq, tau)
         return labels_of(
-            np.array([said.health.value]),
-            np.array([said.held_alarm.value]),
-            np.array([said.tau_ext]).astype(np.float32),
+            np.array([verdict.health.value]),
+            np.array([verdict.held_alarm.value]),
+            np.array([verdict.tau_ext]).astype(np.float32),
         )
 
 

@@ -42,11 +42,11 @@ class FeaturePlan:
     """Which elements of which feature the labels' columns become."""
 
     places: dict[str, tuple[list[int], list[int]]]
-    """By feature: columns of the labels, and their places among the feature's elements."""
+    """Columns of the labels, and their places among the feature's elements, by feature."""
     features: dict[str, dict]
     """All features of the dataset with the labels."""
     added: dict[str, int]
-    """By feature: how many elements are new, after those that there are."""
+    """Number of new elements after the existing ones, by feature."""
 
 
 def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> FeaturePlan:
@@ -71,7 +71,7 @@ def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> F
     names = folder.names(STATE, int(shape[0])) if STATE in features else []
     if not names or not isinstance(state.get("names"), list | dict):
         raise ConfigError(
-            f"{folder.path}: its {STATE} has no names for its elements, so the labels cannot be told among them: "
+            f"{folder.path}: its {STATE} has no names for its elements, so labels cannot be distinguished among them: "
             "--into features gives them features of their own"
         )
     new = [name for name in wanted if name not in names]
@@ -130,12 +130,12 @@ def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:
 
 
 def _metadata(schema: pa.Schema, plan: FeaturePlan) -> dict[bytes, bytes] | None:
-    """What the datasets library keeps of the columns' types, brought up to date where it is there."""
+    """The datasets library's record of the columns' types, brought up to date where it exists."""
     metadata = dict(schema.metadata or {})
     if HUGGINGFACE not in metadata:
         return metadata or None
-    told: dict[str, Any] = json.loads(metadata[HUGGINGFACE])
-    features = told.get("info", {}).get("features", {})
+    content: dict[str, Any] = json.loads(metadata[HUGGINGFACE])
+    features = content.get("info", {}).get("features", {})
     template = next((f for f in features.values() if f.get("length", -1) > 0), {"_type": "Sequence"})
     for feature in plan.places:
         length = plan.features[feature]["shape"][0]
@@ -147,7 +147,7 @@ def _metadata(schema: pa.Schema, plan: FeaturePlan) -> dict[bytes, bytes] | None
             features[feature] = (
                 value if length == 1 else {"feature": value, "length": length, "_type": template["_type"]}
             )
-    return metadata | {HUGGINGFACE: json.dumps(told).encode()}
+    return metadata | {HUGGINGFACE: json.dumps(content).encode()}
 
 
 # --- Statistics that LeRobot keeps of a feature, of an episode and of the whole dataset, for the labels' columns.
@@ -169,7 +169,8 @@ def episode_stats(values: np.ndarray) -> Stats:
 
 
 def dataset_stats(episodes: Sequence[Stats]) -> Stats:
-    """Of all episodes, as LeRobot merges them: means and variances by their counts, quantiles as means of quantiles."""
+    """Statistics of all episodes, merged as LeRobot does: means and variances by their counts, quantiles as means of
+    quantiles."""
     count = np.array([stats["count"][0] for stats in episodes], dtype=np.float64)[:, None]
     stacked = {key: np.stack([stats[key] for stats in episodes]) for key in episodes[0] if key != "count"}
     mean = (stacked["mean"] * count).sum(0) / count.sum()
@@ -208,16 +209,16 @@ STATS = "meta/stats.json"
 
 @dataclass
 class LabelReport:
-    """What was labelled, in frames."""
+    """Counts of labelled frames."""
 
     episodes: int = 0
     frames: int = 0
     unknown: int = 0
-    """Of which nobody can say anything: the monitor warms up at the beginning of each episode."""
+    """Frames without an estimate: the monitor warms up at the beginning of each episode."""
     contact: int = 0
     """In contact."""
     collisions: int = 0
-    """Stretches of collision, not frames."""
+    """Number of collisions, not of frames in collision."""
     held: int = 0
     """Frames that held labels before ..."""
     equal: int = 0
@@ -229,7 +230,7 @@ def label_dataset(
 ) -> LabelReport:
     """Write a LeRobot dataset with the labels of a bundle beside all that the given one holds.
 
-    Every episode begins with a monitor that knows nothing. Features, statistics of each episode and of all are brought
+    Every episode begins with a new monitor. Features, statistics of each episode and of all are brought
     up to date; videos are linked where the file system can, else copied, as all other files are. The folder appears
     whole or not at all.
 
@@ -289,7 +290,7 @@ class Labelling:
                     f"{source}: the frames of episode {number} are not 0 to {self._folder.lengths[int(number)] - 1}"
                 )
             columns[rows] = self._labels(int(number)).columns[frames[rows]]
-        with readable(source, "what it says of its columns"):
+        with readable(source, "its description of its columns"):
             held = recorded(table, self._plan)
             table = with_labels(table, columns, self._plan)
         if held is not None:
@@ -340,7 +341,7 @@ class Labelling:
             _write_json(stats, file)
 
     def _read(self, part: Path, file: Path) -> AbstractContextManager[None]:
-        """Errors of reading a copy of a file are told of the file."""
+        """Errors of reading a copy name the original file."""
         return readable(self._folder.path / file.relative_to(part), "it")
 
     def _put(self, stats: dict[str, dict], own: Stats) -> None:
@@ -370,14 +371,14 @@ class Labelling:
 
 
 def episode_labels(name: str, block: RawSignals, bundle: _core.Bundle, arm: Arm) -> Labels:
-    """Labels of one episode's frames: what a fresh monitor says of them; a number that is missing is a fault, -1."""
+    """Labels of one episode's frames by a new monitor; a missing number is a fault, -1."""
     t_ns = block.t_ns
     assert t_ns is not None
     signals = ServoFrames(bundle, arm, block.names, name).signals(block.columns)
     q = signals.pop("q")
     dq, tau = velocity_and_torque(bundle.servo, t_ns, q, signals)
-    said = _core.estimate(bundle, t_ns, q, dq, tau, os.cpu_count() or 1, None)
-    return labels_of(said["health"], said["held_alarm"], said["tau_ext"].astype(np.float32))
+    estimates = _core.estimate(bundle, t_ns, q, dq, tau, os.cpu_count() or 1, None)
+    return labels_of(estimates["health"], estimates["held_alarm"], estimates["tau_ext"].astype(np.float32))
 
 
 def _whole(table: pa.Table, name: str) -> np.ndarray:
@@ -389,7 +390,7 @@ def _whole(table: pa.Table, name: str) -> np.ndarray:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """A video is linked where the file system can, since nobody writes into one; all else is copied.
+    """A video is linked where the file system can, since videos are never rewritten; all else is copied.
 
     So is a video that is a symbolic link: a hard link would tie the output to a file outside the dataset.
     """

@@ -1,4 +1,4 @@
-"""What sources that read in a thread have in common: queue, ticks, disconnection."""
+"""Common parts of sources that read in a thread: queue, ticks, disconnection."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ RETRY_S = 1.0
 
 
 class Unreachable(Exception):
-    """The robot is not there, or went; says why."""
+    """The robot is not there, or went; the text is the reason."""
 
 
 def optional_library(module: str, who: str, package: str, extra: str) -> Any:
@@ -89,13 +89,13 @@ def optional_library(module: str, who: str, package: str, extra: str) -> Any:
 
 
 class ReaderSource(ABC):
-    """Connects, reads sample after sample into a queue, and connects anew where the robot goes.
+    """Connects, reads sample after sample into a queue, and reconnects when the robot goes.
 
-    At open() the robot must be there: a wrong address is told at once.
+    At open() the robot must be there, so that a wrong address is reported at once.
     """
 
     robot_joints: int
-    """That its samples have."""
+    """Number of joints in its samples."""
 
     def __init__(self, name: str):
         self.name, self.counts = name, SourceCounts()
@@ -142,8 +142,8 @@ class ReaderSource(ABC):
         return self._thread is not None and self._queue.ended
 
     def notes(self) -> list[str]:
-        told, self._notes = self._notes, []
-        return told
+        notes, self._notes = self._notes, []
+        return notes
 
     def _note(self, text: str) -> None:
         """Keeps the text for the next notes()."""
@@ -167,7 +167,7 @@ class ReaderSource(ABC):
                 if sample is not None:
                     self._count_lost(sample.t_ns)
                     self._queue.put(sample)
-        except Exception as error:  # a library's own: the loop ends, and says so
+        except Exception as error:  # a library's own: the loop ends, with a note
             self._note(f"{self.name} cannot be read any more: {type(error).__name__}: {error}")
         finally:
             self._queue.close()
@@ -235,7 +235,7 @@ class DropOuts:
         return f"a servo was missing in {self.refused} readings: {by_name}{packets}"
 
     def forget(self) -> None:
-        """Begin to count anew."""
+        """Restart the count."""
         self.refused = self.corrupt = 0
         self.missed = dict.fromkeys(self._names, 0)
 
@@ -284,7 +284,7 @@ def sample_of(
     return Sample(round(t_s * 1e9), *signals, time.monotonic_ns(), temperature)
 
 
-# --- When to ask a bus next: once a period by the clock, whatever an answer took.
+# --- Time of the next request on a bus: once a period by the clock, whatever an answer took.
 
 
 class Ticks:

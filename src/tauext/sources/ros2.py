@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple[Ros2Source, Ros2Publisher]:
-    """A source and a publisher that share one node; the bundle tells the forces at settings.wrench_frames.
+    """A source and a publisher that share one node; the bundle estimates the forces at settings.wrench_frames.
 
     Raises:
         ConfigError: CycloneDDS is not installed, the domain cannot be joined, or the bundle has no such frame.

@@ -1,4 +1,4 @@
-"""The ROS 2 messages that are sent and received, as DDS knows them: CDR bytes equal those of any ROS 2 node.
+"""The ROS 2 messages that are sent and received, as DDS types: CDR bytes equal those of any ROS 2 node.
 
 Names follow the mangling of ROS 2: package::msg::dds_::Type_. Annotations are evaluated by cyclonedds when a class is
 made, so this file has no postponed ones.
@@ -69,7 +69,7 @@ class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
 
 @dataclass
 class Inertia(IdlStruct, typename="geometry_msgs::msg::dds_::Inertia_"):
-    """Of a body: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
+    """Inertia of a body: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
 
     m: float64 = 0.0
     com: Vector3 = field(default_factory=Vector3)
@@ -138,7 +138,7 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnosti
     status: sequence[DiagnosticStatus] = field(default_factory=list)
 
 
-# What every participant says of its nodes on ros_discovery_info. The ids had 24 bytes up to Humble.
+# Nodes of every participant, published on ros_discovery_info. The ids had 24 bytes up to Humble.
 @dataclass
 class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
     data: array[uint8, 16]
@@ -181,7 +181,7 @@ GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
     16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
     24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
 }
-"""By length of an id."""
+"""Types of the graph messages by the length of an id, [bytes]."""
 
 TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",

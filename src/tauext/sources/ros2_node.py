@@ -34,7 +34,7 @@ except ImportError as missing:
 from tauext.sources.ros2_messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
 from tauext.sources.ros2_settings import Ros2Settings
 
-# --- What stands wrong now, in words, and what of it nobody was told yet.
+# --- Present faults in words, and those that have not been reported yet.
 
 
 HOLD_NS = 2_000_000_000
@@ -46,23 +46,23 @@ class Conditions:
 
     def __init__(self) -> None:
         self._standing: dict[str, tuple[str, int]] = {}
-        self._untold: list[str] = []
+        self._unreported: list[str] = []
 
-    def say(self, key: str, text: str, now_ns: int) -> None:
-        """key: what it is about; a new text of a standing key takes the old one's place without being told again."""
+    def report(self, key: str, text: str, now_ns: int) -> None:
+        """Note a fault. A new text of a key that still stands replaces the old one and is not reported again."""
         before = self._standing.get(key)
         if before is None or now_ns - before[1] > HOLD_NS:
-            self._untold.append(text)
+            self._unreported.append(text)
         self._standing[key] = (text, now_ns)
 
     def standing(self, now_ns: int) -> list[str]:
-        """What was said within the last two seconds."""
+        """Texts that came within the last two seconds."""
         return [text for text, seen_ns in list(self._standing.values()) if now_ns - seen_ns <= HOLD_NS]
 
-    def untold(self) -> list[str]:
-        """What began since the last call."""
-        told, self._untold = self._untold, []
-        return told
+    def unreported(self) -> list[str]:
+        """Texts of faults that began since the last call."""
+        texts, self._unreported = self._unreported, []
+        return texts
 
 
 # --- Messages that the DDS library cannot read: counted by topic, where it would print a line for each of them.
@@ -94,7 +94,7 @@ class Unreadable:
 
     @classmethod
     def of(cls, domain_id: int) -> Unreadable:
-        """To be called before the domain's first participant is made."""
+        """The counts of a domain; call it before the domain's first participant is made."""
         with cls._beginning:
             if domain_id not in cls._of_domain:
                 cls._of_domain[domain_id] = cls(domain_id)
@@ -107,13 +107,13 @@ class Unreadable:
     def _listen(self, domain_id: int) -> None:
         own = os.environ.get(CONFIGURATION, "")
         if "Tracing" in own:
-            return  # somebody wants to see the library's words elsewhere
+            return  # the user sends the library's trace elsewhere
         reads, writes = os.pipe()
         try:
             self._domain = Domain(domain_id, ",".join(filter(None, (own, TRACING.format(writes)))))
         except (
             DDSException
-        ):  # another part of this process began the domain, or CYCLONEDDS_URI is wrong: a node says so
+        ):  # another part of this process began the domain, or CYCLONEDDS_URI is wrong, which a node reports
             os.close(reads)
             return
         finally:
@@ -164,7 +164,7 @@ Lasting = Literal["volatile", "transient-local"]
 GRAPH_TOPIC = "ros_discovery_info"
 DESCRIBING = threading.Lock()
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
-"""The only encoding that ROS 2 nodes speak."""
+"""The only encoding that ROS 2 nodes use."""
 
 
 class Node:
@@ -175,11 +175,11 @@ class Node:
         self.settings = settings
         self.unreadable = Unreadable.of(settings.domain_id)
         try:
-            # Nodes ignore participants that do not say their enclave, the name of their security settings.
+            # Nodes ignore participants that do not publish their enclave, the name of their security settings.
             self.participant = DomainParticipant(settings.domain_id, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as refused:
             raise ConfigError(
-                f"ROS 2 domain {settings.domain_id} cannot be joined: look at network and CYCLONEDDS_URI ({refused})"
+                f"ROS 2 domain {settings.domain_id} cannot be joined: check network and CYCLONEDDS_URI ({refused})"
             ) from refused
         self._users = 0
         self._readers: list[DataReader] = []
@@ -196,13 +196,13 @@ class Node:
         return Inbox(self._readers[-1], depth)
 
     def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
-        """To the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
+        """Writer to the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._writers.append(DataWriter(self.participant, self._topic(name, of), qos))
         return self._writers[-1]
 
     def announce(self) -> None:
-        """Tell the graph of node, readers and writers; to be called again after each new one."""
+        """Publish node, readers and writers to the graph; to be called again after each new one."""
         space, slash, node = self.settings.full_name(self.settings.node).rpartition("/")
         info = self._entities_type(space or slash, node, self._gids(self._readers), self._gids(self._writers))
         self._graph.write(self._info_type(self._gid(self.participant), [info]))
@@ -267,5 +267,5 @@ def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:
 
 
 def type_hash(of: type) -> Policy.Userdata:
-    """As nodes from Iron on state it of their endpoints."""
+    """Type hash in the user data of endpoints, as nodes from Iron on send it."""
     return Policy.Userdata(f"typehash=RIHS01_{TYPE_HASHES[of]};".encode())

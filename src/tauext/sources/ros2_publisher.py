@@ -1,4 +1,4 @@
-"""What the monitor publishes on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
+"""Output of the monitor on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from tauext.sources.ros2_messages import (
 from tauext.sources.ros2_node import Conditions, Node
 from tauext.sources.ros2_source import Ros2Source
 
-# --- The monitor's state in diagnostic_msgs: what stands, in words, and the numbers behind it.
+# --- The monitor's state in diagnostic_msgs: its conditions in words, and the numbers behind them.
 
 
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
@@ -55,27 +55,27 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
     (to a collision), [N m] or what the bundle answers in.
 
     Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up, where a
-    joint's drift stands at its bound and while the motion is none that training saw, else OK. A collision outranks
+    joint's drift stands at its bound and while the motion is unlike that of training, else OK. A collision outranks
     everything.
     """
     status = DiagnosticStatus(STALE, "tauext: arm", "no sample yet", hardware_id)
     if verdict is None:
         return status
-    said = verdict.said
-    health, alarm = int(said["health"][0]), int(said["alarm"][0])
-    causes = _core.cause_names(int(said["causes"][0]))
-    drifted = [name for name, at_bound in zip(joints, said["drift_saturated"][0], strict=True) if at_bound]
+    estimates = verdict.said
+    health, alarm = int(estimates["health"][0]), int(estimates["alarm"][0])
+    causes = _core.cause_names(int(estimates["causes"][0]))
+    drifted = [name for name, at_bound in zip(joints, estimates["drift_saturated"][0], strict=True) if at_bound]
     texts = []
     if alarm != NONE:
-        joint = int(said["alarm_joint"][0])
+        joint = int(estimates["alarm_joint"][0])
         texts.append(ALARMS[alarm] + (f" on {joints[joint]}" if joint >= 0 else ""))
     if health != HEALTHY:
         texts.append(f"{HEALTHS[health]}: {in_words(causes)}" if causes else HEALTHS[health])
     if drifted:
-        texts.append(f"drift at its bound on {', '.join(drifted)}: record and train anew")
-    unfamiliar = float(said["unfamiliar"][0])
+        texts.append(f"drift at its bound on {', '.join(drifted)}: record and retrain")
+    unfamiliar = float(estimates["unfamiliar"][0])
     if unfamiliar >= WORTH_TELLING:
-        what, joint, other = (int(said[key][0]) for key in ("unseen", "unseen_joint", "unseen_other"))
+        what, joint, other = (int(estimates[key][0]) for key in ("unseen", "unseen_joint", "unseen_other"))
         texts.append(f"training never saw such motion: {unseen_words((what, joint, other), joints)}")
     status.message = "; ".join(texts) or "ok"
     if alarm == COLLISION:
@@ -93,7 +93,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
             KeyValue(f"{key} {joint}", number(value))
-            for key, values in told_torques(lambda name: said[name][0]).items()
+            for key, values in told_torques(lambda name: estimates[name][0]).items()
             for joint, value in zip(joints, values, strict=True)
         ),
     ]
@@ -143,7 +143,7 @@ def number(value: float | None) -> str:
 
 
 LABEL = "force.x force.y force.z torque.x torque.y torque.z"
-"""Of rows and columns of a covariance."""
+"""Labels of the rows and columns of a covariance."""
 SIDE = 6
 
 
@@ -155,17 +155,19 @@ class Wrenches:
     """
 
     def __init__(self, frames: Sequence[str], bundle: _core.Bundle | None):
-        """Raises ConfigError where the bundle tells no force, or has no such frame."""
+        """Raises ConfigError where the bundle estimates no force, or has no such frame."""
         self._frames = {topic_name(name): name for name in frames}
         if len(self._frames) < len(frames):
             raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: each needs a topic's name of its own")
         if not frames:
             return
         if bundle is None:
-            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: there is no bundle to tell forces with")
+            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: without a bundle no force can be estimated")
         self._model = _core.WrenchModel(bundle)
         if self._model.refused:
-            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: no force can be told, {self._model.refused}")
+            raise ConfigError(
+                f"ROS 2 wrench_frames {', '.join(frames)}: no force can be estimated, {self._model.refused}"
+            )
         known = [frame.name for frame in self._model.frames]
         for name in frames:
             if name not in known:
@@ -184,21 +186,21 @@ class Wrenches:
 
     @property
     def writers(self) -> list:
-        """To be handed back to the node."""
+        """Writers to return to the node."""
         return [writer for pair in self._writers.values() for writer in pair]
 
-    def tell(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
-        """Send what is known of this sample; nothing of a frame of which nothing is."""
+    def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
+        """Send wrench and covariance at each frame; nothing at a frame where the force is unknown."""
         if verdict.sample is None or not self._writers:
             return
-        said, sample = verdict.said, verdict.sample
-        rows = (sample.q[None], said["tau_ext"] - said["load_nm"], said["sigma_nm"])
+        estimates, sample = verdict.said, verdict.sample
+        rows = (sample.q[None], estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         for frame, (wrenches, covariances) in self._writers.items():
             own = _core.WrenchAxes.frame
-            told = self._model.wrenches(frame, *rows, None, own, said["contact_sigma_nm"], sample.dq[None])
-            if np.isfinite(told["force"]).all():
-                send(wrenches, wrench_message(frame, stamp_ns, told["force"][0], told["moment"][0]))
-                send(covariances, covariance_message(told["covariance"][0]))
+            found = self._model.wrenches(frame, *rows, None, own, estimates["contact_sigma_nm"], sample.dq[None])
+            if np.isfinite(found["force"]).all():
+                send(wrenches, wrench_message(frame, stamp_ns, found["force"][0], found["moment"][0]))
+                send(covariances, covariance_message(found["covariance"][0]))
 
 
 def topic_name(frame: str) -> str:
@@ -219,22 +221,22 @@ def covariance_message(covariance: np.ndarray) -> Float64MultiArray:
     return Float64MultiArray(layout, covariance.ravel().tolist())
 
 
-# --- What the monitor says, on ROS 2 topics; and what others ask of it there.
+# --- Output of the monitor on ROS 2 topics, and requests to it.
 
 
 FOREVER_NS = 2**63 - 1
 BETWEEN_NS = 50_000_000
-"""Between two diagnostics that a change asks for, so that a state that flickers does not fill the network."""
+"""Shortest time between two diagnostics after changes, so that a state that flickers does not fill the network."""
 
 
 class Ros2Publisher:
     """A publisher of the loop: torque at every sample, alarms when they change, diagnostics each second and on change.
 
-    `external_torque`: JointState with the stamp of the sample it speaks of, effort = tau_ext [N m], positive where the
+    `external_torque`: JointState with the stamp of its sample, effort = tau_ext [N m], positive where the
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
-    `wrench/NAME`: WrenchStamped of each frame that was asked for, with its covariance; nothing where it is not known.
-    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
+    `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance; nothing where it is unknown.
+    `diagnostics`: DiagnosticArray. Subscribed: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
     `load` (Inertia, in the bundle's load frame; m = 0: nothing).
 
     A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
@@ -248,14 +250,14 @@ class Ros2Publisher:
         source: Ros2Source | None = None,
         wrenches: Wrenches | None = None,
     ):
-        """source: whose stamps the torques bear; None: the time of reception. wrenches: None: none are told."""
+        """source: whose stamps the torques bear; None: the time of reception. wrenches: None: none are published."""
         self._wrenches = wrenches or Wrenches((), None)
         self._node, self._conditions, self._source = node, conditions, source
         self.unsent = 0
         self._verdict: Verdict | None = None
         self._report: LoopReport | None = None
         self._before: LoopReport | None = None
-        self._said: dict[str, bool] = {}
+        self._sent: dict[str, bool] = {}
         self._diagnosed_ns, self._due = 0, False
         self._listening: threading.Thread | None = None
         self._closing: Any = None  # GuardCondition while open
@@ -275,7 +277,7 @@ class Ros2Publisher:
             settings.full_name(settings.diagnostics), DiagnosticArray, "reliable", "volatile", 8
         )
         self._message = JointState(name=list(settings.names or joints))
-        self._asked = {
+        self._requests = {
             name: (node.inbox(settings.full_name(name), of, "reliable", "volatile", 8), do)
             for name, of, do in (
                 ("profile", String, self._use_profile),
@@ -285,10 +287,10 @@ class Ros2Publisher:
             )
         }
         node.announce()
-        self._say_alarm(NONE)
+        self._send_alarm(NONE)
         self._diagnose(time.monotonic_ns())
         self._closing = GuardCondition(node.participant)
-        self._listening = threading.Thread(target=self._listen, name="ros2 asked", daemon=True)
+        self._listening = threading.Thread(target=self._listen, name="ros2 requests", daemon=True)
         self._listening.start()
 
     def verdict(self, verdict: Verdict) -> None:
@@ -299,9 +301,9 @@ class Ros2Publisher:
             self._message.header.stamp = Time.of_ns(stamp_ns)
             self._message.effort = verdict.said["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
-            self._wrenches.tell(verdict, stamp_ns, self._send)
+            self._wrenches.publish(verdict, stamp_ns, self._send)
         if verdict.changes:
-            self._say_alarm(int(verdict.said["alarm"][0]))
+            self._send_alarm(int(verdict.said["alarm"][0]))
             self._due = True
         if self._due:
             now_ns = time.monotonic_ns()
@@ -317,15 +319,15 @@ class Ros2Publisher:
         self._send(self._events, String(json.dumps(facts)))
 
     def close(self) -> None:
-        """What was said last is kept for nobody: latched topics end with their publisher."""
+        """Latched topics end with their publisher: later subscribers get nothing."""
         if self._listening is None:
             return
         self._closing.set(True)
         self._listening.join()
         entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics, *self._wrenches.writers]
-        entities += [inbox.reader for inbox, _ in self._asked.values()]
+        entities += [inbox.reader for inbox, _ in self._requests.values()]
         self._listening = self._closing = self._torque = self._events = self._diagnostics = None
-        self._alarms, self._asked = {}, {}
+        self._alarms, self._requests = {}, {}
         self._node.leave(entities)
 
     def _stamp_ns(self, sample: Sample) -> int:
@@ -333,10 +335,10 @@ class Ros2Publisher:
             return self._source.last_stamp_ns
         return time.time_ns() - (time.monotonic_ns() - sample.received_ns)
 
-    def _say_alarm(self, alarm: int) -> None:
+    def _send_alarm(self, alarm: int) -> None:
         for name, stands in (("contact", alarm != NONE), ("collision", alarm == COLLISION)):
-            if self._said.get(name) != stands and self._send(self._alarms[name], Bool(stands)):
-                self._said[name] = stands
+            if self._sent.get(name) != stands and self._send(self._alarms[name], Bool(stands)):
+                self._sent[name] = stands
 
     def _diagnose(self, now_ns: int) -> None:
         self._diagnosed_ns, self._due = now_ns, False
@@ -356,17 +358,17 @@ class Ros2Publisher:
         return True
 
     def _listen(self) -> None:
-        """Its own thread: what is asked is rare, and must not wait for a sample."""
+        """Serve requests in a thread of their own: they are rare, and must not wait for a sample."""
         waitset = WaitSet(self._node.participant)
-        for condition in (self._closing, *(inbox.new for inbox, _ in self._asked.values())):
+        for condition in (self._closing, *(inbox.new for inbox, _ in self._requests.values())):
             waitset.attach(condition)
         while not self._closing.read():
             waitset.wait(FOREVER_NS)
-            for name, (inbox, do) in self._asked.items():
+            for name, (inbox, do) in self._requests.items():
                 topic = self._node.settings.full_name(name)
                 messages, damaged = inbox.take()
                 if damaged:
-                    self._conditions.say(name, f"{topic}: {damaged}", time.monotonic_ns())
+                    self._conditions.report(name, f"{topic}: {damaged}", time.monotonic_ns())
                 for message in messages:
                     do(message if isinstance(message, Inertia) else message.data, f"ros2 {topic}")
 
@@ -374,10 +376,10 @@ class Ros2Publisher:
         try:
             self._control.use_profile(name, by)
         except ConfigError as refused:
-            self._conditions.say("profile", f"{by}: {refused}", time.monotonic_ns())
+            self._conditions.report("profile", f"{by}: {refused}", time.monotonic_ns())
 
-    def _acknowledge(self, asked: bool, by: str) -> None:
-        if asked:
+    def _acknowledge(self, requested: bool, by: str) -> None:
+        if requested:
             self._control.acknowledge(by)
 
     def _load(self, body: Inertia, by: str) -> None:
@@ -385,8 +387,8 @@ class Ros2Publisher:
         try:
             self._control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
         except ConfigError as refused:
-            self._conditions.say("load", f"{by}: {refused}", time.monotonic_ns())
+            self._conditions.report("load", f"{by}: {refused}", time.monotonic_ns())
 
-    def _resume(self, asked: bool, by: str) -> None:
-        if asked:
+    def _resume(self, requested: bool, by: str) -> None:
+        if requested:
             self._control.resume(by)

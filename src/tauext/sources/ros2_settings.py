@@ -1,4 +1,4 @@
-"""What a user chooses of the ROS 2 connection; the command line makes its options of it."""
+"""Settings of the ROS 2 connection, which are also options of the command line."""
 
 from __future__ import annotations
 
@@ -29,11 +29,14 @@ class Ros2Settings:
     names: tuple[str, ...] = ()
     """The arm's joints as the messages name them, in the order of the bundle's joints; empty: as the bundle does."""
     temperatures: tuple[str, ...] = ()
-    """Topics of sensor_msgs/Temperature [degC], one for each joint in the bundle's order; empty: none is known."""
+    """Topics of sensor_msgs/Temperature [degC], one for each joint in the bundle's order; empty: temperatures are
+    unknown."""
     reliability: Literal["best-effort", "reliable"] = "best-effort"
-    """Reliability asked of publishers: best-effort receives from both kinds; reliable refuses best-effort ones."""
+    """Reliability requested from publishers: best-effort receives from both kinds; reliable refuses best-effort
+    ones."""
     durability: Literal["volatile", "transient-local"] = "volatile"
-    """Durability asked of publishers: transient-local also gets what was published before and refuses volatile."""
+    """Durability requested from publishers: transient-local also gets what was published before and refuses
+    volatile."""
     depth: int = 256
     """Most samples that wait for a late monitor; older ones are lost, and counted."""
     namespace: str = "/tauext"
@@ -47,7 +50,7 @@ class Ros2Settings:
     domain: int | None = None
     """ROS domain; None: ROS_DOMAIN_ID, or 0."""
     distro: str | None = None
-    """Distribution of the ROS nodes around, since foxy, galactic and humble tell of nodes in another format; None:
+    """Distribution of the ROS nodes around, since foxy, galactic and humble announce nodes in another format; None:
     ROS_DISTRO, or a later one."""
 
     def __post_init__(self) -> None:
@@ -71,7 +74,7 @@ class Ros2Settings:
 
     @property
     def domain_id(self) -> int:
-        """domain, or what the environment says; ConfigError where that is no domain."""
+        """Domain of the settings, else of the environment; ConfigError where that is no domain."""
         if self.domain is not None:
             return self.domain
         text = os.environ.get("ROS_DOMAIN_ID") or "0"
@@ -85,5 +88,5 @@ class Ros2Settings:
         return 24 if (self.distro or os.environ.get("ROS_DISTRO", "")) in LONG_GID_DISTROS else 16
 
     def full_name(self, name: str) -> str:
-        """Of a topic: under the namespace, unless it begins with /."""
+        """Full name of a topic: under the namespace, unless it begins with /."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"

@@ -79,7 +79,7 @@ TAKEOVER_NS = 500_000_000
 
 
 class Followed:
-    """The first that publishes the arm, until it is silent; then whoever publishes next. Never two at once."""
+    """The first that publishes the arm, until it is silent; then the next one that publishes. Never two at once."""
 
     def __init__(self) -> None:
         self._handle: int | None = None
@@ -100,15 +100,15 @@ class Followed:
 
 
 LEARNT_FROM = 21
-"""Samples that the rate is learnt from; none of them is given on, as the monitor would see a wrong rate."""
+"""Samples that the rate is learnt from; none of them is passed on, since the monitor would detect a wrong rate."""
 TOLERANCE = 0.05
-"""What the monitor calls another rate."""
+"""Relative difference from which the monitor reports another rate."""
 CHANGED = 0.2
 """A rate that differs by so much from the one learnt is another one; less is jitter."""
 
 
 class SampleRate:
-    """Learns a publisher's period from stamps, then says of each sample whether the bundle's rate wants it.
+    """Learns a publisher's period from stamps, then selects the samples that match the bundle's rate.
 
     A publisher at n times the bundle's rate has every n-th sample taken, in slots of the bundle's period counted from
     the first; a lost sample is replaced by its neighbour. One at any other rate is given on whole, for the monitor to
@@ -121,12 +121,12 @@ class SampleRate:
         self.forget()
 
     def forget(self) -> None:
-        """Learn anew: another publisher."""
+        """Restart the learning for another publisher."""
         self.period_ns: int | None = None
-        """Of the publisher; None until it is learnt."""
+        """Period of the publisher, [ns]; None until it is learnt."""
         self.factor = 1
         self.lost = 0
-        """By gaps of the stamps, since it was learnt."""
+        """Samples lost according to gaps of the stamps, since the period was learnt."""
         self._steps: list[int] = []
         self._last_ns: int | None = None
         self._due_ns: int | None = None
@@ -153,7 +153,7 @@ class SampleRate:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong with the publisher's rate, in words."""
+        """The fault of the publisher's rate in words; None: the rate fits."""
         if self.period_ns is None:
             return None
         is_hz, wanted_hz = 1e9 / self.period_ns, 1e9 / self._wanted_ns
@@ -166,7 +166,7 @@ class SampleRate:
         )
 
     def _learn(self, step_ns: int) -> None:
-        """Again for every so many samples, as rates change.
+        """Learn the period again from every LEARNT_FROM samples, since rates change.
 
         The mean step, of steps divided by how many medians they are long: neither lost samples nor jitter count.
         """
@@ -187,7 +187,7 @@ class SampleRate:
 
 
 JUMP_NS = 1_000_000_000
-"""A stamp that departs by more than this from the times of reception tells of a clock that was set."""
+"""A stamp that departs by more than this from the times of reception means that a clock was set."""
 
 
 class SampleTime:
@@ -263,14 +263,14 @@ class Temperatures:
         if not self._inboxes:
             return None
         for joint, inbox in enumerate(self._inboxes):
-            told = [message.temperature for message in inbox.take()[0] if math.isfinite(message.temperature)]
-            if told:
-                self._celsius[joint] = told[-1]
+            finite = [message.temperature for message in inbox.take()[0] if math.isfinite(message.temperature)]
+            if finite:
+                self._celsius[joint] = finite[-1]
         return self._celsius.copy()
 
     @property
     def readers(self) -> list:
-        """To be handed back to the node."""
+        """Readers to return to the node."""
         return [inbox.reader for inbox in self._inboxes]
 
 
@@ -278,15 +278,15 @@ class Temperatures:
 
 
 LOOK_NS = 500_000_000
-"""After so long without a message, and as often, the publishers are looked at."""
+"""After so long without a message, and as often, the publishers are checked."""
 
 
 class Ros2Source:
-    """A tauext.monitor Source: reads sensor_msgs/JointState in the thread that asks for samples.
+    """A tauext.monitor Source: reads sensor_msgs/JointState in the thread that takes the samples.
 
     What cannot be used is counted as refused and stands in `conditions`: messages without the arm's joints, without
     velocity or effort, of a second publisher. Stamps, rates and publishers that change are dealt with as SampleTime,
-    SampleRate and Followed say. Samples that a full reader pushed out show as lost, by the gap of their stamps.
+    SampleRate and Followed describe. Samples that a full reader pushed out show as lost, by the gap of their stamps.
     """
 
     def __init__(self, node: Node, conditions: Conditions):
@@ -294,7 +294,7 @@ class Ros2Source:
         self.name = f"ros2 {node.settings.topic}"
         self.counts = SourceCounts()
         self.last_stamp_ns = 0
-        """Of the last sample given, since 1970: what is said of it bears this stamp."""
+        """Time of the last sample given, since 1970; everything published about the sample bears this stamp."""
         self._inbox: Inbox | None = None
         self._waitset: Any = None
         self._pending: deque[JointState] = deque()
@@ -349,10 +349,10 @@ class Ros2Source:
         return False
 
     def notes(self) -> list[str]:
-        return self.conditions.untold()
+        return self.conditions.unreported()
 
     def close(self) -> None:
-        """Unsubscribe; a node that nobody else uses ends."""
+        """Unsubscribe; a node without other users ends."""
         if self._inbox is None:
             return
         inbox, self._inbox, self._waitset = self._inbox, None, None
@@ -372,17 +372,17 @@ class Ros2Source:
             self._pending.append(message)
 
     def _count_unreadable(self, now_ns: int) -> None:
-        """Messages that the library itself dropped since the last look."""
+        """Messages that the library itself dropped since the last count."""
         count = self._node.unreadable.count(self._node.settings.topic)
         if count == self._unreadable:
             return
         self.counts.received += count - self._unreadable
         self.counts.refused += count - self._unreadable
         self._unreadable = count
-        self._say("unreadable", "messages come that are no JointState inside: they are counted as refused", now_ns)
+        self._report("unreadable", "messages come that are no JointState inside: they are counted as refused", now_ns)
 
     def _use(self, message: JointState) -> Sample | None:
-        """The sample of a message, if it has one that the bundle's rate wants."""
+        """The sample of a message, if it has one that is due at the bundle's rate."""
         now_ns, publisher = message.received_ns, message.sample_info.publication_handle
         other = self._followed.is_another(publisher, now_ns)
         self.counts.received += 1
@@ -402,17 +402,17 @@ class Ros2Source:
         stamp_ns, last_ns = message.header.stamp.ns, self._t_ns
         if stamp_ns == 0:
             stamp_ns = message.sample_info.source_timestamp
-            self._say("stamps are zero", "stamps are zero: times of publication are used", now_ns)
+            self._report("stamps are zero", "stamps are zero: times of publication are used", now_ns)
         t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, not changed)
         self._t_ns = t_ns
-        self._say("stamps", wrong, now_ns)
+        self._report("stamps", wrong, now_ns)
         if last_ns is not None and t_ns <= last_ns:
             self.counts.refused += 1
             return None
         wanted = self._rate.wants(t_ns)
         self.counts.lost = self._lost_before + self._rate.lost
-        self._say("rate", self._rate.problem, now_ns)
-        self._say("numbers", self._joints.not_finite(picked), now_ns)
+        self._report("rate", self._rate.problem, now_ns)
+        self._report("numbers", self._joints.not_finite(picked), now_ns)
         q, dq, tau = picked
         tau = self._torque(tau, wanted)
         if not wanted:
@@ -421,7 +421,8 @@ class Ros2Source:
         return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
 
     def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
-        """Of the sample; where its torque means an average, over all samples since the last one given."""
+        """Torque of the sample; if the bundle takes averaged torque, the mean over all samples since the last one
+        given."""
         if not self._averaged or self._rate.factor == 1:
             return tau
         self._torques.append(tau)
@@ -433,21 +434,21 @@ class Ros2Source:
     def _begin(self, now_ns: int) -> None:
         """Another publisher: its stamps and its rate are its own."""
         if self._rate.period_ns is not None:
-            self._say("publisher", "another publisher is followed now", now_ns)
+            self._report("publisher", "another publisher is followed now", now_ns)
         self._lost_before += self._rate.lost
         self._rate.forget()
         self._torques.clear()
 
     def _refuse(self, key: str, text: str | None, now_ns: int) -> None:
         self.counts.refused += 1
-        self._say(key, text, now_ns)
+        self._report(key, text, now_ns)
 
-    def _say(self, key: str, problem: str | None, now_ns: int) -> None:
+    def _report(self, key: str, problem: str | None, now_ns: int) -> None:
         if problem:
-            self.conditions.say(key, f"{self._node.settings.topic}: {problem}", now_ns)
+            self.conditions.report(key, f"{self._node.settings.topic}: {problem}", now_ns)
 
     def _look_for_publishers(self, now_ns: int) -> None:
-        """Nothing came: is anyone there who could send, and does their quality of service fit?"""
+        """Report why nothing came: no publisher, another quality of service, or a silent publisher."""
         if now_ns - self._looked_ns < LOOK_NS:
             return
         self._looked_ns = now_ns
@@ -455,9 +456,9 @@ class Ros2Source:
         reader = self._inbox.reader
         matched = reader.get_matched_publications()
         if not matched and reader.get_requested_incompatible_qos_status().total_count:
-            text = "a publisher offers less reliability or durability than is asked of it"
+            text = "a publisher offers less reliability or durability than is requested"
         elif not matched:
             text = f"no publisher of sensor_msgs/JointState in domain {self._node.settings.domain_id}"
         else:
             text = "the publisher is silent"
-        self._say("silence", text, now_ns)
+        self._report("silence", text, now_ns)

@@ -18,25 +18,25 @@ from tauext.sources.servo_series import Series
 
 WAIT_S = 0.1
 TRIES = 3
-"""Of what is asked once: a packet may be lost."""
+"""Attempts at a request that is made once: a packet may be lost."""
 ON = b"\x01"
 COUNT_RAD = 2 * np.pi / COUNTS_A_TURN
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a servo says of itself once."""
+    """Model and settings of a servo, read once."""
 
     model: str
     """Its name, by its model number."""
     reports: tuple[str, ...]
-    """As data.servo_types: torque_from that it can serve, beside goal."""
+    """Values of torque_from that the servo can serve, beside goal (data.servo_types)."""
     homing_offset: float
     """[counts]."""
     holds: bool
-    """It follows a goal position: its operating mode is one of those."""
+    """Whether the servo follows a goal position, by its operating mode."""
     ampere: float
-    """Of a count of its current; NaN: it measures none."""
+    """Current of one count, [A]; NaN: the servo measures no current."""
 
 
 class ServoSource(BusSource):
@@ -62,14 +62,14 @@ class ServoSource(BusSource):
     def open(self, settings: SourceSettings) -> None:
         self._servos = self.motors_of(settings, self._file.path, self._file.joints)
         self._ids = [servo.id for servo in self._servos]
-        self._said: dict[int, int] = {}
+        self._errors: dict[int, int] = {}
         least_s = self.bus.transaction_s(len(self._ids), self._series.state[1])
         if least_s * 1e9 > settings.period_ns:
             raise ConfigError(
                 f"{self.name}: a reading of {len(self._ids)} servos takes {least_s * 1e3:.2g} ms at {self._file.baud} "
                 f"baud, the bundle takes one every {settings.period_ns * 1e-6:g} ms"
             )
-        self._tell_of_delay(settings)
+        self._note_delay(settings)
         super().open(settings)
 
     def connect(self) -> None:
@@ -77,8 +77,8 @@ class ServoSource(BusSource):
         port.close()
         port.open()
         try:
-            said = self._all_of(*self._series.identity)
-            self._identities = {one.id: self._identified(one, said[one.id]) for one in self._servos}
+            blocks = self._all_of(*self._series.identity)
+            self._identities = {one.id: self._identified(one, blocks[one.id]) for one in self._servos}
             for servo in self._servos:
                 self._expect(servo, self._identities[servo.id])
         except Unreachable:
@@ -127,14 +127,14 @@ class ServoSource(BusSource):
             (unlike, "does not take the goal"),
             ({id_ for id_ in self._ids if not self._identities[id_].holds}, "is in an operating mode without goal"),
         )
-        told = [f"{one} {why}" for ids, why in by_why for one in self._servos if one.id in ids]
-        if told:
-            raise RuntimeError(f"{self.name} does not hold: {', '.join(told)}")
+        failures = [f"{one} {why}" for ids, why in by_why for one in self._servos if one.id in ids]
+        if failures:
+            raise RuntimeError(f"{self.name} does not hold: {', '.join(failures)}")
 
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Nothing: stamps are those of requests, and a request that was skipped is counted where it is."""
+        """Do nothing: stamps are those of requests, and a skipped request is counted where it is skipped."""
 
     def _all_of(self, address: int, length: int) -> dict[int, bytes]:
         """Registers of all servos. Raises Unreachable: one does not answer."""
@@ -150,12 +150,12 @@ class ServoSource(BusSource):
         raise Unreachable(f"{silent} does not answer; {found}")
 
     def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
-        """From the bytes of the block `identity`. Raises Unreachable: an unknown servo."""
+        """Decode the block `identity`. Raises Unreachable: an unknown servo."""
         series, first = self._series, self._series.identity[0]
         model, mode, homing = (series.registers[name].of(data, first) for name in ("model", "mode", "homing"))
         if model not in series.models:
             known = ", ".join(f"{name} ({number})" for number, (name, _) in series.models.items())
-            raise Unreachable(f"{servo} says model {model}; known are {known}")
+            raise Unreachable(f"{servo} reports model {model}; known are {known}")
         name, ampere = series.models[int(model)]
         reports = ("duty",) if ampere is None else (series.current, "duty")
         return Identity(name, reports, homing, mode in series.holds, np.nan if ampere is None else ampere)
@@ -163,27 +163,27 @@ class ServoSource(BusSource):
     def _expect(self, servo: ServoJoint, identity: Identity) -> None:
         """Raises Unreachable where the servo is not the one that the file and the bundle mean."""
         if servo.type and not (servo.type.startswith(identity.model) or identity.model.startswith(servo.type)):
-            raise Unreachable(f"{servo} is a {identity.model}, {self._file.path} says {servo.type}")
+            raise Unreachable(f"{servo} is a {identity.model}, {self._file.path} names {servo.type}")
         if servo.homing_offset is not None and servo.homing_offset != identity.homing_offset:
             raise Unreachable(
                 f"{servo} has homing offset {identity.homing_offset}, {self._file.path} {servo.homing_offset}: is it "
                 "another arm's calibration, or an old one?"
             )
-        told = self.settings.servo
-        if told is None or not told.on:
+        made_from = self.settings.servo
+        if made_from is None or not made_from.on:
             raise Unreachable(
                 "servos report current, duty and goal, of which the bundle makes no torque: import its recordings with "
                 "a [servo] table in arm.toml"
             )
-        needed = told.torque_from.name.replace("_", "-")
+        needed = made_from.torque_from.name.replace("_", "-")
         if needed not in (*identity.reports, "goal"):
             raise Unreachable(
                 f"{servo}, a {identity.model}, reports {', '.join((*identity.reports, 'goal'))}, "
                 f"the bundle takes its torque from {needed}"
             )
 
-    def _tell_of_delay(self, settings: SourceSettings) -> None:
-        """A goal in a register acts; one of a loop that reads, thinks and writes acts later."""
+    def _note_delay(self, settings: SourceSettings) -> None:
+        """Note a mismatch of goal delays: a goal in a register acts at once, a goal that a loop writes acts later."""
         servo = settings.servo
         if servo is not None and servo.on and servo.torque_from.name == "goal" and servo.goal_delay_ns > 0:
             self._note(
@@ -192,11 +192,11 @@ class ServoSource(BusSource):
             )
 
     def _complain(self, id_: int, error: int) -> None:
-        if error != self._said.get(id_, 0):
-            self._said[id_] = error
+        if error != self._errors.get(id_, 0):
+            self._errors[id_] = error
             servo = next(one for one in self._servos if one.id == id_)
             texts = [text for bit, text in self._series.complaints.items() if error & bit] or [f"error {error}"]
-            self._note(f"{servo} says: {', '.join(texts)}" if error else f"{servo} has no more to say")
+            self._note(f"{servo} reports: {', '.join(texts)}" if error else f"{servo} reports no error any more")
 
     def _sample(self, t_ns: int, data: Sequence[bytes]) -> Sample:
         registers, first = self._series.registers, self._series.state[0]

@@ -41,7 +41,7 @@ class ServoPort:
     def __init__(self, path: str, baud: int, answer_s: float = ANSWER_S):
         self.path, self.baud, self.answer_s = path, baud, answer_s
         self.is_using = False
-        """Of the vendors' packet handlers."""
+        """Flag that the vendors' packet handlers set."""
         self._serial: Any = None
         self._until = 0.0
 
@@ -67,7 +67,7 @@ class ServoPort:
             self._serial = None
 
     def begin(self) -> None:
-        """Before a request: nobody uses the port, whatever an earlier one came to."""
+        """Mark the port as unused before a request, however an earlier request ended."""
         if self._serial is None:
             raise Unreachable("the port is closed")
         self.is_using = False
@@ -135,7 +135,7 @@ def users_of(path: str) -> str:
 
 
 def why_not_open(path: str, error: BaseException) -> str:
-    """What to do about a port that cannot be opened."""
+    """Advice for a port that cannot be opened."""
     number = getattr(error, "errno", None) or next(iter(getattr(error.__context__, "args", ())), None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         ports = importlib.import_module("serial.tools.list_ports").comports()
@@ -155,12 +155,12 @@ def why_not_open(path: str, error: BaseException) -> str:
 
 
 SUCCESS = 0
-"""What the libraries' functions return where nothing is wrong."""
+"""Return value of the libraries' functions without an error."""
 
 
 @dataclass
 class Reading:
-    """What came of one request."""
+    """Answers to one request."""
 
     t_ns: int
     """When it was sent, by time.monotonic_ns(): each servo reads its registers on its way to answer."""
@@ -169,11 +169,12 @@ class Reading:
     errors: dict[int, int] = field(default_factory=dict)
     """Error bits by id, as their packets hold them."""
     corrupt: int = 0
-    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, a servo not asked."""
+    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, an id not in the
+    request."""
 
 
 class ServoBus:
-    """Transactions on a port. Whoever else of this process uses the port holds `lock` meanwhile."""
+    """Transactions on a port. Other users of the port in this process must hold `lock`."""
 
     def __init__(self, port: ServoPort, series: Series):
         self.port, self.series = port, series
@@ -184,11 +185,11 @@ class ServoBus:
 
     def transaction_s(self, servos: int, length: int) -> float:
         """Shortest time of a reading, by the bytes on the wire, [s]; return delays of the servos are on top."""
-        return self.port.wire_s(self.series.asked + servos * (1 + self.series.overhead + length))
+        return self.port.wire_s(self.series.request_bytes + servos * (1 + self.series.overhead + length))
 
     def read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
-        """Registers address to address + length - 1 of all these servos. Which of them did not answer is for the caller
-        to see.
+        """Registers address to address + length - 1 of all these servos. The caller checks which of
+        them did not answer.
 
         Raises:
             Unreachable: the port has gone.
@@ -197,7 +198,7 @@ class ServoBus:
             return self._read(address, length, ids)
 
     def write(self, address: int, length: int, values: Mapping[int, bytes]) -> None:
-        """Registers of each servo by its id; no servo says whether it took them: read them back.
+        """Write registers of each servo by its id; no servo acknowledges a write: read them back.
 
         Raises:
             Unreachable: the port has gone.

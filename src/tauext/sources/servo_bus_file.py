@@ -1,4 +1,4 @@
-"""What a bus of serial servos carries: ids, zeros and directions of the joints, from a file, ours or LeRobot's."""
+"""Joints on a bus of serial servos: ids, zeros and directions, from a bus file or a LeRobot calibration file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ id = 1
 zero = 2048              # count of the encoder where the angle is 0
 # sign = -1              # where the angle falls as the counts rise; 1 if left out
 # multi_turn = true      # counts go on beyond a turn; if left out, angles are within half a turn of the zero
-# type = "sts3215"       # refuse another servo; if left out, what the servo says that it is
+# type = "sts3215"       # refuse another servo; if left out, the type that the servo reports
 """
 
 
@@ -56,9 +56,9 @@ class ServoJoint:
     multi_turn: bool = False
     """Counts go on beyond a turn. Otherwise angles are within half a turn of the zero."""
     type: str = ""
-    """That it must be, say xl330-m288, or the beginning of it; empty: any that is known."""
+    """Type that it must be, for example xl330-m288, or the beginning of it; empty: any known type."""
     homing_offset: int | None = None
-    """That it must hold, [counts]; None: any."""
+    """Homing offset that the servo must hold, [counts]; None: any."""
 
     def __str__(self) -> str:
         return f"servo {self.id} ({self.name})"
@@ -74,7 +74,7 @@ class ServoBusFile:
 
 
 def load_servo_bus(path: Place) -> ServoBusFile:
-    """A bus file (TEMPLATE says what it may hold), or a LeRobot calibration file (*.json).
+    """A bus file (TEMPLATE lists its keys), or a LeRobot calibration file (*.json).
 
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.

@@ -14,9 +14,9 @@ class Register(NamedTuple):
 
     address: int
     layout: str
-    """Of struct."""
+    """Format character of the module struct."""
     unit: float = 1
-    """Of one count."""
+    """Value of one count."""
     sign_bit: int | None = None
     """This bit is the sign, those below it the amount; None: as the layout has it."""
 
@@ -39,23 +39,23 @@ class Series:
     """One make of servos."""
 
     kind: str
-    """As the command line and the extra of the installation name it."""
+    """Name on the command line, and of the extra of the installation."""
     package: str
     library: str
     """The module of that package."""
     protocol: float
     flags: tuple[Any, ...]
-    """What the library's functions that send and receive take beside the rest."""
+    """Further arguments of the library's functions that send and receive."""
     silence: int
-    """What they return where nothing came."""
-    asked: int
+    """Return value of these functions when nothing came."""
+    request_bytes: int
     """Bytes of a request for a block beside the ids."""
     overhead: int
     """Bytes of an answer beside its data."""
     packet: dict[str, Register]
     """id, length and error of an answer: its data begin after the error."""
     identity: tuple[int, int]
-    """First register and length of the block that says what the servo is: model, mode, homing."""
+    """First register and length of the block that identifies the servo: model, mode, homing."""
     state: tuple[int, int]
     """The block that is read every period."""
     registers: dict[str, Register]
@@ -73,7 +73,7 @@ class Series:
 
 FEETECH = Series(
     kind="feetech", package="feetech-servo-sdk", library="scservo_sdk", protocol=0, flags=(), silence=-6,
-    asked=8, overhead=6, packet={"id": Register(2, "B"), "length": Register(3, "B"), "error": Register(4, "B")},
+    request_bytes=8, overhead=6, packet={"id": Register(2, "B"), "length": Register(3, "B"), "error": Register(4, "B")},
     identity=(3, 31), state=(40, 31),
     registers={
         "model": Register(3, "H"), "homing": Register(31, "H", sign_bit=11), "mode": Register(33, "B"),
@@ -88,7 +88,8 @@ FEETECH = Series(
 mocked bus. The duty is the register Present_Load."""
 DYNAMIXEL = Series(
     kind="dynamixel", package="dynamixel-sdk", library="dynamixel_sdk", protocol=2.0, flags=(False,), silence=-3001,
-    asked=14, overhead=11, packet={"id": Register(4, "B"), "length": Register(5, "H"), "error": Register(8, "B")},
+    request_bytes=14, overhead=11,
+    packet={"id": Register(4, "B"), "length": Register(5, "H"), "error": Register(8, "B")},
     identity=(0, 24), state=(116, 31),
     registers={
         "model": Register(0, "H"), "mode": Register(11, "B"), "homing": Register(20, "i"), "torque": Register(64, "B"),
@@ -101,7 +102,7 @@ DYNAMIXEL = Series(
         1030: ("xm430-w210", 0.00269), 1020: ("xm430-w350", 0.00269), 1130: ("xm540-w150", 0.00269),
         1120: ("xm540-w270", 0.00269),
     },
-    holds=(3, 4, 5), current="phase-current", complaints={0x80: "a hardware alert; its register 70 says which"},
+    holds=(3, 4, 5), current="phase-current", complaints={0x80: "a hardware alert; its register 70 holds the cause"},
 )  # fmt: skip
 """The X series (Koch, ViperX), protocol 2.0: ids, lengths, stuffed bytes and a CRC. Never run on hardware: tested on a
 mocked bus. One block of 31 bytes, so that no indirect addresses need be written. The duty is Present PWM, 885 counts at

@@ -26,7 +26,7 @@ def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
         [nm_per_ampere]
         shoulder_pan_joint = 12.2
 
-    A negative constant says that the current's sign is the other way round.
+    A negative constant means that the current's sign is the other way round.
 
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.
@@ -64,7 +64,7 @@ class UrSource(ReaderSource):
             raise ConfigError(f"{self.name}: the bundle takes amperes, as they come; leave {self._file} out")
         if not amperes and self._file is None:
             raise ConfigError(
-                f"{self.name} sends motor currents, the bundle takes N m: --torque-constants FILE says what they are"
+                f"{self.name} sends motor currents, the bundle takes N m: --torque-constants FILE converts them"
             )
         self._constants = np.ones(len(settings.joints))
         if self._file is not None:

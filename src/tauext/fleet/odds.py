@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 ARM_STEPS, JOINT_STEPS = 2.0 ** np.arange(-1.6, 1.61, 0.8), 2.0 ** np.arange(-1.6, 1.61, 0.4)
 """Of the usual spreads, those that are tried; finer where it matters more."""
 DOUBLE = np.log(2.0)
-"""A spread is known beforehand to a factor of two."""
+"""The prior of a spread has a standard deviation of a factor of two."""
 SHARES = (0.005, 0.03)
 """Of joints that are others than before, between two dates: equally probable."""
 ODD_ARM = 0.05
@@ -37,12 +37,12 @@ LIKELIEST = 12
 NAMED = 0.5
 """Probability from which on a joint is named: it is rather so than not."""
 FARTHEST, FARTHEST_JUMPS = np.log(6.0), 6.0
-"""What is looked for as named: a factor; of what is no logarithm so many of its usual jumps."""
+"""Upper end of the search for the smallest named value: a factor; in other units, usual jumps."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is believed of a table before it is seen; in its own unit, for logarithms as shares."""
+    """The prior of a table; in its own unit, for logarithms as shares."""
 
     arm_spread: float
     """sigma_A, usually; 0: the columns have nothing in common."""
@@ -59,14 +59,14 @@ class Question:
 
 
 class Spreads(NamedTuple):
-    """One guess of what is not known."""
+    """One guess of the unknown spreads."""
 
     arm: float
     joint: float
 
 
 class Guess(NamedTuple):
-    """All that is not known, and how probable that is."""
+    """One guess of all unknowns, and its probability."""
 
     spreads: Spreads
     share: float
@@ -77,7 +77,7 @@ class Guess(NamedTuple):
 
 @dataclass(frozen=True)
 class Odds:
-    """What a table says."""
+    """Probabilities of a table."""
 
     more: np.ndarray  # (arms, joints): probability of w > 0; NaN where there is no number
     less: np.ndarray  # (arms, joints): of w < 0
@@ -118,7 +118,7 @@ def learn_odds(values: np.ndarray, errors: np.ndarray, question: Question) -> Od
 
 
 def first_centre(values: np.ndarray, question: Question) -> np.ndarray:
-    """Median of each joint; 0 where too few arms tell what is common."""
+    """Median of each joint; 0 where too few arms determine what is common."""
     joints = [column[np.isfinite(column)] for column in values.T]
     few = len(values) < 3 and question.apart < 1
     return np.array([0.0 if few or len(column) == 0 else float(np.median(column)) for column in joints])
@@ -166,7 +166,7 @@ class Sums:
 
 @dataclass(frozen=True)
 class Table:
-    """The numbers, and what is asked of them."""
+    """The numbers, and their prior."""
 
     x: np.ndarray
     s: np.ndarray

@@ -27,7 +27,7 @@ class RayWorkers:
         Raises:
             ConfigError: Ray is not installed, or there is no cluster.
         """
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to another host
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage reports to another host
         try:
             import ray
         except ImportError as error:

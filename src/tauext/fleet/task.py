@@ -94,7 +94,8 @@ class Contents:
             pass
 
     def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
-        """Read those that nobody knows, some at a time; show is called with how many are read, and of how many."""
+        """Read the files that are not hashed yet, some at a time; show is called with how many are read, and of how
+        many."""
         each = dict.fromkeys(files)
         pool = ThreadPoolExecutor(AT_A_TIME)
         try:
@@ -144,7 +145,7 @@ DIGITS = 12
 def build() -> str:
     """As "0.1.0+3f9c0a1be2d4": one release may be built from several states of the code, or for several processors.
 
-    Of libraries only the core's own counts: another NumPy does nothing anew, and stands in each output's provenance.
+    Of libraries only the core's own counts: another NumPy repeats no task, and is listed in each output's provenance.
     """
     root = Path(__file__).parent.parent
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
@@ -156,7 +157,7 @@ def build() -> str:
     return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"
 
 
-# --- One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made.
+# --- One stage of one arm: done once, in a folder that appears whole, with a marker of what it was made from.
 
 
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
@@ -166,7 +167,7 @@ LONGEST_REASON = 400
 """Letters of a reason that is to stand on one line."""
 
 Stage = Callable[[Mapping[str, Any], Path], str | None]
-"""Does what `work` says in a new folder; returns why the arm's later stages must not follow, None where they may."""
+"""Runs `work` in a new folder; returns why the arm's later stages must not follow, None where they may."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ class Outcome:
     """How a task ended."""
 
     state: str
-    """done, refused (it is done, and says that nothing may be made of it), or failed."""
+    """done, refused (done, but nothing may be made from its output), or failed."""
     reason: str = ""
     seconds: float = 0.0
     """Wall time of whoever did it."""
@@ -218,17 +219,19 @@ class Marker:
     def lacks(self, folder: Place) -> str | None:
         """The first output that is gone or has another size; None: all are there."""
         there = sizes(folder, self.outputs)
-        return next((name for name, said in self.outputs.items() if there.get(name) != said["bytes"]), None)
+        return next((name for name, entry in self.outputs.items() if there.get(name) != entry["bytes"]), None)
 
 
 def marker_of(folder: Place) -> Marker | None:
     """What stands there; None: nothing that is whole."""
     try:
-        said = json_of(read_text(folder / MARKER))
-        if said["format"] != FORMAT:
+        content = json_of(read_text(folder / MARKER))
+        if content["format"] != FORMAT:
             return None
         seconds = float(json_of(read_text(folder / WALL_TIME))["task_s"])
-        return Marker(said["hash"], said["build"], said["inputs"], said["outputs"], said["refused"], seconds)
+        return Marker(
+            content["hash"], content["build"], content["inputs"], content["outputs"], content["refused"], seconds
+        )
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -253,14 +256,14 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
 
     The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
     For a store it is written on this machine and sent, its marker last.
-    Where it fails, STAGE.failed.txt beside it holds all that is to be said.
+    If it fails, STAGE.failed.txt beside it holds the full reason.
     """
     if task.build != build():
         return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
     if (outcome := finished(task)) is not None:
         return outcome
     folder = place_of(task.folder)
-    told = folder.with_name(f"{task.stage}.failed.txt")
+    failure_file = folder.with_name(f"{task.stage}.failed.txt")
     part = at_home(folder).with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
     started = time.monotonic()
     try:
@@ -271,12 +274,12 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
             refused = stages[task.stage](task.work, part)
         marker = mark(task, part, refused, time.monotonic() - started)
         publish(part, task)
-        if told.is_file():
-            told.unlink(missing_ok=True)
+        if failure_file.is_file():
+            failure_file.unlink(missing_ok=True)
         return ended(marker)
     except Exception as error:
-        reason, block = (text.replace(str(part), str(folder)) for text in said_of(error))
-        with suppress(OSError, StoreError), whole_file(told) as whole:  # the reason itself is reported
+        reason, block = (text.replace(str(part), str(folder)) for text in reason_and_report(error))
+        with suppress(OSError, StoreError), whole_file(failure_file) as whole:  # the reason itself is reported
             whole.write_text(block + "\n")
         return Outcome("failed", reason, time.monotonic() - started)
     finally:
@@ -289,12 +292,12 @@ def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
     outputs = {
         path.relative_to(part).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)} for path in files
     }
-    said = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash}
-    said |= {"build": task.build, "inputs": task.inputs}
-    said |= {"refused": refused, "outputs": outputs}
+    content = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash}
+    content |= {"build": task.build, "inputs": task.inputs}
+    content |= {"refused": refused, "outputs": outputs}
     made_by = {key: value for key, value in provenance("tauext fleet run", {}, None).items() if key != "settings"}
     write_json({"task_s": round(seconds, 3)}, part / WALL_TIME)
-    write_json(said | made_by, part / MARKER)
+    write_json(content | made_by, part / MARKER)
     return Marker(task.hash, task.build, task.inputs, outputs, refused, round(seconds, 3))
 
 
@@ -342,8 +345,8 @@ def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
     return found
 
 
-def said_of(error: Exception) -> tuple[str, str]:
-    """One line, and all that there is to say."""
+def reason_and_report(error: Exception) -> tuple[str, str]:
+    """The reason in one line, and the full report."""
     if isinstance(error, FaultyDataError):
         codes = dict.fromkeys(getattr(finding, "code", "") for finding in error.findings)
         line = str(error).splitlines()[0].partition(",")[0]
@@ -367,7 +370,7 @@ def one_line(text: str) -> str:
 
 
 def clean(arm_folder: Path) -> None:
-    """Remove what killed workers left of an arm; nobody else is at work there."""
+    """Remove what killed workers left of an arm; no other worker may be active there."""
     for pattern in (".*.part-*", ".*.old-*"):
         for left in arm_folder.glob(pattern):
             shutil.rmtree(left, ignore_errors=True)

@@ -396,7 +396,7 @@ class InjectedCurve:
     nine_of_ten: Number
     """Peak from which on 9 of 10 are detected; None where there is none."""
     delay_median_s: Number
-    """From there on."""
+    """Delay of detected events from that peak on."""
     delay_p95_s: Number
     bins: tuple[PeakBin, ...]
 

@@ -36,18 +36,18 @@ ARMS, MEMORY = "arms", "inputs.json"
 
 @dataclass(frozen=True)
 class Planned:
-    """A task, and what stands of it."""
+    """A task and its state before the run."""
 
     task: Task
     there: Outcome | None
-    """How it ended; None: it is to be done."""
+    """Its outcome; None: it has to run."""
     why: str
-    """It is to be done; empty where it is not."""
+    """Why it has to run; empty if it is done."""
 
 
 @dataclass(frozen=True)
 class PlannedArm:
-    """An arm's tasks in their order, each of which needs those before it."""
+    """An arm's tasks in order; each depends on the ones before it."""
 
     arm: Arm
     steps: tuple[Planned, ...]
@@ -184,11 +184,11 @@ def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
 
 FILE = "fleet.json"
 EVERY_S = 5.0
-"""Between two writings while tasks end."""
+"""Least time between two writes of the file while tasks end."""
 
 
 class Book:
-    """How each task stands: done, refused, failed, skipped or waiting."""
+    """State of each task: done, refused, failed, skipped or waiting."""
 
     def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Place):
         self._fleet, self._plan, self._out = fleet, plan, out
@@ -199,7 +199,7 @@ class Book:
         self._outcomes[task.arm, task.stage] = outcome
 
     def of(self, arm: str, stage: str) -> Outcome:
-        """How it stands."""
+        """Outcome of the task, `waiting` before it ends."""
         return self._outcomes.get((arm, stage), Outcome("waiting"))
 
     def state(self, arm: PlannedArm) -> str:

@@ -95,7 +95,7 @@ def tool_columns(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
 def weigh_all(
     y: Sequence[np.ndarray], gravity: np.ndarray, columns: np.ndarray, share_spread: float, left_nm: np.ndarray
 ) -> list[Weighed]:
-    """Tool and shares of each arm; how well gravity is known is found in what all of them leave.
+    """Tool and shares of each arm; the accuracy of gravity is estimated from their residuals.
 
     Args:
         y: of each arm, (poses, n) [N m].
@@ -120,7 +120,7 @@ def weigh_all(
 def weigh(
     y: np.ndarray, gravity: np.ndarray, columns: np.ndarray, share_spread: float, noise_nm: np.ndarray
 ) -> tuple[Weighed, np.ndarray]:
-    """Least squares on all joints; and what it leaves, (poses, n)."""
+    """Least squares on all joints; also returns the residuals, (poses, n)."""
     poses, n = y.shape
     design = np.zeros((poses, n, 4 + n))
     design[:, :, :4] = columns
@@ -142,13 +142,13 @@ OWN_FRICTION = Question(arm_spread=0.08, joint_spread=0.05, jump=0.35, common=0.
 arm by some 8 %, a cold morning by 30 %; a joint by itself does half of that. Wear is felt from a tenth on, and is
 repaired before friction doubles."""
 FLEET_FRICTION = Question(arm_spread=0.1, joint_spread=0.2, jump=0.35, common=3.0, apart=3.0)
-"""Of one arm beside others of its type: healthy gears differ by 0.7 to 1.3. What the type has is whatever it is."""
+"""Of one arm beside others of its type: healthy gears differ by 0.7 to 1.3. The mean of the type is unconstrained."""
 OWN_CONSTANT = Question(arm_spread=0.005, joint_spread=0.01, jump=0.1, common=0.02, apart=0.02, odd_arm=0.05)
 """A motor's magnets lose 0.1 to 0.2 % a kelvin; another drive, or another number in its software, is a tenth off."""
 FLEET_CONSTANT = Question(arm_spread=0.01, joint_spread=0.05, jump=0.15, common=3.0, apart=3.0, odd_arm=0.1)
 """Makers keep torque constants, gear losses included, to some 5 %."""
 OWN_TOOL = Question(arm_spread=0.0, joint_spread=0.05, jump=0.7, common=0.02, apart=0.02)
-"""Kilograms. The same tool weighs the same, as far as gravity is known; another one differs by some hundred grams."""
+"""Kilograms. The same tool weighs the same, within the error of gravity; another one differs by some hundred grams."""
 FLEET_TOOL = Question(arm_spread=0.0, joint_spread=0.2, jump=0.7, common=3.0, apart=3.0)
 """Kilograms. Arms of one type may carry tools that differ by some hundred grams."""
 OWN_SHARE, FLEET_SHARE = 0.1, 0.05
@@ -167,7 +167,7 @@ class Compared:
     """One table of arms and joints with its probabilities."""
 
     rows: tuple[int, ...]
-    """Which visit of the group each row is."""
+    """Index of each row's visit in the group."""
     values: np.ndarray  # (rows, joints): logarithms; [kg] of a tool
     errors: np.ndarray
     odds: Odds | None
@@ -200,15 +200,15 @@ class Compared:
 
 @dataclass(frozen=True)
 class GroupNumbers:
-    """All that is compared in one group of arms."""
+    """All comparisons within one group of arms."""
 
     friction_nm: np.ndarray  # (visits, joints)
     tables: Mapping[str, Compared]
-    """By "fleet friction", "own constant" ...; those of own dates by "own friction 1", the number of the date."""
+    """Keys: "fleet friction", "own constant" ...; those of own dates by "own friction 1", the number of the date."""
 
 
 def compare(facts: Sequence[BundleFacts], serials: Sequence[str], order: Sequence[int]) -> GroupNumbers:
-    """Everything of one group.
+    """All comparisons of one group.
 
     Args:
         facts: of every visit that has a bundle, an arm's visits in the order of their dates.
@@ -263,7 +263,8 @@ def own_tables(
     rows: Sequence[int],
     first: Sequence[int],
 ) -> dict[str, Compared]:
-    """Every arm beside its own first date, by the torque that was recorded: how a training reads it does not matter."""
+    """Every arm beside its own first date, by the recorded torque, so that the scale used in training does not
+    matter."""
     by_first = [facts[a].nm_per_unit / facts[b].nm_per_unit for a, b in zip(first, rows, strict=True)]
     middle = np.median(gravity[list(first)], axis=0)
     differ = [gravity[b] * scale - gravity[a] for a, b, scale in zip(first, rows, by_first, strict=True)]
@@ -291,7 +292,7 @@ def own_tables(
 
 
 def left_nm(facts: Sequence[BundleFacts], rows: Sequence[int]) -> np.ndarray:
-    """What training leaves of each joint's torque, usually, (n,)."""
+    """Median residual torque of each joint in training, (n,)."""
     return np.median([facts[k].error_nm for k in rows], axis=0)
 
 

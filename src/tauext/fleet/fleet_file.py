@@ -86,14 +86,14 @@ ONE_THREAD = {"threads": "each task has one thread, and --workers sets how many 
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of a fleet, with all that holds for it; places are absolute."""
+    """One arm of a fleet with all of its settings; places are absolute."""
 
     name: str
     type: str
     stages: tuple[str, ...]
-    """Those that it has, in their order."""
+    """Its stages, in order."""
     sources: tuple[Place, ...] = ()
-    """To import, described by `description`; none: `dataset` is there already."""
+    """Files to import, described by `description`; none: `dataset` exists already."""
     description: Place | None = None
     """Its arm.toml."""
     dataset: Place | None = None
@@ -147,7 +147,7 @@ def load_fleet(path: Place | str) -> Fleet:
 
 
 def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Place, base: Place) -> Arm:
-    """One arm from its own table, that of its type, and what stands at the top."""
+    """One arm from its own table, that of its type, and the top-level keys."""
     where = f"{path}: arm {number}"
     expect_keys(table, (*OWN, *SHARED), where)
     name = text_of(table, "name", where)
@@ -181,7 +181,7 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
 
 
 def with_data(arm: Arm, table: Mapping[str, Any], keys: Mapping[str, Any], where: str, base: Place) -> Arm:
-    """The arm with its recordings and files, all of which are there."""
+    """The arm with its recordings and files, all of which exist."""
     patterns, dataset = texts_of(table, "sources", where), place(table, "dataset", where, base)
     if bool(patterns) == (dataset is not None):
         raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
@@ -270,7 +270,7 @@ def expect_keys(table: Any, known: tuple[str, ...], where: str) -> None:
 
 
 def merged(tables: list[Any], where: str) -> dict[str, Any]:
-    """Tables over one another, the last on top; so are those within."""
+    """Merge tables recursively; the last one has priority."""
     found: dict[str, Any] = {}
     for table in tables:
         if not isinstance(table, dict):
@@ -282,7 +282,7 @@ def merged(tables: list[Any], where: str) -> dict[str, Any]:
 
 
 def text_of(table: Mapping[str, Any], key: str, where: str) -> str | None:
-    """The text under the key; None: there is none."""
+    """The text under the key; None: no such key."""
     value = table.get(key)
     if value is not None and (not isinstance(value, str) or not value or "\0" in value):
         raise ConfigError(f"{where}: {key} = {value!r} must be text")
@@ -299,7 +299,7 @@ def texts_of(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
 
 
 def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place | None:
-    """The place that is named under the key; None: there is none."""
+    """The place that is named under the key; None: no such key."""
     text = text_of(table, key, where)
     return None if text is None else place_of(text, base)
 

@@ -23,15 +23,15 @@ ARM_STEPS, JOINT_STEPS = 2.0 ** np.arange(-1.6, 1.61, 0.8), 2.0 ** np.arange(-1.
 DOUBLE = np.log(2.0)
 """The prior of a spread has a standard deviation of a factor of two."""
 SHARES = (0.005, 0.03)
-"""Of joints that are others than before, between two dates: equally probable."""
+"""Shares of joints that changed between two dates; both equally probable."""
 ODD_ARM = 0.05
-"""Share of arms of which all joints do what others' do not."""
+"""Share of arms all of whose joints differ from those of the others."""
 POINTS = 161
 """Of an arm's A."""
 ROUNDS = 3
 """Of the centre and of which joints it is the centre of."""
 FAR = 5.0
-"""Standard deviations within which all of a density is."""
+"""Standard deviations beyond which a density is neglected."""
 LEAST_WEIGHT = 1e-5
 LIKELIEST = 12
 NAMED = 0.5
@@ -146,7 +146,7 @@ class Sums:
     points: np.ndarray  # (arms, points): A
 
     def log_any(self, share: float) -> np.ndarray:
-        """Log density of each number, whatever it is, (arms, points, joints)."""
+        """Log density of each number under the mixture of usual and unusual joints, (arms, points, joints)."""
         other = np.logaddexp(self.up, self.down) + np.log(share / 2)
         return np.logaddexp(self.same + np.log1p(-share), other)
 
@@ -267,7 +267,7 @@ def log_normal(d: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
 
 
 def log_normal_vector(x: np.ndarray, covariance: np.ndarray) -> float:
-    """Without the constant of 2 pi, which Laplace's integral takes away."""
+    """Log density without the constant of 2 pi, which cancels in Laplace's integral."""
     return -0.5 * float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 

@@ -1,4 +1,4 @@
-"""Workers that Ray finds: its queue, its resources and its retries; nothing is scheduled here."""
+"""Workers on Ray, which does the queueing, scheduling and retries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The driver: hands out tasks whose inputs are there, and keeps the book of what became of them."""
+"""The driver: starts tasks whose inputs exist, and records their outcomes."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Progress:
         self.end = FleetEnd(self.book)
 
     def next_of(self, arm: str) -> Task | None:
-        """The next task to do; what was done before is passed over, and nothing follows what is refused."""
+        """The next task to run; finished tasks are skipped, and nothing follows a refused one."""
         while self.left[arm]:
             step = self.left[arm].pop(0)
             if step.there is None:

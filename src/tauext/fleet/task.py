@@ -37,7 +37,7 @@ LOCK = "fleet.lock"
 
 @contextmanager
 def locked(out: Place) -> Iterator[None]:
-    """The folder is ours; the lock ends with the process, whatever ends it.
+    """Lock the folder for this driver; the lock ends with the process, even a killed one.
 
     Raises:
         ConfigError: another driver is at work here.
@@ -164,7 +164,7 @@ MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
 TIMED = "wall_time_s.json"
 """End of the names of files that differ from run to run: task.wall_time_s.json, and those of the commands."""
 LONGEST_REASON = 400
-"""Letters of a reason that is to stand on one line."""
+"""Most characters of a reason on one line."""
 
 Stage = Callable[[Mapping[str, Any], Path], str | None]
 """Runs `work` in a new folder; returns why the arm's later stages must not follow, None where they may."""
@@ -172,18 +172,18 @@ Stage = Callable[[Mapping[str, Any], Path], str | None]
 
 @dataclass(frozen=True)
 class Task:
-    """What there is to do, as plain JSON, so that any process on any machine can do it."""
+    """One unit of work, as plain JSON, so that any process on any machine can run it."""
 
     arm: str
     stage: str
     folder: str
-    """Where its output stands when it is complete; absolute."""
+    """Folder of its complete output; absolute."""
     inputs: dict[str, str]
-    """All that the output depends on, by names for people: digests of contents, settings, hashes of tasks before it."""
+    """All that the output depends on, by readable names: digests of contents, settings, hashes of tasks before it."""
     work: dict[str, Any] = field(default_factory=dict)
-    """What the stage is called with: places and settings. Where a place lies is no input, what is there is."""
+    """Arguments of the stage: places and settings. The content of a place is an input, its path is not."""
     build: str = field(default_factory=build)
-    """Of the tauext that planned it."""
+    """Build of the tauext that planned it."""
 
     @property
     def hash(self) -> str:
@@ -202,12 +202,12 @@ class Outcome:
     """done, refused (done, but nothing may be made from its output), or failed."""
     reason: str = ""
     seconds: float = 0.0
-    """Wall time of whoever did it."""
+    """Wall time of the run."""
 
 
 @dataclass(frozen=True)
 class Marker:
-    """What stands in a finished task's folder."""
+    """Content of the marker in a finished task's folder."""
 
     hash: str
     build: str
@@ -217,13 +217,13 @@ class Marker:
     seconds: float
 
     def lacks(self, folder: Place) -> str | None:
-        """The first output that is gone or has another size; None: all are there."""
+        """The first output that is missing or has another size; None: all exist."""
         there = sizes(folder, self.outputs)
         return next((name for name, entry in self.outputs.items() if there.get(name) != entry["bytes"]), None)
 
 
 def marker_of(folder: Place) -> Marker | None:
-    """What stands there; None: nothing that is whole."""
+    """The marker in the folder; None: missing or incomplete."""
     try:
         content = json_of(read_text(folder / MARKER))
         if content["format"] != FORMAT:
@@ -252,11 +252,11 @@ def ended(marker: Marker) -> Outcome:
 
 
 def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
-    """Do it, unless it is done; whatever goes wrong is a failed outcome with its reason on one line.
+    """Run the task unless it is done; any error is a failed outcome with its reason on one line.
 
-    The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
-    For a store it is written on this machine and sent, its marker last.
-    If it fails, STAGE.failed.txt beside it holds the full reason.
+    The output is written to a folder of its own beside the final one and renamed: a killed process leaves no partial
+    output. For a store it is written on this machine and sent, its marker last. If it fails, STAGE.failed.txt beside it
+    holds the full reason.
     """
     if task.build != build():
         return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
@@ -302,7 +302,8 @@ def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
 
 
 def publish(part: Path, task: Task) -> None:
-    """The folder gets its name; what stood there of other inputs goes, and what another worker made of these stays.
+    """Rename the folder to its final name; it replaces output of other inputs, but not another worker's of the same
+    inputs.
 
     Raises:
         OSError: it cannot be renamed.
@@ -325,7 +326,7 @@ def publish(part: Path, task: Task) -> None:
 
 
 def send_over(part: Path, folder: StoredPlace) -> None:
-    """What stood there is no finished task from the first step on, and the new one is so with the last."""
+    """Replace a stored folder: the old marker is deleted first, and the new one is sent last."""
     there = [file for file in folder.rglob("*") if file.is_file()]
     for file in sorted(there, key=lambda file: file.name != MARKER):
         if file.name == MARKER or not (part / file.relative_to(folder)).is_file():
@@ -334,7 +335,7 @@ def send_over(part: Path, folder: StoredPlace) -> None:
 
 
 def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
-    """Of the files with these names that are there, [bytes]; of a store by one listing."""
+    """Sizes of those of these files that exist, [bytes]; of a store by one listing."""
     if isinstance(folder, StoredPlace):
         files = (file for file in folder.rglob("*") if file.is_file())
         return {file.relative_to(folder).as_posix(): file.stat().st_size for file in files}

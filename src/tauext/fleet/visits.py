@@ -167,7 +167,7 @@ def read_bundle(path: Place) -> BundleFacts:
 
 
 def of(facts: Any, key: str) -> dict[str, Any]:
-    """The table under the key; empty where there is none."""
+    """The table under the key; empty without such a key."""
     value = facts.get(key) if isinstance(facts, dict) else None
     return value if isinstance(value, dict) else {}
 
@@ -361,7 +361,7 @@ def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray
 
 
 def results_of(folder: Place | None) -> dict[str, Any]:
-    """Of the free motion that training did not see: its error, and what was false there."""
+    """Results on free motion outside training: errors and false collisions."""
     try:
         free = load_results(folder).bundles[0].free_motion if folder is not None else None
     except ConfigError:  # a report of a hundred arms does not end for one of them

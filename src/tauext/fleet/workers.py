@@ -43,7 +43,7 @@ class Workers(Protocol):
         """Queue a task; free workers take tasks in the order of these calls where they can choose."""
 
     def wait(self) -> Ended:
-        """The next task that ends, in whatever order; there is one under way."""
+        """Wait for the next task to end, in any order; at least one must be running."""
 
 
 # --- Workers that are processes of this machine: one that dies costs the task it was at, which is begun again.
@@ -115,7 +115,7 @@ class Process:
 
 @dataclass
 class LocalWorkers:
-    """A context of so many processes, each started when there is work for it."""
+    """A context manager of so many processes, each started when there is work for it."""
 
     workers: int
     retries: int
@@ -170,7 +170,7 @@ class LocalWorkers:
         return Ended(task, Outcome("failed", f"its worker died {times}, by {how}"), deaths)
 
     def _give(self) -> None:
-        """Tasks to those who are free; a new process where there are too few."""
+        """Give tasks to free workers; start a new process if there are too few."""
         while self._waiting:
             free = next((one for one in self._processes if one.task is None), None)
             if free is None:

@@ -322,7 +322,7 @@ def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
 
 
 MOST_PER_HOUR = 300.0
-"""No one bears more false alarms: the axis ends there."""
+"""Upper end of the axis: more false alarms are of no use."""
 STRIP = (0.02, 0.4)
 """Where limits without any false collision stand: between these shares of one in the hours tested."""
 

@@ -35,7 +35,7 @@ from tauext.report.tables import NONE, Row, Table, block, milliseconds
 COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
 """Of limits in their order: collision, contact; or both while sliding, then near stiction."""
 MOST_N, EDGE_N = 1000.0, 1950.0
-"""Beyond the first a direction is blind; blind marks stand between the two."""
+"""Above MOST_N a direction is blind; blind marks are drawn between MOST_N and EDGE_N."""
 BLIND_N = 1400.0
 BLIND = "blind"
 CLOSING = (

@@ -403,8 +403,7 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
 
 
 def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
-    """Estimated links and force at the row with the largest tau_ext over its standard error; empty without any
-    place."""
+    """Estimated links and force at the row with the largest tau_ext over its standard error; empty if none."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
     found = strongest_place(model, *(signal[rows] for signal in signals))

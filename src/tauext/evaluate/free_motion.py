@@ -27,8 +27,7 @@ class FreeMotionErrors:
 
     joints: int
     near_stiction_rad_s: float = 0.02
-    """Speed between the paper's two regions, into which errors of all bundles are split, whatever their limits depend
-    on."""
+    """Speed between the paper's two regions; errors of all bundles are split at it."""
     recordings: list[str] = field(default_factory=list)
     samples: int = 0
     seconds: float = 0.0

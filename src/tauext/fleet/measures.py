@@ -86,8 +86,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def outness(values: Sequence[float | None]) -> list[float]:
-    """How far each number is from the median of all, in robust spreads of its column; 0 with fewer than five
-    numbers."""
+    """Distance of each number from the median, in robust spreads of its column; 0 with fewer than five."""
     known = np.array([value for value in values if value is not None and value > 0])
     if len(known) < 5:
         return [0.0] * len(values)

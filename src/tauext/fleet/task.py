@@ -94,8 +94,7 @@ class Contents:
             pass
 
     def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
-        """Read the files that are not hashed yet, some at a time; show is called with how many are read, and of how
-        many."""
+        """Read the files that are not hashed yet, some at a time; calls show with the number read and the total."""
         each = dict.fromkeys(files)
         pool = ThreadPoolExecutor(AT_A_TIME)
         try:
@@ -302,8 +301,7 @@ def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
 
 
 def publish(part: Path, task: Task) -> None:
-    """Rename the folder to its final name; it replaces output of other inputs, but not another worker's of the same
-    inputs.
+    """Rename the folder to its final name, replacing output of other inputs; output of the same inputs is kept.
 
     Raises:
         OSError: it cannot be renamed.

@@ -126,8 +126,7 @@ class BundleFacts:
         return any(term.kind in (Kind.coulomb, Kind.presliding) for term in self.bundle.prior.terms)
 
     def friction_error(self, friction_nm: np.ndarray) -> np.ndarray:
-        """Standard error of the friction as a share of it: the residual of the fit over the root of
-        the number of independent moments."""
+        """Relative standard error of the friction: the fit's residual over the root of the independent moments."""
         seconds = 60 * (self.minutes or 1.0) * MOVING
         return self.error_nm / np.maximum(friction_nm, 1e-9) / np.sqrt(max(seconds / MEMORY_S, 1.0))
 

@@ -133,12 +133,12 @@ class MadeTouches(TouchMeasures):
 
     def add(self, touches, recording, estimates) -> None:
         for touch in touches:
-            number, joints = len(self._told), recording.joints
+            number, joints = len(self._reported), recording.joints
             first = touch.link if number % 4 else (touch.link + 1) % len(joints)
             ranked = [joints[first], *(joint for joint in joints if joint != joints[first])][:3]
             links = [{"joint": joint, "probability": 0.95 / 20**k} for k, joint in enumerate(ranked)]
             kind = ("push", "impact", "unknown", "clamp")[number % 4]
-            self._told.append({"id": touch.id, "kind": kind, "links": links, "force_n": 20.0 + number})
+            self._reported.append({"id": touch.id, "kind": kind, "links": links, "force_n": 20.0 + number})
             self._labels.append((touch.link, touch.kind))
 
 

@@ -86,7 +86,7 @@ def test_the_next_step_follows_from_the_promise(results, change, says):
 def test_what_is_missing_is_said_to_be(results):
     bundle = free(replace(results.bundles[0], latched=None), hours=None)
     screen = first_screen(replace(results, bundles=(bundle,), collisions=()))
-    assert screen.glances[0].value == "–" and "no collisions were tried" in screen.glances[0].means
+    assert screen.glances[0].value == "–" and "no collisions were tested" in screen.glances[0].means
     assert screen.glances[2].value == "–" and "no free motion" in screen.tested and not screen.why
     assert "Touch the arm while it is recorded" in " ".join(step.words for step in screen.steps)
     nothing = replace(bundle, limits=Limits((None, None), (None, None), False))

@@ -30,7 +30,7 @@ from tauext.fleet.book import plan_fleet
 from tauext.fleet.fleet_file import EXAMPLE, load_fleet
 from tauext.fleet.ray_workers import RayWorkers
 from tauext.fleet.stages import STAGES
-from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, run_task, said_of
+from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, reason_and_report, run_task
 from tauext.fleet.workers import LocalWorkers
 from tauext.train.stage import train_bundle
 
@@ -120,7 +120,7 @@ def test_a_changed_setting_does_again_what_depends_on_it_and_says_so(place, monk
     said = whys(fleet, out)
     assert said == {
         ("b", "train"): "inputs changed: train.observer.gain_per_s",
-        ("b", "evaluate"): "train is done anew",
+        ("b", "evaluate"): "train is done again",
     }
     assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("b", "train"), ("b", "evaluate")]
     assert whys(fleet, out) == {}
@@ -300,7 +300,10 @@ def test_a_full_disk_is_reported_with_the_file(tmp_path):
     with pytest.raises(OSError, match="No space left on device: .*kept.json") as told:
         with whole_file(tmp_path / "kept.json"), open("/dev/full", "wb", buffering=0) as disk:
             disk.write(b"x")
-    assert said_of(told.value)[0] == f"{tmp_path / 'kept.json'}: cannot be read or written (No space left on device)"
+    assert (
+        reason_and_report(told.value)[0]
+        == f"{tmp_path / 'kept.json'}: cannot be read or written (No space left on device)"
+    )
     assert list(tmp_path.iterdir()) == []
 
 

@@ -165,7 +165,7 @@ def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "out/arms/new/train/told.json").read_text())["like"] == str(arm.like)
     arm.like.write_text(arm.like.read_text() + " ")
     steps = {step.task.stage: step.why for one in plan_fleet(load_fleet(fleet), tmp_path / "out") for step in one.steps}
-    assert steps == {"check": "", "train": "inputs changed: train.like", "evaluate": "train is done anew"}
+    assert steps == {"check": "", "train": "inputs changed: train.like", "evaluate": "train is done again"}
     work = {"name": "new", "dataset": str(data), "case": None, "robot": None, "accept": [], "settings": plain(CONFIG)}
     monkeypatch.setattr("tauext.train.stage.look_first", lambda *told: {})
     train_arm(work | {"like": str(made[0])}, tmp_path)

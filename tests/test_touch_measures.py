@@ -15,9 +15,16 @@ from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.evaluate.collisions import TouchMeasures, find_collisions
-from tauext.evaluate.results import JsonReader, LinkProbability, LinkTable, ToldTouch, load_results
+from tauext.evaluate.results import JsonReader, LinkProbability, LinkTable, TouchEstimate, load_results
 from tauext.report.page import write_report
-from tauext.report.tables import kinds_table, links_table, links_worth, told_table, told_words, touched
+from tauext.report.tables import (
+    kinds_table,
+    links_table,
+    links_worth,
+    touch_estimate_words,
+    touch_estimates_table,
+    touched,
+)
 
 SIGMA_NM, RATE_HZ, APART_S, HELD_S = 0.15, 100, 3.0, 1.4
 PUSHES = (
@@ -118,7 +125,7 @@ def test_a_stated_link_counts_as_right_or_wrong():
         return {"id": "x", "kind": None, "links": [{"joint": joint, "probability": probability}]}
 
     measures = TouchMeasures(SimpleNamespace(links=[SimpleNamespace(joint_name=name) for name in "ab"]))
-    measures._told = [told("a", 0.95), told("b", 0.9), told("b", 0.6), told("a", 0.99)]
+    measures._reported = [told("a", 0.95), told("b", 0.9), told("b", 0.6), told("a", 0.99)]
     measures._labels = [(0, "w"), (0, "w"), (1, "w"), (-1, "w")]  # where the last one was, nobody knows
     links = measures.summary()["links"]
     assert links["table"] == [[1, 1], [0, 1]]
@@ -134,7 +141,7 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
     assert [int(cell or 0) for cell in table.rows[0].cells[2:4]] == list(one.links.table[1])
     assert f"the right link first in {one.links.first} of {one.links.collisions}" in links_worth(bundle.label, one)
     assert [row.cells[1] for row in kinds_table(read).rows] == ["pulses"]
-    rows = told_table(read).rows
+    rows = touch_estimates_table(read).rows
     assert len(rows) == len(read.collisions) and rows[1].cells[-1] == "joint2 95%, 21 N, impact"
     write_report(results, data, tmp_path / "report")
     assert "Where, how hard, and what kind" in (tmp_path / "report" / "report.html").read_text()
@@ -146,9 +153,12 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
 
 
 def test_what_was_told_in_words():
-    assert told_words(None) == "–" and told_words(ToldTouch("x", None)) == "–"
-    assert told_words(ToldTouch("x", "unknown")) == "unknown"
-    assert told_words(ToldTouch("x", "clamp", (LinkProbability("elbow", 0.831),), 33.6)) == "elbow 83%, 34 N, clamp"
+    assert touch_estimate_words(None) == "–" and touch_estimate_words(TouchEstimate("x", None)) == "–"
+    assert touch_estimate_words(TouchEstimate("x", "unknown")) == "unknown"
+    assert (
+        touch_estimate_words(TouchEstimate("x", "clamp", (LinkProbability("elbow", 0.831),), 33.6))
+        == "elbow 83%, 34 N, clamp"
+    )
 
 
 def test_a_table_that_is_not_square_is_refused():

@@ -1,4 +1,4 @@
 """Bundles on recordings with known contacts.
 
-In go bundles and a dataset. Out come estimates and results.json. It imports the packages before it.
+Reads bundles and a dataset; writes estimates and results.json. Imports the packages before it.
 """

@@ -181,7 +181,7 @@ def judge_latched(
     """
     hold = round(hold_s * recording.rate_hz)
     long = hold + round(STRONG_FOR_S * recording.rate_hz)
-    # The sample before the onset, and as many before that as the longest hold time asks for.
+    # The sample before the onset, and as many before that as the longest hold time needs.
     first = max(collision.begin - 1 - long, 0)
     last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
     part, window = slice(first, last), slice(collision.begin - first, last - first)
@@ -247,7 +247,7 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[
 
     Args:
         touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].
-        verdicts: what `judge_latched` said of them, in their order; those in unhealthy time are in no bin.
+        verdicts: their results of `judge_latched`, in the same order; those in unhealthy time are in no bin.
     """
     unseen = [v["unhealthy"] for v in verdicts]
     # NaN: no sensor, in no bin
@@ -327,7 +327,7 @@ def means(time_s: np.ndarray, signal: np.ndarray, from_s: np.ndarray, to_s: np.n
     return (sums[last] - sums[first]) / (last - first)[:, None]
 
 
-# --- What a bundle says of each collision: which link, how many newtons, what kind; and how that fits the labels.
+# --- A bundle's estimates of each collision: link, force, kind; and how they agree with the labels.
 
 
 STATED = 0.9
@@ -339,9 +339,9 @@ class TouchMeasures:
     """One bundle's links and kinds, collision by collision."""
 
     bundle: _core.Bundle
-    _told: list[dict] = field(default_factory=list)
+    _reported: list[dict] = field(default_factory=list)
     _labels: list[tuple[int, str]] = field(default_factory=list)
-    """Touched link, -1 where nobody knows, and the recording's word for the kind of its contacts."""
+    """Touched link, -1 where unknown, and the recording's word for the kind of its contacts."""
 
     def add(self, touches: Sequence[Collision], recording: Recording, estimates: Estimates) -> None:
         """Take in the collisions of a recording that raised an alarm, contact or collision."""
@@ -351,46 +351,47 @@ class TouchMeasures:
             if model is None or len(rows) == 0:
                 continue
             place = {} if model.refused else place_of(model, rows, recording, estimates)
-            self._told.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
+            self._reported.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
             self._labels.append((touch.link, touch.kind))
 
     def summary(self) -> dict:
         """The entry `touches` of a bundle in results.json."""
-        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "told": self._told}
+        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "told": self._reported}
 
     def _links(self) -> dict | None:
-        """None where no place was told of a collision whose link is labelled."""
+        """The entry `links`; None if no place was estimated for a collision whose link is labelled."""
         names = [link.joint_name for link in self.bundle.links]
         known = [
-            (names[link], told)
-            for (link, _), told in zip(self._labels, self._told, strict=True)
-            if 0 <= link < len(names) and told.get("links")
+            (names[link], place)
+            for (link, _), place in zip(self._labels, self._reported, strict=True)
+            if 0 <= link < len(names) and place.get("links")
         ]
         if not known:
             return None
-        said = [
-            (true, [one["joint"] for one in told["links"]], told["links"][0]["probability"]) for true, told in known
+        ranked_links = [
+            (true, [one["joint"] for one in place["links"]], place["links"][0]["probability"]) for true, place in known
         ]
-        stated = [true == ranked[0] for true, ranked, probability in said if probability >= STATED]
+        stated = [true == ranked[0] for true, ranked, probability in ranked_links if probability >= STATED]
         return {
             "joints": names,
             "table": [
-                [sum(true == row and ranked[0] == name for true, ranked, _ in said) for name in names] for row in names
+                [sum(true == row and ranked[0] == name for true, ranked, _ in ranked_links) for name in names]
+                for row in names
             ],
-            "collisions": len(said),
-            "first": sum(true == ranked[0] for true, ranked, _ in said),
-            "first_two": sum(true in ranked[:2] for true, ranked, _ in said),
+            "collisions": len(ranked_links),
+            "first": sum(true == ranked[0] for true, ranked, _ in ranked_links),
+            "first_two": sum(true in ranked[:2] for true, ranked, _ in ranked_links),
             "stated": len(stated),
             "stated_right": sum(stated),
         }
 
     def _kinds(self) -> dict[str, dict[str, int]]:
-        """How many were said to be of each kind, by the recording's word."""
+        """Number of collisions estimated to be of each kind, by the recording's word."""
         counts: dict[str, dict[str, int]] = {}
-        for (_, word), told in zip(self._labels, self._told, strict=True):
-            if told["kind"] is not None:
+        for (_, word), reported in zip(self._labels, self._reported, strict=True):
+            if reported["kind"] is not None:
                 row = counts.setdefault(word, {})
-                row[told["kind"]] = row.get(told["kind"], 0) + 1
+                row[reported["kind"]] = row.get(reported["kind"], 0) + 1
         return counts
 
 
@@ -402,7 +403,7 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
 
 
 def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
-    """Links and newtons as told at that of these rows at which tau_ext stands out most; empty where nothing is."""
+    """Estimated links and force at the row with the largest tau_ext over its standard error; empty if none."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
     found = strongest_place(model, *(signal[rows] for signal in signals))
@@ -420,6 +421,6 @@ def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, es
 
 
 def kind_of(touch: Collision, recording: Recording, estimates: Estimates) -> str:
-    """As known when the collision is over."""
+    """The estimated kind after the end of the collision."""
     last = min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples) - 1
     return str(_core.Touch(int(estimates.touch[last])).name)

@@ -175,7 +175,7 @@ def evaluate(
 
     Args:
         bundles: by their names.
-        test: recordings that neither training nor validation saw; of those with contacts the free motion counts, and
+        test: recordings outside training and validation; of those with contacts the free motion counts, and
             the contacts are taken with the others.
         collisions: recordings with contacts.
         estimates_dir: gets a folder a bundle, with the estimates of every collision recording and of some free motion.
@@ -183,7 +183,7 @@ def evaluate(
         loss_histories: of the bundles' training, by their names; only passed on.
         keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
             a disk, and figures need minutes.
-        sanity: add detectors that know nothing, see sanity.py.
+        sanity: add detectors without information, see sanity.py.
         events: how labels are read, see events.py.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
         kept: where the work of a killed process goes on; its estimates are on disk already.
@@ -215,7 +215,7 @@ def evaluate(
 
 
 class Comparison:
-    """Bundles, detectors that know nothing, and the robot's own estimate, on the same recordings one by one."""
+    """Bundles, detectors without information, and the robot's own estimate, on the same recordings one by one."""
 
     def __init__(
         self,
@@ -244,7 +244,7 @@ class Comparison:
         Args:
             threads: of all bundles together.
             keep_in: folder for its estimates, with a folder a bundle; None: they are not kept.
-            pool: the bundles are done in it, each by one thread: most of it is not the core, which knows several.
+            pool: evaluates the bundles, one thread each: most of the work is outside the core, which can use several.
         """
         found = find_collisions(recording)
         self._touches += found
@@ -315,7 +315,7 @@ def expect_work(
         raise ConfigError("there is nothing to evaluate: no bundle was given")
     if not test and not collisions:
         raise ConfigError(
-            "there is no test recording: errors and false alarms need free motion that training never saw"
+            "there is no test recording: errors and false alarms need free motion outside the training set"
         )
     if keep_free_estimates < 0:
         raise ConfigError(f"keep_free_estimates = {keep_free_estimates} must be >= 0")
@@ -330,7 +330,7 @@ def ten_for_all(
     """Ids of ten collisions that are strong for every bundle or, where those are fewer, for half of them.
 
     Args:
-        moving: of each bundle with an error scale, whose limits in usual motion say too little, `peaks_over_limit`.
+        moving: of each bundle with an error scale, for which limits in usual motion are not enough, `peaks_over_limit`.
     """
     limits = np.array([bundle.sliding_limit_nm for bundle in bundles.values()])
     peaks = np.array([[of_bundle[touch.id] or 0.0 for touch in touches] for of_bundle in moving])

@@ -14,7 +14,7 @@ from tauext.evaluate.collisions import Collision
 
 
 FORGOTTEN = 1e-18
-"""Of an earlier torque is left so little that no sum of doubles holds it."""
+"""Remaining share of an earlier torque below which it is lost in the rounding of doubles."""
 
 
 def sensor_reference(recording: Recording, gain_per_s: float) -> np.ndarray | None:

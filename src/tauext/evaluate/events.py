@@ -95,7 +95,7 @@ class EventMeasures:
 
         Args:
             alarm: (samples,) bool.
-            healthy: (samples,) bool: an event that begins while nothing can be said is no event, such time is not free.
+            healthy: (samples,) bool: an event that begins in unhealthy time is not counted, nor is such time free.
             share: |tau_ext| over its limit, (samples, joints): the largest names the joint.
             r: a signal to re-time onsets by where the recording has no tau_ext, (samples, joints), [N m].
         """
@@ -142,7 +142,7 @@ class EventMeasures:
             )
 
     def add_estimates(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in what a bundle said: collisions as a monitor would have latched them."""
+        """Add a bundle's estimates: collisions as a monitor would have latched them."""
         alarm = estimates.healthy & (estimates.held_alarm == COLLISION)
         share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit_nm
         self.add(recording, alarm, estimates.healthy, share, estimates.residual)

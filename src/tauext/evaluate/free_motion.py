@@ -27,7 +27,7 @@ class FreeMotionErrors:
 
     joints: int
     near_stiction_rad_s: float = 0.02
-    """Of the paper's two regions, by which errors of all bundles are told apart, whatever their limits go by."""
+    """Speed between the paper's two regions; errors of all bundles are split at it."""
     recordings: list[str] = field(default_factory=list)
     samples: int = 0
     seconds: float = 0.0
@@ -93,7 +93,7 @@ def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
 
 
 def numbers(values: np.ndarray) -> list[float | None]:
-    """For JSON, which knows no NaN: null where a number does not exist."""
+    """Values for JSON, which has no NaN: null where a number does not exist."""
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
@@ -224,13 +224,13 @@ class LimitsHeld:
         """Take in a recording; what is not healthy is left out."""
         if estimates.contact_limit_nm is None or estimates.sigma_nm is None:
             return
-        told = (estimates.limit_nm, estimates.contact_limit_nm, estimates.sigma_nm)
-        counted = estimates.healthy & np.all([np.isfinite(one).all(axis=1) for one in told], axis=0)
+        columns = (estimates.limit_nm, estimates.contact_limit_nm, estimates.sigma_nm)
+        counted = estimates.healthy & np.all([np.isfinite(one).all(axis=1) for one in columns], axis=0)
         at = np.flatnonzero(counted)[:: max(1, round(ROW_S * recording.rate_hz))]
-        self._rows.append(np.stack([recording.q[at], *(one[at] for one in told)], axis=1).astype(np.float32))
+        self._rows.append(np.stack([recording.q[at], *(one[at] for one in columns)], axis=1).astype(np.float32))
 
     def summary(self, bundle: _core.Bundle, frames: Sequence[str] = ()) -> dict | None:
-        """As noticed() says; {"refused": why} of a bundle that tells no forces, null without any pose."""
+        """The result of noticed(); {"refused": why} of a bundle that cannot estimate forces, null without any pose."""
         if refused := _core.WrenchModel(bundle).refused:
             return {"refused": refused}
         rows = np.concatenate(self._rows) if self._rows else np.empty((0, 4, bundle.joints))
@@ -242,7 +242,7 @@ class LimitsHeld:
         return noticed(bundle, q, {"collision": limit, "contact": contact}, error_share, frames)
 
 
-# --- Detectors that know nothing, judged as the methods are: what a number is worth that they reach as well.
+# --- Detectors without information, judged as the methods are: the baseline of every number.
 
 
 RANDOM_PER_HOUR = 60.0
@@ -285,9 +285,9 @@ class Sanity:
     ) -> None:
         """Take in the collisions of one recording; of the estimates only the times and limits count."""
         alarm = self.alarms(number, recording)
-        said = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
+        alarmed = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
         for touch in touches:
-            self._latched.append(judge_latched(touch, recording, said, 0.0, None)["latched"])
+            self._latched.append(judge_latched(touch, recording, alarmed, 0.0, None)["latched"])
             self._found.append(bool(alarm[touch.begin : touch.end + round(GRACE_S * recording.rate_hz)].any()))
 
     def alarms(self, number: int, recording: Recording) -> np.ndarray:
@@ -329,7 +329,7 @@ def sanity_detectors(seed: int) -> list[Sanity]:
 def promised_per_hour(provenance: Mapping) -> float | None:
     """False collisions an hour that the bundle's limits are set for, [1/h]; None where they come from no budget.
 
-    What was asked; where the calibration was too short for that, the smallest budget that it supports.
+    The requested budget; if the calibration was too short for it, the smallest budget that it supports.
     """
     promise = (provenance.get("limits") or {}).get("promise")
     if promise is None:

@@ -24,7 +24,7 @@ from tauext.evaluate.noticed_force import Point, noticed_force, points
 
 
 def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Estimates:
-    """What the bundle says of every sample of the recording: what a new monitor would, with its answers in bulk.
+    """The bundle's estimates of every sample of the recording, as a new monitor would compute them.
 
     Args:
         threads: 0: one a core. The result does not depend on it.
@@ -34,10 +34,10 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     """
     expect_fit(bundle, recording)
     threads = threads or os.cpu_count() or 1
-    said = _core.estimate(
+    columns = _core.estimate(
         bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads, recording.temperature
     )
-    return Estimates.of(recording.joints, recording.t_ns, said, {"alarm", *lacking(bundle)})
+    return Estimates.of(recording.joints, recording.t_ns, columns, {"alarm", *lacking(bundle)})
 
 
 # --- Detectable hits without contact recordings: forces added to free motion, as a stiff arm's motors would answer
@@ -90,7 +90,7 @@ class Injection:
     a_recording: int
     """Events that a recording gets at most."""
     reference: _core.Bundle = field(init=False)
-    """Whose model and limits the events are drawn by: the first that knows forces, else the first."""
+    """Whose model and limits the events are drawn by: the first that can estimate forces, else the first."""
     refused: str = field(init=False)
     """Why there are torques on single joints instead of forces; empty where there are forces."""
     places: list[Point] = field(init=False)
@@ -132,7 +132,7 @@ class Injection:
             for event in events:
                 tau[event.begin : event.begin + len(event.tau_ext)] -= event.tau_ext / nm_per_unit
             touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
-            said = estimate_recording(bundle, touched, threads)
+            estimates = estimate_recording(bundle, touched, threads)
             for event in events:
                 end = event.begin + len(event.tau_ext)
                 touch = Collision(
@@ -147,7 +147,7 @@ class Injection:
                     true_peak_nm=np.abs(event.tau_ext).max(axis=0),
                     sensor_peak_nm=np.zeros(bundle.joints),
                 )
-                found = judge_latched(touch, touched, said, bundle.hold_s, None)
+                found = judge_latched(touch, touched, estimates, bundle.hold_s, None)
                 # The first sample of an event stands for the middle of its own period.
                 delay_s = None if found["delay_s"] is None else found["delay_s"] + 0.5 / recording.rate_hz
                 row = (event.shape, event.place, event.peak, found["latched"], found["unhealthy"], delay_s)
@@ -207,7 +207,7 @@ class Injection:
         model, point = _core.WrenchModel(bundle), self.places[place]
         poses, there = recording.q[begin : begin + len(force)].tolist(), list(point.point_m)
         levers = np.array([way @ model.columns(point.frame, pose, there)[:3] for pose in poses])
-        # Nobody knows how much of its own unit such a joint would show.
+        # How much of its own unit such a joint would show is unknown.
         levers[:, ~np.array(bundle.in_newtons)] = 0
         return Event(begin, shape, place, peak, force[:, None] * levers)
 

@@ -27,7 +27,7 @@ LEAST_LIMIT_NM = 1e-9
 
 @dataclass(frozen=True)
 class Point:
-    """Where a force acts: a point of a frame that the bundle knows, [m] along the frame's own axes."""
+    """Where a force acts: a point of a frame of the bundle, [m] along the frame's own axes."""
 
     name: str
     frame: str
@@ -35,13 +35,13 @@ class Point:
 
 
 def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
-    """The end of each link, the load's frame, and the frames that are asked for.
+    """The end of each link, the load's frame, and the requested frames.
 
     The end of a link is the origin of the joint that it carries, of several the farthest; that of a last link is the
     load's frame if it is fixed there, else the link's own origin.
 
     Raises:
-        BundleError: the bundle tells no forces.
+        BundleError: the bundle cannot estimate forces.
         ConfigError: there is no such frame.
     """
     model = _core.WrenchModel(bundle)
@@ -70,18 +70,18 @@ def noticed_force(bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at:
     """An entry a point: forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
 
     None stands for blind: no joint notices MOST_N in that direction. Joints that do not answer in N m notice nothing
-    here: nobody knows what their limits are in N m.
+    here: their limits in N m are unknown.
 
     Args:
         q: poses, (poses, joints).
         limit_nm: of each joint at each pose, the same shape.
     """
-    model, ways, told = _core.WrenchModel(bundle), even_ways(), np.array(bundle.in_newtons)
+    model, ways, in_newtons = _core.WrenchModel(bundle), even_ways(), np.array(bundle.in_newtons)
     rows = q.tolist()
     entries = []
     for point in at:
         lever = np.array([model.columns(point.frame, row, list(point.point_m))[:3].T for row in rows])
-        per_limit = (lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None])[:, told]
+        per_limit = (lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None])[:, in_newtons]
         every = least_force(per_limit, ways)
         along = least_force(per_limit, np.eye(3))
         entry: dict = {
@@ -166,7 +166,7 @@ def even_ways() -> np.ndarray:
 
 
 def shown_after(bundle: _core.Bundle) -> dict:
-    """How soon a force that stays is told: the observer's rate and the hold times; filters come on top."""
+    """Delay until a lasting force is reported: the observer's rate and the hold times; filters come on top."""
     return {
         "gain_per_s": bundle.observer.gain_per_s,
         "hold_s": {"collision": bundle.hold_s, "contact": bundle.contact_hold_s},
@@ -184,7 +184,7 @@ def noticed(
     error_share: float,
     frames: Sequence[str] = (),
 ) -> dict:
-    """All of it as plain JSON; docs/files.md says what it is.
+    """All noticed forces as plain JSON; docs/files.md describes it.
 
     Args:
         q: poses, (poses, joints), one at least.
@@ -210,7 +210,7 @@ NO_POSES = (
 
 
 def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) -> dict:
-    """As noticed() says, by level and region: all joints sliding, or all near stiction.
+    """The result of noticed() by level and region: all joints sliding, or all near stiction.
 
     Raises:
         BundleError: it keeps no poses, or none that can be used.
@@ -246,7 +246,7 @@ def usual_limits(bundle: _core.Bundle, poses: int) -> dict[str, np.ndarray]:
 
 
 def usual_error_share(bundle: _core.Bundle) -> float:
-    """Standard error over limit, the median over joints and the motions that everybody knows."""
+    """Standard error over limit, the median over joints and usual motions."""
     shares = [
         situation["standard error"][joint] / limit
         for situation in situations(bundle).values()

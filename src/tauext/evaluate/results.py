@@ -396,7 +396,7 @@ class InjectedCurve:
     nine_of_ten: Number
     """Peak from which on 9 of 10 are detected; None where there is none."""
     delay_median_s: Number
-    """From there on."""
+    """Delay of detected events from that peak on."""
     delay_p95_s: Number
     bins: tuple[PeakBin, ...]
 
@@ -519,7 +519,7 @@ class LinkProbability:
 
 
 @dataclass(frozen=True)
-class ToldTouch:
+class TouchEstimate:
     """Estimate of one collision; without links where no place was found."""
 
     id: str
@@ -540,7 +540,7 @@ class Touches:
     links: LinkTable | None
     kinds: dict[str, dict[str, int]]
     """How many of each kind, by the recordings' word for their contacts."""
-    told: tuple[ToldTouch, ...]
+    told: tuple[TouchEstimate, ...]
 
 
 # --- The results of one evaluation.
@@ -548,7 +548,7 @@ class Touches:
 
 @dataclass(frozen=True)
 class SanityRow:
-    """A detector that knows nothing."""
+    """A detector without information."""
 
     name: str
     false_per_hour: Number

@@ -42,7 +42,7 @@ def evaluate_bundles(
 ) -> dict[str, Any]:
     """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
 
-    Returned is what stands in results.json; docs/files.md says what that is.
+    Returns the content of results.json; docs/files.md describes it.
 
     A killed or interrupted run goes on with the recording after the last one that was taken in.
 
@@ -56,7 +56,7 @@ def evaluate_bundles(
         command: what is run, for the report.
         scale: of the paper's experiment, for the report.
         keep_free_estimates: see evaluate.
-        sanity: judge detectors that know nothing (always, never, random) beside them.
+        sanity: judge detectors without information (always, never, random) beside them.
         events: how alarms are held against labels.
         inject: add forces to free test motion and count what is detected of them.
 

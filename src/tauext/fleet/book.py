@@ -26,7 +26,7 @@ from tauext.fleet.fleet_file import (
 from tauext.fleet.places import text_of_place
 from tauext.fleet.task import Contents, Outcome, Task, finished, marker_of
 
-# --- Tasks of a fleet: what each depends on, whether it is done, and why it is to be done anew.
+# --- Tasks of a fleet: what each depends on, whether it is done, and why it is to be done again.
 
 
 MOST_NAMED = 4
@@ -36,18 +36,18 @@ ARMS, MEMORY = "arms", "inputs.json"
 
 @dataclass(frozen=True)
 class Planned:
-    """A task, and what stands of it."""
+    """A task and its state before the run."""
 
     task: Task
     there: Outcome | None
-    """How it ended; None: it is to be done."""
+    """Its outcome; None: it has to run."""
     why: str
-    """It is to be done; empty where it is not."""
+    """Why it has to run; empty if it is done."""
 
 
 @dataclass(frozen=True)
 class PlannedArm:
-    """An arm's tasks in their order, each of which needs those before it."""
+    """An arm's tasks in order; each depends on the ones before it."""
 
     arm: Arm
     steps: tuple[Planned, ...]
@@ -56,7 +56,7 @@ class PlannedArm:
 def plan_fleet(
     fleet: Fleet, out: Place, show: Callable[[int, int], object] = lambda done, of: None
 ) -> list[PlannedArm]:
-    """All tasks of all arms; contents of files that nobody knows yet are read.
+    """All tasks of all arms; contents of files not hashed yet are read.
 
     Args:
         out: folder of the fleet, which need not be there.
@@ -109,10 +109,12 @@ def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
             add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
         elif stage == "train":
             settings = without_threads(plain(arm.train.resolved()))
-            said = {"case": arm.case or ""} | accepted | flat(settings, "train.") | digests(like_files(arm), contents)
+            depends_on = (
+                {"case": arm.case or ""} | accepted | flat(settings, "train.") | digests(like_files(arm), contents)
+            )
             work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
             work |= {"like": None if arm.like is None else text_of_place(arm.like)}
-            made = add(stage, data | robot | said, dataset=text_of_place(dataset), **work)
+            made = add(stage, data | robot | depends_on, dataset=text_of_place(dataset), **work)
             bundle = place_of(made.folder) / f"{arm.name}.tauext"
         elif stage == "calibrate":
             settings, used = plain(arm.calibrate), data
@@ -124,13 +126,19 @@ def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
                 "accept": list(arm.accept),
                 "settings": settings,
             }
-            said = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
-            made = add(stage, used | said, bundle=text_of_place(bundle), **work)
+            depends_on = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
+            made = add(stage, used | depends_on, bundle=text_of_place(bundle), **work)
             bundle = place_of(made.folder) / f"{arm.name}.tauext"
         else:
             settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
-            said = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
-            add(stage, data | said, dataset=text_of_place(dataset), bundle=text_of_place(bundle), settings=settings)
+            depends_on = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
+            add(
+                stage,
+                data | depends_on,
+                dataset=text_of_place(dataset),
+                bundle=text_of_place(bundle),
+                settings=settings,
+            )
     return list(tasks.values())
 
 
@@ -161,7 +169,7 @@ def planned(task: Task, before: str | None) -> Planned:
         return Planned(task, None, f"made by tauext {marker.build}, this is {task.build}")
     changed = changes(marker.inputs, task.inputs)
     if before is not None and changed == [before]:
-        return Planned(task, None, f"{before} is done anew")
+        return Planned(task, None, f"{before} is done again")
     more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
     return Planned(task, None, f"inputs changed: {', '.join(changed[:MOST_NAMED])}{more}")
 
@@ -176,11 +184,11 @@ def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
 
 FILE = "fleet.json"
 EVERY_S = 5.0
-"""Between two writings while tasks end."""
+"""Least time between two writes of the file while tasks end."""
 
 
 class Book:
-    """How each task stands: done, refused, failed, skipped or waiting."""
+    """State of each task: done, refused, failed, skipped or waiting."""
 
     def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Place):
         self._fleet, self._plan, self._out = fleet, plan, out
@@ -191,7 +199,7 @@ class Book:
         self._outcomes[task.arm, task.stage] = outcome
 
     def of(self, arm: str, stage: str) -> Outcome:
-        """How it stands."""
+        """Outcome of the task, `waiting` before it ends."""
         return self._outcomes.get((arm, stage), Outcome("waiting"))
 
     def state(self, arm: PlannedArm) -> str:
@@ -215,10 +223,10 @@ class Book:
     def failures(self) -> list[tuple[str, str, str]]:
         """Arm, stage and reason of every arm that failed."""
         return [
-            (arm.arm.name, step.task.stage, said.reason)
+            (arm.arm.name, step.task.stage, standing.reason)
             for arm in self._plan
             for step in arm.steps
-            if (said := self.of(arm.arm.name, step.task.stage)).state in ("failed", "refused")
+            if (standing := self.of(arm.arm.name, step.task.stage)).state in ("failed", "refused")
         ]
 
     def write(self, now: bool = True) -> None:
@@ -238,9 +246,9 @@ class Book:
         wanted = [stage for stage in ("train", "calibrate") if stage in stages]
         bundle = f"arms/{name}/{made[-1]}/{name}.tauext" if made and made == wanted else None
         results = f"arms/{name}/evaluate" if self.of(name, "evaluate").state == "done" else None
-        said = {"name": name, "serial": arm.arm.serial, "date": arm.arm.date or None, "type": arm.arm.type}
-        said |= {"state": self.state(arm)}
-        return said | {"dataset": data, "bundle": bundle, "results": results, "stages": stages}
+        entry = {"name": name, "serial": arm.arm.serial, "date": arm.arm.date or None, "type": arm.arm.type}
+        entry |= {"state": self.state(arm)}
+        return entry | {"dataset": data, "bundle": bundle, "results": results, "stages": stages}
 
     def _stage(self, task: Task) -> dict[str, Any]:
         outcome = self.of(task.arm, task.stage)

@@ -17,18 +17,18 @@ from tauext.robot.inertial import unit_loads
 #
 # .. math:: y_j(q) = X_j(q) (m, m c) - \kappa_j g_j(q) + error
 #
-# y: by how much the gravity torques of two bundles differ at the same poses. A tool shows at all joints at once, as its
-# weight says; a constant that is off by kappa shows at its own joint, in proportion to what weighs there.
+# y: by how much the gravity torques of two bundles differ at the same poses. A tool shows at all joints at once, in
+# proportion to its weight; a constant that is off by kappa shows at its own joint, in proportion to what weighs there.
 
 
 POSES = 200
 INDEPENDENT = 10.0
-"""Of all poses: gravity of an arm is told by about so many numbers."""
+"""Number of the poses that count as independent: about this many numbers determine an arm's gravity."""
 MASS_KG, MOMENT_KG_M = 1.0, 0.15
-"""Standard deviations of a tool's mass, and of its first moment, before anything is seen: grippers and their parts."""
+"""Standard deviations of a tool's mass and of its first moment before any data: grippers and their parts."""
 ROUNDS = 3
 LEAST_SHARE, LEAST_NM = 0.5, 0.02
-"""Of what training leaves of a joint's torque: no bundle knows gravity better, whatever all arms agree in."""
+"""Least error of a bundle's gravity: a share of the joint's residual torque in training, and a torque [N m]."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Weighed:
     kg: float
     kg_error: float
     share: np.ndarray  # (n,) kappa
-    share_error: np.ndarray  # (n,); as large as believed before where nothing weighs on the joint
+    share_error: np.ndarray  # (n,); the prior spread where gravity does not load the joint
 
 
 def poses_seen(bundles: Sequence[_core.Bundle], seed: int = 0) -> np.ndarray:
-    """Poses of the cells that half of these bundles' training saw, (POSES, n); each joint by itself."""
+    """Random poses within the median training range of these bundles, (POSES, n); each joint by itself."""
     rng = np.random.default_rng(seed)
     n = bundles[0].joints
     q = np.empty((POSES, n))
@@ -54,7 +54,7 @@ def poses_seen(bundles: Sequence[_core.Bundle], seed: int = 0) -> np.ndarray:
 
 
 def seen_range(bundle: _core.Bundle, joint: int) -> tuple[float, float]:
-    """First and last position of the joint in training; a turn about 0 where nobody knows."""
+    """First and last position of the joint in training; one turn about 0 where they are unknown."""
     coverage = bundle.coverage
     if not len(coverage.fastest_rad_s):
         return -np.pi, np.pi
@@ -95,13 +95,13 @@ def tool_columns(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
 def weigh_all(
     y: Sequence[np.ndarray], gravity: np.ndarray, columns: np.ndarray, share_spread: float, left_nm: np.ndarray
 ) -> list[Weighed]:
-    """Tool and shares of each arm; how well gravity is known is found in what all of them leave.
+    """Tool and shares of each arm; the accuracy of gravity is estimated from their residuals.
 
     Args:
         y: of each arm, (poses, n) [N m].
         gravity: (poses, n) that shares are of.
-        share_spread: standard deviation of kappa before anything is seen.
-        left_nm: (n,) what training leaves of a joint's torque; NaN: nobody knows.
+        share_spread: prior standard deviation of kappa.
+        left_nm: (n,) residual torque of each joint in training; NaN: unknown.
     """
     n = gravity.shape[1]
     least_nm = np.maximum(LEAST_SHARE * np.nan_to_num(left_nm), LEAST_NM)
@@ -120,7 +120,7 @@ def weigh_all(
 def weigh(
     y: np.ndarray, gravity: np.ndarray, columns: np.ndarray, share_spread: float, noise_nm: np.ndarray
 ) -> tuple[Weighed, np.ndarray]:
-    """Least squares on all joints; and what it leaves, (poses, n)."""
+    """Least squares on all joints; also returns the residuals, (poses, n)."""
     poses, n = y.shape
     design = np.zeros((poses, n, 4 + n))
     design[:, :, :4] = columns
@@ -134,21 +134,21 @@ def weigh(
     return Weighed(float(theta[0]), float(error[0]), theta[4:], error[4:]), y - design @ theta
 
 
-# --- What is believed of each table before it is seen; logarithms, that is shares, unless another unit stands there.
+# --- The prior of each table; in logarithms, that is shares, unless another unit is given.
 
 
 OWN_FRICTION = Question(arm_spread=0.08, joint_spread=0.05, jump=0.35, common=0.3, apart=0.1)
 """From one date to another. Friction of gears falls by 1 to 2 % a kelvin, so halls and warm-up move all joints of an
 arm by some 8 %, a cold morning by 30 %; a joint by itself does half of that. Wear is felt from a tenth on, and is
-mended before friction doubles."""
+repaired before friction doubles."""
 FLEET_FRICTION = Question(arm_spread=0.1, joint_spread=0.2, jump=0.35, common=3.0, apart=3.0)
-"""Of one arm beside others of its type: healthy gears differ by 0.7 to 1.3. What the type has is whatever it is."""
+"""Of one arm beside others of its type: healthy gears differ by 0.7 to 1.3. The mean of the type is unconstrained."""
 OWN_CONSTANT = Question(arm_spread=0.005, joint_spread=0.01, jump=0.1, common=0.02, apart=0.02, odd_arm=0.05)
 """A motor's magnets lose 0.1 to 0.2 % a kelvin; another drive, or another number in its software, is a tenth off."""
 FLEET_CONSTANT = Question(arm_spread=0.01, joint_spread=0.05, jump=0.15, common=3.0, apart=3.0, odd_arm=0.1)
 """Makers keep torque constants, gear losses included, to some 5 %."""
 OWN_TOOL = Question(arm_spread=0.0, joint_spread=0.05, jump=0.7, common=0.02, apart=0.02)
-"""Kilograms. The same tool weighs the same, as far as gravity is known; another one differs by some hundred grams."""
+"""Kilograms. The same tool weighs the same, within the error of gravity; another one differs by some hundred grams."""
 FLEET_TOOL = Question(arm_spread=0.0, joint_spread=0.2, jump=0.7, common=3.0, apart=3.0)
 """Kilograms. Arms of one type may carry tools that differ by some hundred grams."""
 OWN_SHARE, FLEET_SHARE = 0.1, 0.05
@@ -159,15 +159,15 @@ OWN_SHARE, FLEET_SHARE = 0.1, 0.05
 
 
 LEAST_ARMS = 3
-"""Of fewer nothing is said: which of two is the odd one nobody knows."""
+"""Fewer arms are not compared: of two, either could be the odd one."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One table of arms and joints with what it says."""
+    """One table of arms and joints with its probabilities."""
 
     rows: tuple[int, ...]
-    """Which visit of the group each row is."""
+    """Index of each row's visit in the group."""
     values: np.ndarray  # (rows, joints): logarithms; [kg] of a tool
     errors: np.ndarray
     odds: Odds | None
@@ -178,11 +178,11 @@ class Compared:
         if visit not in self.rows:
             return None
         k = self.rows.index(visit)
-        said: dict[str, Any] = {"value": listed(self.values[k]), "error": listed(self.errors[k])}
+        content: dict[str, Any] = {"value": listed(self.values[k]), "error": listed(self.errors[k])}
         if self.odds is not None:
-            said |= {"more": listed(self.odds.more[k]), "less": listed(self.odds.less[k])}
-            said["arm"] = round(float(self.odds.shift[k]), 4)
-        return said
+            content |= {"more": listed(self.odds.more[k]), "less": listed(self.odds.less[k])}
+            content["arm"] = round(float(self.odds.shift[k]), 4)
+        return content
 
     def facts(self) -> dict[str, Any] | None:
         """What healthy arms do."""
@@ -200,15 +200,15 @@ class Compared:
 
 @dataclass(frozen=True)
 class GroupNumbers:
-    """All that is compared in one group of arms."""
+    """All comparisons within one group of arms."""
 
     friction_nm: np.ndarray  # (visits, joints)
     tables: Mapping[str, Compared]
-    """By "fleet friction", "own constant" ...; those of own dates by "own friction 1", the number of the date."""
+    """Keys: "fleet friction", "own constant" ...; those of own dates by "own friction 1", the number of the date."""
 
 
 def compare(facts: Sequence[BundleFacts], serials: Sequence[str], order: Sequence[int]) -> GroupNumbers:
-    """Everything of one group.
+    """All comparisons of one group.
 
     Args:
         facts: of every visit that has a bundle, an arm's visits in the order of their dates.
@@ -244,8 +244,8 @@ def fleet_tables(
     errors = np.array([facts[k].friction_error(friction[k]) for k in rows])
     constants = np.array([facts[k].constants for k in rows])
     return {
-        "fleet friction": asked(rows, logs(friction[list(rows)]), errors, FLEET_FRICTION),
-        "fleet constant": asked(
+        "fleet friction": compared(rows, logs(friction[list(rows)]), errors, FLEET_FRICTION),
+        "fleet constant": compared(
             rows,
             logs(constants),
             np.array([facts[k].constants_error for k in rows]) / np.abs(constants),
@@ -263,15 +263,16 @@ def own_tables(
     rows: Sequence[int],
     first: Sequence[int],
 ) -> dict[str, Compared]:
-    """Every arm beside its own first date, by the torque that was recorded: how a training reads it does not matter."""
+    """Every arm beside its own first date, by the recorded torque, so that the scale used in training does not
+    matter."""
     by_first = [facts[a].nm_per_unit / facts[b].nm_per_unit for a, b in zip(first, rows, strict=True)]
     middle = np.median(gravity[list(first)], axis=0)
     differ = [gravity[b] * scale - gravity[a] for a, b, scale in zip(first, rows, by_first, strict=True)]
     weighed = weigh_all(differ, middle, tool, OWN_SHARE, left_nm(facts, rows))
     share = np.array([np.log1p(np.clip(one.share, -0.9, 9.0)) for one in weighed])
     share_error = np.array([one.share_error for one in weighed])
-    told = share_error < 0.5 * OWN_SHARE
-    constant = asked(rows, np.where(told, share, np.nan), share_error, OWN_CONSTANT)
+    determined = share_error < 0.5 * OWN_SHARE
+    constant = compared(rows, np.where(determined, share, np.nan), share_error, OWN_CONSTANT)
     x = np.array([logs(friction[b] * s) - logs(friction[a]) for a, b, s in zip(first, rows, by_first, strict=True)])
     errors = np.array(
         [
@@ -284,24 +285,24 @@ def own_tables(
         rescaled = np.nan_to_num(np.maximum(constant.odds.more, constant.odds.less)) >= NAMED
         x, errors = np.where(rescaled, x + share, x), np.where(rescaled, np.hypot(errors, share_error), errors)
     return {
-        "friction": asked(rows, x, errors, OWN_FRICTION),
+        "friction": compared(rows, x, errors, OWN_FRICTION),
         "constant": constant,
         "tool": tools(rows, weighed, OWN_TOOL),
     }
 
 
 def left_nm(facts: Sequence[BundleFacts], rows: Sequence[int]) -> np.ndarray:
-    """What training leaves of each joint's torque, usually, (n,)."""
+    """Median residual torque of each joint in training, (n,)."""
     return np.median([facts[k].error_nm for k in rows], axis=0)
 
 
 def tools(rows: Sequence[int], weighed: Sequence[Weighed], question: Question) -> Compared:
     kg, error = np.array([[one.kg] for one in weighed]), np.array([[one.kg_error] for one in weighed])
-    return asked(rows, kg, error, question)
+    return compared(rows, kg, error, question)
 
 
-def asked(rows: Sequence[int], values: np.ndarray, errors: np.ndarray, question: Question) -> Compared:
-    """A table with what it says, where enough arms have numbers."""
+def compared(rows: Sequence[int], values: np.ndarray, errors: np.ndarray, question: Question) -> Compared:
+    """A table with its probabilities if enough arms have numbers."""
     enough = np.isfinite(values).any(axis=1).sum() >= LEAST_ARMS
     errors = np.where(np.isfinite(errors), errors, 0.0)
     return Compared(tuple(rows), values, errors, learn_odds(values, errors, question) if enough else None)

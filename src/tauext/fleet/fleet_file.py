@@ -24,13 +24,13 @@ from tauext.fleet.task import Contents
 
 EXAMPLE = """\
 # A fleet: which arms there are, and what is done with their recordings. Places count from this file's folder.
-# `tauext fleet run FLEET.toml --out fleet` does it; --dry-run says what it would do, and why.
+# `tauext fleet run FLEET.toml --out fleet` does it; --dry-run prints what it would do, and why.
 
 stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; these are all, and what holds if left out
 
 # date = 2026-05-04         # day of the recordings, for `tauext fleet report`; an arm's own table may have another one
 
-# For all arms. [types.NAME] says it for the arms of a type, an arm's own table for it alone: the last one counts.
+# For all arms. [types.NAME] is for the arms of a type, an arm's own table for that arm: the last one counts.
 [train]                     # settings of a training; `tauext train --help-config` lists them
 recipe = "tauext"
 alarm = { false_alarms = 1.0, in_hours = 8.0 }
@@ -41,7 +41,7 @@ keep_free_estimates = 5
 [types.ur10e]
 arm = "ur10e.toml"          # description of its recordings: `tauext import --new ur10e.toml` writes one
 # robot = "ur10e.urdf"      # instead of the dataset's own, as for `tauext train`
-# train.like = "ur10e.prior.json"   # what a fleet of this type knows: a minute of a new arm is enough
+# train.like = "ur10e.prior.json"   # prior from a fleet of this type: a minute of a new arm is enough
 # case = "none"             # model case: exact, mass, com, mass+com, none
 # accept = ["payload-missing"]      # codes of the doctor that are no fault on your word
 
@@ -61,7 +61,7 @@ train.max_steps = 20000     # what differs for this arm
 name = "cell-03"
 type = "ur10e"
 dataset = "datasets/cell-03"        # imported or simulated already, instead of sources
-calibration = "datasets/cell-03-nights"  # the stage calibrate: limits anew, on the calibration recordings of another
+calibration = "datasets/cell-03-nights"  # the stage calibrate: new limits, on the calibration recordings of another
 calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another promise, or both; else train's limits stay
 """
 
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from tauext.fit.fleet_prior import FleetPrior
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
-"""In their order; docs/files.md says what each needs."""
+"""In their order; docs/files.md lists what each needs."""
 TABLES = ("train", "calibrate", "evaluate")
 SHARED = ("arm", "robot", "case", "accept", "stages", "date", *TABLES)
 """Keys that stand at the top for all arms, in [types.NAME] for those of a type, or at an arm; the last one counts."""
@@ -81,19 +81,19 @@ OWN = ("name", "serial", "type", "sources", "dataset", "calibration")
 """Keys of an arm alone."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
-ONE_THREAD = {"threads": "each task has one thread, and --workers says how many run at a time"}
+ONE_THREAD = {"threads": "each task has one thread, and --workers sets how many run at a time"}
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of a fleet, with all that holds for it; places are absolute."""
+    """One arm of a fleet with all of its settings; places are absolute."""
 
     name: str
     type: str
     stages: tuple[str, ...]
-    """Those that it has, in their order."""
+    """Its stages, in order."""
     sources: tuple[Place, ...] = ()
-    """To import, described by `description`; none: `dataset` is there already."""
+    """Files to import, described by `description`; none: `dataset` exists already."""
     description: Place | None = None
     """Its arm.toml."""
     dataset: Place | None = None
@@ -110,19 +110,19 @@ class Arm:
     serial: str = ""
     """Which arm it is: entries of one serial, here or in another file, are one arm at several dates. Default: name."""
     date: str = ""
-    """Day of its recordings, YYYY-MM-DD; empty: not told."""
+    """Day of its recordings, YYYY-MM-DD; empty: not given."""
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """What FLEET.toml says."""
+    """The content of FLEET.toml."""
 
     path: Place
     arms: tuple[Arm, ...]
 
 
 def load_fleet(path: Place | str) -> Fleet:
-    """Read a FLEET.toml; every key, value and place in it is looked at, and no recording is read.
+    """Read a FLEET.toml; every key, value and place in it is checked, and no recording is read.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key, a value of the wrong type or against its rule, two arms of
@@ -147,7 +147,7 @@ def load_fleet(path: Place | str) -> Fleet:
 
 
 def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Place, base: Place) -> Arm:
-    """One arm from its own table, that of its type, and what stands at the top."""
+    """One arm from its own table, that of its type, and the top-level keys."""
     where = f"{path}: arm {number}"
     expect_keys(table, (*OWN, *SHARED), where)
     name = text_of(table, "name", where)
@@ -158,15 +158,15 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     if types and kind not in types:
         raise ConfigError(f"{where}: type = {kind!r} must be one of {', '.join(types)}, which have tables [types.NAME]")
     layers = [top, types.get(kind, {}), table]
-    said = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
+    keys = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
     tables = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
-    arm = Arm(name, kind, stages=(), accept=texts_of(said, "accept", where), case=case_of(said, where))
-    arm = replace(arm, serial=text_of(table, "serial", where) or name, date=date_of(said, where))
+    arm = Arm(name, kind, stages=(), accept=texts_of(keys, "accept", where), case=case_of(keys, where))
+    arm = replace(arm, serial=text_of(table, "serial", where) or name, date=date_of(keys, where))
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
-    arm = with_data(arm, table, said, where, base)
+    arm = with_data(arm, table, keys, where, base)
     like = place(tables["train"], "like", f"{where}: [train]", base)
     own = {key: value for key, value in tables["train"].items() if key != "like"}
     arm = replace(
@@ -177,11 +177,11 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
         evaluate=settings_of(EvaluateStage, tables["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
     )
     calibrates = arm.calibration is not None or any("calibrate" in layer for layer in layers)
-    return replace(arm, stages=stages_of(said, arm, calibrates, where))
+    return replace(arm, stages=stages_of(keys, arm, calibrates, where))
 
 
-def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where: str, base: Place) -> Arm:
-    """The arm with its recordings and files, all of which are there."""
+def with_data(arm: Arm, table: Mapping[str, Any], keys: Mapping[str, Any], where: str, base: Place) -> Arm:
+    """The arm with its recordings and files, all of which exist."""
     patterns, dataset = texts_of(table, "sources", where), place(table, "dataset", where, base)
     if bool(patterns) == (dataset is not None):
         raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
@@ -191,10 +191,10 @@ def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where
         if not found or not all(one.exists() for one in found):
             raise ConfigError(f"{where}: sources = '{pattern}': there is no such file or folder")
         sources += [one for one in found if one not in sources]
-    description = place(said, "arm", where, base) if patterns else None
+    description = place(keys, "arm", where, base) if patterns else None
     if patterns and description is None:
         raise ConfigError(f"{where}: arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
-    calibration, robot = place(table, "calibration", where, base), place(said, "robot", where, base)
+    calibration, robot = place(table, "calibration", where, base), place(keys, "robot", where, base)
     try:
         if description is not None and (model := load_arm(description).model) is not None and not model.is_file():
             raise ConfigError(f"{description}: [robot] model = '{model}': there is no such file")
@@ -210,26 +210,26 @@ def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where
     )
 
 
-def stages_of(said: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
-    """The stages that this arm has: those asked for, without import where it has a dataset, and with calibrate only
-    where something says on what or for which promise; train finds limits itself."""
-    asked = texts_of(said, "stages", where) if "stages" in said else STAGES
-    if not asked:
+def stages_of(keys: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
+    """The stages that this arm has: the requested ones, without import where it has a dataset, and with calibrate only
+    where its recordings or its promise are given; train finds limits itself."""
+    wanted = texts_of(keys, "stages", where) if "stages" in keys else STAGES
+    if not wanted:
         raise ConfigError(f"{where}: stages = [] must be one or more of {', '.join(STAGES)}")
-    for stage in asked:
+    for stage in wanted:
         if stage not in STAGES:
             raise ConfigError(f"{where}: stages = '{stage}' must be one or more of {', '.join(STAGES)}")
-    if arm.sources and "import" not in asked:
+    if arm.sources and "import" not in wanted:
         raise ConfigError(f"{where}: stages lack import, which its sources need; or give a dataset")
     for stage in ("calibrate", "evaluate"):
-        if stage in asked and "train" not in asked:
+        if stage in wanted and "train" not in wanted:
             raise ConfigError(f"{where}: stages lack train, which {stage} needs")
     left_out = {"import": not arm.sources, "calibrate": not calibrates}
-    return tuple(stage for stage in STAGES if stage in asked and not left_out.get(stage, False))
+    return tuple(stage for stage in STAGES if stage in wanted and not left_out.get(stage, False))
 
 
 def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
-    """Raise ConfigError where two arms would write to one folder, on a disk that knows no capitals too."""
+    """Raise ConfigError where two arms would write to one folder, even on a disk that ignores case."""
     seen: dict[str, str] = {}
     for arm in arms:
         other = seen.setdefault(arm.name.lower(), arm.name)
@@ -270,7 +270,7 @@ def expect_keys(table: Any, known: tuple[str, ...], where: str) -> None:
 
 
 def merged(tables: list[Any], where: str) -> dict[str, Any]:
-    """Tables over one another, the last on top; so are those within."""
+    """Merge tables recursively; the last one has priority."""
     found: dict[str, Any] = {}
     for table in tables:
         if not isinstance(table, dict):
@@ -282,7 +282,7 @@ def merged(tables: list[Any], where: str) -> dict[str, Any]:
 
 
 def text_of(table: Mapping[str, Any], key: str, where: str) -> str | None:
-    """The text under the key; None: there is none."""
+    """The text under the key; None: no such key."""
     value = table.get(key)
     if value is not None and (not isinstance(value, str) or not value or "\0" in value):
         raise ConfigError(f"{where}: {key} = {value!r} must be text")
@@ -299,14 +299,14 @@ def texts_of(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
 
 
 def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place | None:
-    """The place that is named under the key; None: there is none."""
+    """The place that is named under the key; None: no such key."""
     text = text_of(table, key, where)
     return None if text is None else place_of(text, base)
 
 
-def date_of(said: Mapping[str, Any], where: str) -> str:
-    """The day as text; empty: none is told. TOML knows days, and text is taken, too."""
-    value = said.get("date", "")
+def date_of(keys: Mapping[str, Any], where: str) -> str:
+    """The day as text; empty: none is given. A TOML date and text are both accepted."""
+    value = keys.get("date", "")
     try:
         if isinstance(value, date) and not isinstance(value, datetime):
             return value.isoformat()
@@ -317,15 +317,15 @@ def date_of(said: Mapping[str, Any], where: str) -> str:
     raise ConfigError(f"{where}: date = {str(value)!r} must be a day, YYYY-MM-DD")
 
 
-def case_of(said: Mapping[str, Any], where: str) -> str | None:
+def case_of(keys: Mapping[str, Any], where: str) -> str | None:
     """The model case; None: as train chooses it."""
-    case = text_of(said, "case", where)
+    case = text_of(keys, "case", where)
     if case is not None and case not in get_args(CaseName):
         raise ConfigError(f"{where}: case = '{case}' must be one of {', '.join(get_args(CaseName))}")
     return case
 
 
-# --- What a stage depends on, by names that a person knows: contents of files, settings, and tasks before it.
+# --- What a stage depends on, by readable names: contents of files, settings, and tasks before it.
 
 
 def files_of(arm: Arm) -> Iterator[Place]:

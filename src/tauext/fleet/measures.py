@@ -42,7 +42,7 @@ class Cell:
 
     @property
     def classes(self) -> str:
-        """How it looks: named, to be watched, or words."""
+        """CSS classes of the cell: named, to be watched, or words."""
         p = self.probability or 0.0
         if p >= NAMED:
             return "more named" if self.out > 0 else "less named"
@@ -55,7 +55,7 @@ class Cell:
 
     @property
     def percent(self) -> str:
-        """Beside the number where it is worth a look; else empty."""
+        """The probability beside the number if it is large enough to show; else empty."""
         return percent(self.probability) if self.probability is not None and self.probability >= WATCH else ""
 
     @property
@@ -74,7 +74,7 @@ def colour(out: float) -> str:
 
 
 def percent(probability: float) -> str:
-    """Never all of it: a model says it."""
+    """The probability in per cent; never 100 %, since it comes from a model."""
     return ">99 %" if probability > 0.99 else f"{100 * probability:.0f} %" if probability >= 0.01 else "<1 %"
 
 
@@ -86,7 +86,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def outness(values: Sequence[float | None]) -> list[float]:
-    """How far each number is from the median of all, in robust spreads of its column; 0 where that tells nothing."""
+    """Distance of each number from the median, in robust spreads of its column; 0 with fewer than five."""
     known = np.array([value for value in values if value is not None and value > 0])
     if len(known) < 5:
         return [0.0] * len(values)
@@ -109,7 +109,7 @@ def likelier(row: Mapping[str, Any], joint: int) -> tuple[float | None, float]:
 
 
 Content = Mapping[str, Any]
-CONSTANT_SINCE = "What a unit of recorded torque is worth, by that of the arm's first date, as far as gravity tells."
+CONSTANT_SINCE = "Torque constant relative to that of the arm's first date, estimated from gravity."
 
 
 @dataclass(frozen=True)
@@ -125,13 +125,13 @@ class Measure:
     """One table."""
 
     name: str
-    says: str
+    explanation: str
     rows: tuple[ArmRow, ...]
     heads: tuple[str, ...]
 
 
 def measures(group: Content, arms: Sequence[Content], link: Mapping[str, str]) -> list[Measure]:
-    """All that there is something of, the most telling first."""
+    """All measures with data, the most informative first."""
     unit = units_word(group["units"])
     compared = [
         ("since first date", "own", "friction", "Friction by that of the arm's own first date, ± its standard error."),
@@ -162,33 +162,43 @@ def measures(group: Content, arms: Sequence[Content], link: Mapping[str, str]) -
 
 
 def relative(
-    group: Content, arms: Sequence[Content], link: Mapping[str, str], name: str, against: str, what: str, says: str
+    group: Content,
+    arms: Sequence[Content],
+    link: Mapping[str, str],
+    name: str,
+    against: str,
+    what: str,
+    explanation: str,
 ) -> Measure:
     """Factors with their errors, coloured by how far they are from what the arm does and what all arms do."""
     rows, with_arm = [], what == "friction"
     for arm in arms:
-        told, to = (arm["visits"][-1].get(against) or {}).get(what), link.get(arm["serial"], "")
+        entries, to = (arm["visits"][-1].get(against) or {}).get(what), link.get(arm["serial"], "")
         cells = [
-            NONE if told is None or told["value"][j] is None else factor_cell(group, arm, told, j, against, what, to)
+            NONE
+            if entries is None or entries["value"][j] is None
+            else factor_cell(group, arm, entries, j, against, what, to)
             for j in range(len(group["joints"]))
         ]
         if with_arm:  # what all joints of the arm do together
-            factor = float(np.exp(told["arm"])) if told and "arm" in told else None
+            factor = float(np.exp(entries["arm"])) if entries and "arm" in entries else None
             cells.append(NONE if factor is None else Cell(f"{factor:.2f}", factor, link=to))
         rows.append(ArmRow(arm["serial"], to, tuple(cells)))
-    return Measure(name, says, tuple(rows), (*group["joints"], "all joints") if with_arm else tuple(group["joints"]))
+    return Measure(
+        name, explanation, tuple(rows), (*group["joints"], "all joints") if with_arm else tuple(group["joints"])
+    )
 
 
-def factor_cell(group: Content, arm: Content, told: Content, joint: int, against: str, what: str, link: str) -> Cell:
+def factor_cell(group: Content, arm: Content, entries: Content, joint: int, against: str, what: str, link: str) -> Cell:
     """One factor: in logarithms beside the centre of the table, by the spread of healthy joints."""
     table = table_of(group, arm, against, what)
-    value, error = told["value"][joint], told["error"][joint]
+    value, error = entries["value"][joint], entries["error"][joint]
     out = 0.0
     if table is not None:
         apart = value - table["centre"][joint]
-        out = (apart - told["arm"]) / float(np.hypot(table["joint_spread"], error))
+        out = (apart - entries["arm"]) / float(np.hypot(table["joint_spread"], error))
         value = apart if against == "fleet" else value
-    probability, sign = likelier(told, joint)
+    probability, sign = likelier(entries, joint)
     if probability is not None and probability >= 0.1 and out * sign < 0.5:
         out = 0.51 * sign
     factor = float(np.exp(min(value, 20)))
@@ -206,7 +216,7 @@ def table_of(group: Content, arm: Content, against: str, what: str) -> Content |
 
 
 def absolute(
-    group: Content, arms: Sequence[Content], link: Mapping[str, str], name: str, key: str, says: str
+    group: Content, arms: Sequence[Content], link: Mapping[str, str], name: str, key: str, explanation: str
 ) -> Measure:
     """Numbers as they are, coloured by how far they are from the column's median."""
     joints = range(len(group["joints"]))
@@ -220,7 +230,7 @@ def absolute(
             for j in joints
         )
         rows.append(ArmRow(arm["serial"], to, cells))
-    return Measure(name, says, tuple(rows), tuple(group["joints"]))
+    return Measure(name, explanation, tuple(rows), tuple(group["joints"]))
 
 
 def at(values: Sequence[float | None] | None, joint: int) -> float | None:
@@ -259,7 +269,7 @@ def trends(group: Mapping[str, Any], arms: Sequence[Mapping[str, Any]], labels: 
 
     Args:
         arms: whose visits are of this group.
-        labels: of all dates, in their order; a visit's "at" says which is its own.
+        labels: of all dates, in their order; a visit's "at" is the index of its own.
     """
     if len(labels) < 2:
         return []
@@ -303,7 +313,7 @@ def bands(group: Mapping[str, Any], joint: int | None, dates: int) -> list[tuple
 
 
 def draw(lines: Sequence[Line], band: Sequence[tuple[float, float]], labels: Sequence[str]) -> str:
-    """The picture; its text says what is named."""
+    """The picture as SVG; its text lists what is named."""
     every = [value for line in lines for value in line.x] + [value for pair in band for value in pair]
     low, high = min([*every, -0.1]), max([*every, 0.1])
     low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
@@ -339,8 +349,8 @@ def draw(lines: Sequence[Line], band: Sequence[tuple[float, float]], labels: Seq
             place = f'x="{px(line.at[-1]) - 4:.1f}" y="{y - 4:.1f}" text-anchor="end" font-weight="700"'
             parts.append(f"<text {place}>{escape(line.arm)}</text>")
     named = [f"{line.arm} ×{np.exp(line.x[-1]):.2f}" for line in lines if line.way]
-    said = f"{len(lines)} arms; named: {', '.join(named) or 'none'}"
-    head = f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(said)}">'
+    words = f"{len(lines)} arms; named: {', '.join(named) or 'none'}"
+    head = f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(words)}">'
     return f"{head}{''.join(parts)}</svg>"
 
 

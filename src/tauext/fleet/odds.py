@@ -21,28 +21,28 @@ from scipy.special import log_ndtr
 ARM_STEPS, JOINT_STEPS = 2.0 ** np.arange(-1.6, 1.61, 0.8), 2.0 ** np.arange(-1.6, 1.61, 0.4)
 """Of the usual spreads, those that are tried; finer where it matters more."""
 DOUBLE = np.log(2.0)
-"""A spread is known beforehand to a factor of two."""
+"""The prior of a spread has a standard deviation of a factor of two."""
 SHARES = (0.005, 0.03)
-"""Of joints that are others than before, between two dates: equally probable."""
+"""Shares of joints that changed between two dates; both equally probable."""
 ODD_ARM = 0.05
-"""Share of arms of which all joints do what others' do not."""
+"""Share of arms all of whose joints differ from those of the others."""
 POINTS = 161
 """Of an arm's A."""
 ROUNDS = 3
 """Of the centre and of which joints it is the centre of."""
 FAR = 5.0
-"""Standard deviations within which all of a density is."""
+"""Standard deviations beyond which a density is neglected."""
 LEAST_WEIGHT = 1e-5
 LIKELIEST = 12
 NAMED = 0.5
 """Probability from which on a joint is named: it is rather so than not."""
 FARTHEST, FARTHEST_JUMPS = np.log(6.0), 6.0
-"""What is looked for as named: a factor; of what is no logarithm so many of its usual jumps."""
+"""Upper end of the search for the smallest named value: a factor; in other units, usual jumps."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is believed of a table before it is seen; in its own unit, for logarithms as shares."""
+    """The prior of a table; in its own unit, for logarithms as shares."""
 
     arm_spread: float
     """sigma_A, usually; 0: the columns have nothing in common."""
@@ -59,14 +59,14 @@ class Question:
 
 
 class Spreads(NamedTuple):
-    """One guess of what is not known."""
+    """One guess of the unknown spreads."""
 
     arm: float
     joint: float
 
 
 class Guess(NamedTuple):
-    """All that is not known, and how probable that is."""
+    """One guess of all unknowns, and its probability."""
 
     spreads: Spreads
     share: float
@@ -77,7 +77,7 @@ class Guess(NamedTuple):
 
 @dataclass(frozen=True)
 class Odds:
-    """What a table says."""
+    """Probabilities of a table."""
 
     more: np.ndarray  # (arms, joints): probability of w > 0; NaN where there is no number
     less: np.ndarray  # (arms, joints): of w < 0
@@ -118,7 +118,7 @@ def learn_odds(values: np.ndarray, errors: np.ndarray, question: Question) -> Od
 
 
 def first_centre(values: np.ndarray, question: Question) -> np.ndarray:
-    """Median of each joint; 0 where too few arms tell what is common."""
+    """Median of each joint; 0 where too few arms determine what is common."""
     joints = [column[np.isfinite(column)] for column in values.T]
     few = len(values) < 3 and question.apart < 1
     return np.array([0.0 if few or len(column) == 0 else float(np.median(column)) for column in joints])
@@ -146,7 +146,7 @@ class Sums:
     points: np.ndarray  # (arms, points): A
 
     def log_any(self, share: float) -> np.ndarray:
-        """Log density of each number, whatever it is, (arms, points, joints)."""
+        """Log density of each number under the mixture of usual and unusual joints, (arms, points, joints)."""
         other = np.logaddexp(self.up, self.down) + np.log(share / 2)
         return np.logaddexp(self.same + np.log1p(-share), other)
 
@@ -166,7 +166,7 @@ class Sums:
 
 @dataclass(frozen=True)
 class Table:
-    """The numbers, and what is asked of them."""
+    """The numbers, and their prior."""
 
     x: np.ndarray
     s: np.ndarray
@@ -267,7 +267,7 @@ def log_normal(d: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
 
 
 def log_normal_vector(x: np.ndarray, covariance: np.ndarray) -> float:
-    """Without the constant of 2 pi, which Laplace's integral takes away."""
+    """Log density without the constant of 2 pi, which cancels in Laplace's integral."""
     return -0.5 * float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 

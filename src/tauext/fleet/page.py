@@ -73,13 +73,13 @@ def false(visit: Content, link: str) -> Cell:
 
 def tool(visit: Content, against: str, link: str) -> Cell:
     """Kilograms at the flange."""
-    told = (visit.get(against) or {}).get("tool")
-    value = told["value"][0] if told else None
-    if told is None or value is None:
+    entries = (visit.get(against) or {}).get("tool")
+    value = entries["value"][0] if entries else None
+    if entries is None or value is None:
         return NONE
-    probability, sign = likelier(told, 0)
+    probability, sign = likelier(entries, 0)
     out = 3 * sign if probability is not None and probability >= 0.1 else 0.0
-    return Cell(f"{value:+.2f} ± {told['error'][0]:.2f}", value, out, probability, link)
+    return Cell(f"{value:+.2f} ± {entries['error'][0]:.2f}", value, out, probability, link)
 
 
 def findings(visit: Content) -> Cell:
@@ -92,7 +92,7 @@ def findings(visit: Content) -> Cell:
     return Cell(", ".join(codes), word=True, long=True, title=title)
 
 
-# --- The page of a fleet, from the content of fleet-report.json; one file that asks no host for anything.
+# --- The page of a fleet, from the content of fleet-report.json; one file without requests to any host.
 
 
 TEMPLATE = Path(__file__).with_name("fleet_page.html.j2")
@@ -187,8 +187,8 @@ def lead(content: Content, arms: Sequence[Content]) -> str:
         else "",
         f"{plural(bad, 'arm')} failed" if bad else "",
     ]
-    said = [part for part in parts if part]
-    text = "; ".join(said) if said else "no arm stands out, and none failed"
+    present = [part for part in parts if part]
+    text = "; ".join(present) if present else "no arm stands out, and none failed"
     return f"{text[:1].upper()}{text[1:]}. Each arm's name leads to its own page."
 
 
@@ -200,15 +200,13 @@ def glances(content: Content, arms: Sequence[Content]) -> list[FleetGlance]:
     found = [
         FleetGlance(f"{done} of {len(arms)}", "arms have all their stages done", done < len(arms)),
         FleetGlance(str(len(wearing)), "joints are wearing: friction beside the arm's own first date", bool(wearing)),
-        FleetGlance(
-            str(len(others)), "other things to look at: tools, constants, arms unlike the others", bool(others)
-        ),
+        FleetGlance(str(len(others)), "other findings: tools, constants, arms unlike the others", bool(others)),
     ]
     for start, means in (
         ("own friction", "friction of a joint from which it would be named, beside its own first date"),
         ("fleet friction", "friction from which it would be named beside the other arms alone"),
     ):
-        named_from = [told["named_from"] for name, told in tables(content) if name.startswith(start)]
+        named_from = [table["named_from"] for name, table in tables(content) if name.startswith(start)]
         if named_from:
             last = named_from[-1]
             found.append(FleetGlance("never" if last is None else f"× {np.exp(last):.2f}", means))
@@ -220,7 +218,7 @@ def tables(content: Content) -> list[tuple[str, Content]]:
 
 
 def named(one: Content, link: Mapping[str, str]) -> Content:
-    """One line of what to look at first."""
+    """One line of the list of findings to check first."""
     beside = "its own first date" if one["against"] == "own" else "the fleet"
     return {**one, "beside": beside, "percent": percent(one["probability"]), "link": link.get(one["arm"], "")}
 
@@ -233,31 +231,31 @@ def failed(arm: Content, visit: Content) -> Content:
 def reading(content: Content) -> list[str]:
     """What the probabilities mean, with what the fleet itself taught."""
     lines = [
-        f"A probability says how far a number is from what healthy arms do; {percent(NAMED)} and more is named here. "
+        f"A probability measures how far a number is from what healthy arms do; {percent(NAMED)} and more is named. "
         "It rests on this fleet: how much healthy joints differ is learned from all of them, and a joint stands out "
         "only beside the other joints of its arm and the same joint of the other arms. So a cold day of an arm, or a "
         "winter of all arms, is no wear of a joint."
     ]
-    for name, told in tables(content):
+    for name, table in tables(content):
         if name.startswith("own friction"):
             lines.append(
-                f"From one date to the other friction of a healthy arm moved by {share(told['arm_spread'])} in all "
-                f"joints together and by {share(told['joint_spread'])} in each by itself (standard deviations, "
-                f"{told['arms']} arms)."
+                f"From one date to the other friction of a healthy arm moved by {share(table['arm_spread'])} in all "
+                f"joints together and by {share(table['joint_spread'])} in each by itself (standard deviations, "
+                f"{table['arms']} arms)."
             )
         elif name == "fleet friction":
             lines.append(
-                f"Healthy arms differ among each other by {share(told['joint_spread'])} in a joint's friction. So "
-                "beside the fleet alone little can be said of wear: an arm's own earlier date says far more."
+                f"Healthy arms differ among each other by {share(table['joint_spread'])} in a joint's friction. So "
+                "the fleet alone shows little of wear: an arm's own earlier date shows far more."
             )
     lines.append(
         "Wear is one reason for more friction; a new gear, stiff grease, a tight seal or brake, or a drive of another "
-        "scale at a joint that carries no weight are others. Less friction may be a mended gear, or one that lost its "
-        "preload."
+        "scale at a joint that carries no weight are others. Less friction may be a repaired gear, or one that lost "
+        "its preload."
     )
     lines.append(
-        "A tool is told from a torque constant by where it shows: a tool at all joints that carry it, a constant at "
-        "its own. Joints that gravity does not turn (a vertical base) tell nothing of their constant."
+        "A tool is distinguished from a torque constant by where it shows: a tool at all joints that carry it, a "
+        "constant at its own. Joints that gravity does not turn (a vertical base) do not show their constant."
     )
     return lines
 
@@ -300,7 +298,7 @@ def arm_folder(fleet: int, name: str) -> str:
 
 
 def is_newer(page: Path, results: Place) -> bool:
-    """Whether the page was made of these results, as far as times tell."""
+    """Whether the page is at least as new as these results, by file times."""
     try:
         return page.stat().st_mtime >= (results / "results.json").stat().st_mtime
     except OSError:

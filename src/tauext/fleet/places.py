@@ -1,4 +1,4 @@
-"""Where something named in FLEET.toml lies: every path of the file passes here, and nothing else opens one."""
+"""Where something named in FLEET.toml lies: every path of the file is resolved here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tauext.files.places import place_of as any_place
 
 WILD = "*?["
 MOST_FOUND = 100_000
-"""Files and folders that one pattern may fit: more is a slip, as `/**` is, and takes hours to list."""
+"""Files and folders that one pattern may fit: more is likely a mistake such as `/**`, which takes hours to list."""
 
 
 def place_of(text: str, base: Place) -> Place:

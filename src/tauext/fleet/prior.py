@@ -159,7 +159,7 @@ def enough(kept: Sequence[bool]) -> bool:
 
 
 LEAST_JUDGED = 3
-"""Arms whose rest is judged: fewer say nothing of the next one's errors."""
+"""Least number of arms with motion beyond a minute; fewer do not predict a new arm's errors."""
 
 
 def make_fleet_prior(
@@ -171,7 +171,7 @@ def make_fleet_prior(
 ) -> FleetPrior:
     """What arms of one type have in common, written to a file that `train --like` takes.
 
-    An arm that `train` would refuse is left out and told; the others must still be three.
+    An arm that `train` would refuse is left out and reported; at least three must remain.
 
     Args:
         out: NAME.prior.json.
@@ -210,8 +210,8 @@ def make_fleet_prior(
     errors = errors_of(new, config, threads) if len(new) >= LEAST_JUDGED else None
     if errors is None:
         report.say(
-            f"{len(new)} arms have more motion than a minute; without {LEAST_JUDGED} nothing is known of a new arm's "
-            "errors, and its limits will follow from its own minute"
+            f"{len(new)} arms have more motion than a minute; with fewer than {LEAST_JUDGED} a new arm's errors are "
+            "unknown, and its limits will follow from its own minute"
         )
     days = fleet_days([one.factors for one in evidence])
     prior = replace(prior, errors=errors, coverage=common_coverage(own, config, gain), days=days)
@@ -283,7 +283,7 @@ def new_arms(
 
 
 def common_coverage(own: Sequence[OwnTerms], config: TrainConfig, gain_per_s: float) -> _core.CoverageSettings:
-    """Motion that any of the arms showed, told as finely as the longest of them can tell it."""
+    """Motion that any of the arms covered, as finely resolved as the longest recording allows."""
     fits = []
     for one in own:
         job = job_of(one.arm, settings_of(one, config, gain_per_s))

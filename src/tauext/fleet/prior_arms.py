@@ -1,4 +1,4 @@
-"""The arms of a fleet, each loaded when it is looked at: recordings of a hundred do not fit into memory."""
+"""The arms of a fleet, each loaded when it is needed: recordings of a hundred arms do not fit into memory."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def expect_enough(arms: int) -> None:
     """Raise ConfigError of fewer than LEAST_ARMS."""
     if arms < LEAST_ARMS:
         raise ConfigError(
-            f"{arms} arms: a fleet prior needs at least {LEAST_ARMS} of one type, to tell how they differ"
+            f"{arms} arms: a fleet prior needs at least {LEAST_ARMS} of one type, to estimate how they differ"
         )
 
 
 def distinct(folders: Sequence[Place]) -> list[str]:
-    """Names of folders: as many of their last parts as tell them apart, without those that all have."""
+    """Names of folders: as many of their last parts as make them distinct, without those that all have."""
     most = max(len(folder.parts) for folder in folders)
     for count in range(1, most + 1):
         names = [folder.parts[-count:] for folder in folders]
@@ -104,7 +104,7 @@ def job_of(
 
     Args:
         minutes: of its training recordings; None: all.
-        look: codes that are accepted when its recordings are looked at; None: they are not looked at.
+        look: codes that are accepted when its recordings are checked; None: they are not checked.
 
     Raises:
         TauextError: whatever makes `train` refuse it; and no model.

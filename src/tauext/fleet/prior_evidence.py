@@ -1,4 +1,4 @@
-"""What each arm's motion says of a common prior, its change from day to day, and errors of new arms."""
+"""Evidence of each arm's motion for a common prior, its change from day to day, and errors of new arms."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ from tauext.train.promised_limits import PromisedLimits, promised_limits
 # .. math:: \log f_{ar} \sim N(m_a, D)
 #
 # f_ar: factors of friction of arm a's joints in recording r by the arm's own fit, and D their covariance between
-# recordings of one arm, pooled over the arms. Joints get warm together, so that one tells of the others. Recordings are
-# few: D is drawn towards its own diagonal, as if MORE_ARMS more arms had been seen whose joints vary independently.
+# recordings of one arm, pooled over the arms. Joints get warm together, so their factors are correlated. Recordings are
+# few: D is drawn towards its own diagonal, as if there were MORE_ARMS more arms whose joints vary independently.
 
 
 Kind = _core.TermKind
@@ -110,7 +110,7 @@ def fleet_days(factors_of: Sequence[np.ndarray]) -> FleetDays | None:
     return FleetDays(covariance, len(logs), sum(map(len, logs)))
 
 
-# --- What each arm's motion says of the common terms, and how much a minute of it says beside the other arms.
+# --- Evidence of each arm's motion for the common terms, and the weight of a minute of it beside the other arms.
 
 
 MINUTES = 1.0
@@ -120,11 +120,11 @@ LEAST_REST = 1.0
 GROUPS = 10
 """Of arms, one of which is left out of the fleet at a time; each arm by itself where they are no more."""
 TRUSTS = (1.0, 0.3, 0.1, 0.03)
-"""By how much a row of a new arm's minute may count for less than the correlation of its errors in time says: the arm
+"""Factors tried on the weight of a row of a new arm's minute, beyond the correlation of its errors in time: the arm
 warms up, and a minute is one motion in one state of the gears."""
 
 TRUST_TIE = 0.002
-"""Of the error on the rest, whose mean over ten arms is known no better: so close, a minute counts fully."""
+"""Share of the error on the rest, whose mean over ten arms is no more accurate: within it, a minute counts fully."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def evidence_of(
 
 
 def weight_prior(arms: Sequence[ArmEvidence], found: Hierarchy, trust: float) -> WeightPrior:
-    """What a new arm is told: the fleet's mean and covariance, and the usual size and memory of errors."""
+    """The prior of a new arm: the fleet's mean and covariance, and the usual size and memory of errors."""
     error_nm = np.median([one.error_nm for one in arms], axis=0)
     memory_s = np.median([one.memory_s for one in arms], axis=0)
     return WeightPrior(found.mean, found.covariance, error_nm, memory_s, trust)
@@ -215,7 +215,7 @@ def priors_without(
     terms: Sequence[Sequence[_core.Term]],
     show: Callable[[int, int, str], None] = lambda done, total, note: None,
 ) -> list[WeightPrior]:
-    """For each arm what the others alone would tell it."""
+    """For each arm the prior from the other arms alone."""
     blocks, left = block_columns(terms), groups(len(arms))
     found: dict[int, WeightPrior] = {}
     for done, group in enumerate(left):
@@ -254,14 +254,14 @@ def rest_error_nm(arm: ArmEvidence, prior: WeightPrior, trust: float) -> np.ndar
 
 
 MOST_REST_S = 3600.0
-"""Of each arm: more says little more of how arms differ."""
+"""Of each arm: more adds little about how arms differ."""
 ROUNDS = 2
 """Of the common scale and each arm's size beside it."""
 
 
 @dataclass(frozen=True)
 class NewArm:
-    """One arm as if it were new: its bundle after a minute, and what that is wrong by."""
+    """One arm as if it were new: its bundle after a minute, and the errors of that bundle."""
 
     own: OwnTerms
     bundle: _core.Bundle
@@ -274,8 +274,8 @@ def new_arm(own: OwnTerms, config: TrainConfig, like: FleetPrior) -> NewArm:
     """A training of the arm on its first minute, and the errors of that.
 
     Args:
-        config: without torque constants, which the minute has to tell.
-        like: what the other arms know.
+        config: without torque constants, which the minute has to determine.
+        like: prior from the other arms.
     """
     job = job_of(own.arm, config, minutes=MINUTES, like=like)
     setup = observe(job)
@@ -315,7 +315,7 @@ def errors_of(arms: Sequence[NewArm], config: TrainConfig, threads: int) -> Flee
     """The scale that fits all arms' errors but for the size of each, and the limits that all of them support together.
 
     Raises:
-        TrainingError: too few peaks to say anything.
+        TrainingError: too few peaks to fit.
     """
     n = arms[0].bundle.joints
     own = np.array([np.sqrt(np.mean(one.minute.error_nm**2, axis=0)) for one in arms])
@@ -358,8 +358,8 @@ def largest(peaks: Peaks) -> np.ndarray:
 def factor_of(top_nm: np.ndarray) -> float:
     """What limits at the largest errors of the other arms must be multiplied by for none of the arms to be over them.
 
-    One arm's errors are alike, and unlike another's: what hours of all arms say of a rate holds for hours of the same
-    arms. Each of A arms beside the limits of the others says what one more arm may do: it is over the largest of A by
+    Errors differ more between arms than within one: a rate from hours of all arms holds for further hours of the same
+    arms. Comparing each of A arms with the limits of the others predicts one more arm: it exceeds the largest of A by
     chance once in A + 1.
 
     Args:
@@ -370,7 +370,7 @@ def factor_of(top_nm: np.ndarray) -> float:
 
 
 def with_limits(errors: FleetErrors, found: PromisedLimits, factor: float) -> FleetErrors:
-    """The errors with what they ask of limits, times the factor between arms."""
+    """The errors with the limits that they require, times the factor between arms."""
     facts = {key: value for key, value in found.facts().items() if key != "one_moment"} | {"arms_factor": factor}
     return replace(
         errors,

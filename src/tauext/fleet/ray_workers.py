@@ -1,4 +1,4 @@
-"""Workers that Ray finds: its queue, its resources and its retries; nothing is scheduled here."""
+"""Workers on Ray, which does the queueing, scheduling and retries."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RayWorkers:
         Raises:
             ConfigError: Ray is not installed, or there is no cluster.
         """
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to another host
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage reports to another host
         try:
             import ray
         except ImportError as error:

@@ -19,7 +19,7 @@ TABLES = ("friction", "constant", "tool")
 
 
 def make_fleet_report(fleets: Sequence[Place], out: Path, report: Reporter = SILENT) -> dict[str, Any]:
-    """What these fleets say, written to FILE in `out`; returns it.
+    """Write the report of these fleets to FILE in `out`; returns its content.
 
     Args:
         fleets: folders of `tauext fleet run`, in the order of their dates.
@@ -41,19 +41,19 @@ def make_fleet_report(fleets: Sequence[Place], out: Path, report: Reporter = SIL
     arms: dict[str, dict[str, Any]] = {
         visit.serial: {"serial": visit.serial, "type": visit.type, "state": "", "visits": []} for visit in visits
     }
-    groups, named, said = [], [], dict[Visit, dict[str, Any]]()
+    groups, named, entries = [], [], dict[Visit, dict[str, Any]]()
     for kind, members in grouped(facts).items():
         serials = [visit.serial for visit in members]
         numbers = compare([facts[visit] for visit in members], serials, date_numbers(members))
         groups.append(group_facts(kind, members, facts[members[0]], numbers))
         for k, visit in enumerate(members):
-            said[visit] = visit_facts(visit, facts[visit], numbers.friction_nm[k], "")
-            said[visit] |= compared_facts(numbers, k, members) | {"group": len(groups) - 1}
+            entries[visit] = visit_facts(visit, facts[visit], numbers.friction_nm[k], "")
+            entries[visit] |= compared_facts(numbers, k, members) | {"group": len(groups) - 1}
             if visit.serial not in serials[k + 1 :]:
                 centres = {name: table["centre"] for name, table in groups[-1]["tables"].items()}
-                named += named_of(visit.serial, facts[visit].joints, said[visit], centres)
+                named += named_of(visit.serial, facts[visit].joints, entries[visit], centres)
     for visit in visits:
-        one = said.get(visit) or visit_facts(visit, None, None, broken.get(visit, ""))
+        one = entries.get(visit) or visit_facts(visit, None, None, broken.get(visit, ""))
         arms[visit.serial]["visits"].append(one)
         arms[visit.serial]["state"] = one["state"]
     content = {
@@ -71,7 +71,7 @@ def make_fleet_report(fleets: Sequence[Place], out: Path, report: Reporter = SIL
 
 
 def grouped(facts: dict[Visit, BundleFacts]) -> dict[tuple, list[Visit]]:
-    """Visits whose arms can be compared: one type, the same joints and units; in the order in which they are told."""
+    """Visits whose arms can be compared: one type, the same joints and units; in the order given."""
     groups: dict[tuple, list[Visit]] = {}
     for visit, one in facts.items():
         groups.setdefault((visit.type, one.joints, one.units), []).append(visit)
@@ -114,7 +114,7 @@ def number_of(numbers: GroupNumbers, k: int) -> int:
 
 def group_facts(kind: tuple, members: Sequence[Visit], facts: BundleFacts, numbers: GroupNumbers) -> dict[str, Any]:
     """What arms of a group have in common."""
-    tables = {name: told for name, table in numbers.tables.items() if (told := table.facts()) is not None}
+    tables = {name: content for name, table in numbers.tables.items() if (content := table.facts()) is not None}
     return {
         "type": kind[0],
         "joints": list(facts.joints),

@@ -1,4 +1,4 @@
-"""The driver: hands out tasks whose inputs are there, and keeps the book of what became of them."""
+"""The driver: starts tasks whose inputs exist, and records their outcomes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from tauext.fleet.workers import Begun, Ended, LocalWorkers, Workers, cores
 
 
 class Watcher(Protocol):
-    """Is told what happens: the command line prints it."""
+    """Receives progress; the command line prints it."""
 
     def reading(self, done: int, of: int) -> None:
-        """So many of all files are read, which tells whether they changed."""
+        """So many of all files are read to detect changes."""
 
     def started(self, plan: Sequence[PlannedArm]) -> None:
         """All tasks, done or not."""
 
     def begun(self, task: Task) -> None:
-        """Somebody works on it or, with Ray, will."""
+        """A worker has begun it or, with Ray, will."""
 
     def ended(self, ended: Ended) -> None:
         """It is done, refused or failed."""
@@ -50,14 +50,14 @@ class Progress:
 
     book: Book
     left: dict[str, list[Planned]] = field(default_factory=dict)
-    """Steps of an arm that are neither done nor given to somebody, by its name."""
+    """Steps of an arm that are neither done nor given to a worker, by the arm's name."""
     end: FleetEnd = field(init=False)
 
     def __post_init__(self) -> None:
         self.end = FleetEnd(self.book)
 
     def next_of(self, arm: str) -> Task | None:
-        """The next task to do; what was done before is passed over, and nothing follows what is refused."""
+        """The next task to run; finished tasks are skipped, and nothing follows a refused one."""
         while self.left[arm]:
             step = self.left[arm].pop(0)
             if step.there is None:
@@ -79,7 +79,7 @@ class Progress:
 
 
 def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -> FleetEnd:
-    """Do what is not done yet; OUT/fleet.json says how all of it stands, after an interruption too.
+    """Run all tasks that are not done yet; OUT/fleet.json holds the state of all, after an interruption too.
 
     Tasks are given out in the order in which they become possible, so that all imports come before the first training:
     what is broken shows early.

@@ -22,10 +22,10 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
     """The dataset folder NAME, and what was done to the numbers in NAME.txt."""
     from tauext.data.importing import import_dataset
 
-    said: list[str] = []
+    messages: list[str] = []
     sources = [local_folder(any_place(source)) for source in work["sources"]]
-    import_dataset(sources, any_place(work["description"]), part / work["name"], "tauext", said.append)
-    (part / "import.txt").write_text("\n".join(said) + "\n")
+    import_dataset(sources, any_place(work["description"]), part / work["name"], "tauext", messages.append)
+    (part / "import.txt").write_text("\n".join(messages) + "\n")
 
 
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:

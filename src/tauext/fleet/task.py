@@ -37,7 +37,7 @@ LOCK = "fleet.lock"
 
 @contextmanager
 def locked(out: Place) -> Iterator[None]:
-    """The folder is ours; the lock ends with the process, whatever ends it.
+    """Lock the folder for this driver; the lock ends with the process, even a killed one.
 
     Raises:
         ConfigError: another driver is at work here.
@@ -94,7 +94,7 @@ class Contents:
             pass
 
     def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
-        """Read those that nobody knows, some at a time; show is called with how many are read, and of how many."""
+        """Read the files that are not hashed yet, some at a time; calls show with the number read and the total."""
         each = dict.fromkeys(files)
         pool = ThreadPoolExecutor(AT_A_TIME)
         try:
@@ -144,7 +144,7 @@ DIGITS = 12
 def build() -> str:
     """As "0.1.0+3f9c0a1be2d4": one release may be built from several states of the code, or for several processors.
 
-    Of libraries only the core's own counts: another NumPy does nothing anew, and stands in each output's provenance.
+    Of libraries only the core's own counts: another NumPy repeats no task, and is listed in each output's provenance.
     """
     root = Path(__file__).parent.parent
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
@@ -156,33 +156,33 @@ def build() -> str:
     return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"
 
 
-# --- One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made.
+# --- One stage of one arm: done once, in a folder that appears whole, with a marker of what it was made from.
 
 
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
 TIMED = "wall_time_s.json"
 """End of the names of files that differ from run to run: task.wall_time_s.json, and those of the commands."""
 LONGEST_REASON = 400
-"""Letters of a reason that is to stand on one line."""
+"""Most characters of a reason on one line."""
 
 Stage = Callable[[Mapping[str, Any], Path], str | None]
-"""Does what `work` says in a new folder; returns why the arm's later stages must not follow, None where they may."""
+"""Runs `work` in a new folder; returns why the arm's later stages must not follow, None where they may."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What there is to do, as plain JSON, so that any process on any machine can do it."""
+    """One unit of work, as plain JSON, so that any process on any machine can run it."""
 
     arm: str
     stage: str
     folder: str
-    """Where its output stands when it is complete; absolute."""
+    """Folder of its complete output; absolute."""
     inputs: dict[str, str]
-    """All that the output depends on, by names for people: digests of contents, settings, hashes of tasks before it."""
+    """All that the output depends on, by readable names: digests of contents, settings, hashes of tasks before it."""
     work: dict[str, Any] = field(default_factory=dict)
-    """What the stage is called with: places and settings. Where a place lies is no input, what is there is."""
+    """Arguments of the stage: places and settings. The content of a place is an input, its path is not."""
     build: str = field(default_factory=build)
-    """Of the tauext that planned it."""
+    """Build of the tauext that planned it."""
 
     @property
     def hash(self) -> str:
@@ -198,15 +198,15 @@ class Outcome:
     """How a task ended."""
 
     state: str
-    """done, refused (it is done, and says that nothing may be made of it), or failed."""
+    """done, refused (done, but nothing may be made from its output), or failed."""
     reason: str = ""
     seconds: float = 0.0
-    """Wall time of whoever did it."""
+    """Wall time of the run."""
 
 
 @dataclass(frozen=True)
 class Marker:
-    """What stands in a finished task's folder."""
+    """Content of the marker in a finished task's folder."""
 
     hash: str
     build: str
@@ -216,19 +216,21 @@ class Marker:
     seconds: float
 
     def lacks(self, folder: Place) -> str | None:
-        """The first output that is gone or has another size; None: all are there."""
+        """The first output that is missing or has another size; None: all exist."""
         there = sizes(folder, self.outputs)
-        return next((name for name, said in self.outputs.items() if there.get(name) != said["bytes"]), None)
+        return next((name for name, entry in self.outputs.items() if there.get(name) != entry["bytes"]), None)
 
 
 def marker_of(folder: Place) -> Marker | None:
-    """What stands there; None: nothing that is whole."""
+    """The marker in the folder; None: missing or incomplete."""
     try:
-        said = json_of(read_text(folder / MARKER))
-        if said["format"] != FORMAT:
+        content = json_of(read_text(folder / MARKER))
+        if content["format"] != FORMAT:
             return None
         seconds = float(json_of(read_text(folder / WALL_TIME))["task_s"])
-        return Marker(said["hash"], said["build"], said["inputs"], said["outputs"], said["refused"], seconds)
+        return Marker(
+            content["hash"], content["build"], content["inputs"], content["outputs"], content["refused"], seconds
+        )
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -249,18 +251,18 @@ def ended(marker: Marker) -> Outcome:
 
 
 def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
-    """Do it, unless it is done; whatever goes wrong is a failed outcome with its reason on one line.
+    """Run the task unless it is done; any error is a failed outcome with its reason on one line.
 
-    The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
-    For a store it is written on this machine and sent, its marker last.
-    Where it fails, STAGE.failed.txt beside it holds all that is to be said.
+    The output is written to a folder of its own beside the final one and renamed: a killed process leaves no partial
+    output. For a store it is written on this machine and sent, its marker last. If it fails, STAGE.failed.txt beside it
+    holds the full reason.
     """
     if task.build != build():
         return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
     if (outcome := finished(task)) is not None:
         return outcome
     folder = place_of(task.folder)
-    told = folder.with_name(f"{task.stage}.failed.txt")
+    failure_file = folder.with_name(f"{task.stage}.failed.txt")
     part = at_home(folder).with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
     started = time.monotonic()
     try:
@@ -271,12 +273,12 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
             refused = stages[task.stage](task.work, part)
         marker = mark(task, part, refused, time.monotonic() - started)
         publish(part, task)
-        if told.is_file():
-            told.unlink(missing_ok=True)
+        if failure_file.is_file():
+            failure_file.unlink(missing_ok=True)
         return ended(marker)
     except Exception as error:
-        reason, block = (text.replace(str(part), str(folder)) for text in said_of(error))
-        with suppress(OSError, StoreError), whole_file(told) as whole:  # the reason itself is reported
+        reason, block = (text.replace(str(part), str(folder)) for text in reason_and_report(error))
+        with suppress(OSError, StoreError), whole_file(failure_file) as whole:  # the reason itself is reported
             whole.write_text(block + "\n")
         return Outcome("failed", reason, time.monotonic() - started)
     finally:
@@ -289,17 +291,17 @@ def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
     outputs = {
         path.relative_to(part).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)} for path in files
     }
-    said = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash}
-    said |= {"build": task.build, "inputs": task.inputs}
-    said |= {"refused": refused, "outputs": outputs}
+    content = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash}
+    content |= {"build": task.build, "inputs": task.inputs}
+    content |= {"refused": refused, "outputs": outputs}
     made_by = {key: value for key, value in provenance("tauext fleet run", {}, None).items() if key != "settings"}
     write_json({"task_s": round(seconds, 3)}, part / WALL_TIME)
-    write_json(said | made_by, part / MARKER)
+    write_json(content | made_by, part / MARKER)
     return Marker(task.hash, task.build, task.inputs, outputs, refused, round(seconds, 3))
 
 
 def publish(part: Path, task: Task) -> None:
-    """The folder gets its name; what stood there of other inputs goes, and what another worker made of these stays.
+    """Rename the folder to its final name, replacing output of other inputs; output of the same inputs is kept.
 
     Raises:
         OSError: it cannot be renamed.
@@ -322,7 +324,7 @@ def publish(part: Path, task: Task) -> None:
 
 
 def send_over(part: Path, folder: StoredPlace) -> None:
-    """What stood there is no finished task from the first step on, and the new one is so with the last."""
+    """Replace a stored folder: the old marker is deleted first, and the new one is sent last."""
     there = [file for file in folder.rglob("*") if file.is_file()]
     for file in sorted(there, key=lambda file: file.name != MARKER):
         if file.name == MARKER or not (part / file.relative_to(folder)).is_file():
@@ -331,7 +333,7 @@ def send_over(part: Path, folder: StoredPlace) -> None:
 
 
 def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
-    """Of the files with these names that are there, [bytes]; of a store by one listing."""
+    """Sizes of those of these files that exist, [bytes]; of a store by one listing."""
     if isinstance(folder, StoredPlace):
         files = (file for file in folder.rglob("*") if file.is_file())
         return {file.relative_to(folder).as_posix(): file.stat().st_size for file in files}
@@ -342,8 +344,8 @@ def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
     return found
 
 
-def said_of(error: Exception) -> tuple[str, str]:
-    """One line, and all that there is to say."""
+def reason_and_report(error: Exception) -> tuple[str, str]:
+    """The reason in one line, and the full report."""
     if isinstance(error, FaultyDataError):
         codes = dict.fromkeys(getattr(finding, "code", "") for finding in error.findings)
         line = str(error).splitlines()[0].partition(",")[0]
@@ -367,7 +369,7 @@ def one_line(text: str) -> str:
 
 
 def clean(arm_folder: Path) -> None:
-    """Remove what killed workers left of an arm; nobody else is at work there."""
+    """Remove what killed workers left of an arm; no other worker may be active there."""
     for pattern in (".*.part-*", ".*.old-*"):
         for left in arm_folder.glob(pattern):
             shutil.rmtree(left, ignore_errors=True)

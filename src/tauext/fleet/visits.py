@@ -27,7 +27,7 @@ CONSTANT = "a unit of its recorded torque is × {factor} of {whose}"
 TOOL = "carries {kg} kg {way} than {when}"
 WORDS = {
     ("own", "friction", "more"): ("wearing", FRICTION),
-    ("own", "friction", "less"): ("less friction", f"{FRICTION}: new grease, a mended gear, or a loose one"),
+    ("own", "friction", "less"): ("less friction", f"{FRICTION}: new grease, a repaired gear, or a loose one"),
     ("own", "constant", "more"): ("constant changed", CONSTANT),
     ("own", "constant", "less"): ("constant changed", CONSTANT),
     ("own", "tool", "more"): ("tool changed", TOOL),
@@ -79,15 +79,15 @@ def named_of(serial: str, joints: Sequence[str], visit: Mapping[str, Any], centr
     return found
 
 
-# --- What a bundle says of its arm, joint by joint: friction, ripple, limits, constants, promise.
+# --- Content of a bundle, joint by joint: friction, ripple, limits, constants, promise.
 
 
 SPEED_RAD_S = 0.5
-"""Friction is told at this speed: most joints slide at it, and few slow moves are faster."""
+"""Friction is reported at this speed: most joints slide at it, and few slow moves are faster."""
 MEMORY_S = 2.0
 """Errors of a fit so far apart are independent: the longest that a refit counts."""
 MOVING = 0.5
-"""Share of its recordings in which a joint moves, where nobody counted."""
+"""Share of its recordings in which a joint is assumed to move."""
 Kind = _core.TermKind
 
 
@@ -101,7 +101,7 @@ class BundleFacts:
     recipe: str
     minutes: float | None
     error_nm: np.ndarray
-    """Left by the prior in training; NaN: nobody knows."""
+    """Left by the prior in training; NaN: unknown."""
     ripple_nm: np.ndarray
     """Amplitudes of all ripples of the joint together, as squares add; NaN without a prior."""
     limit_nm: np.ndarray
@@ -110,7 +110,7 @@ class BundleFacts:
     """What its limits promise at most."""
     promise: str
     constants: np.ndarray
-    """Found, in N m a unit of the recordings' torque, or by the import's; NaN where motion did not tell."""
+    """Found, in N m a unit of the recordings' torque, or by the import's; NaN where motion did not determine it."""
     constants_error: np.ndarray
     bundle: _core.Bundle
 
@@ -122,11 +122,11 @@ class BundleFacts:
 
     @property
     def has_prior(self) -> bool:
-        """Friction that can be told."""
+        """Whether the bundle has a friction model."""
         return any(term.kind in (Kind.coulomb, Kind.presliding) for term in self.bundle.prior.terms)
 
     def friction_error(self, friction_nm: np.ndarray) -> np.ndarray:
-        """Standard error of the friction as a share of it: what a fit leaves, over the independent moments it saw."""
+        """Relative standard error of the friction: the fit's residual over the root of the independent moments."""
         seconds = 60 * (self.minutes or 1.0) * MOVING
         return self.error_nm / np.maximum(friction_nm, 1e-9) / np.sqrt(max(seconds / MEMORY_S, 1.0))
 
@@ -142,8 +142,8 @@ def read_bundle(path: Place) -> BundleFacts:
     joints = tuple(link.joint_name for link in bundle.links)
     prior = of(facts, "prior")
     found = of(of(facts, "torque_constants"), "found")
-    told = [of(found, name) for name in joints]
-    known = [bool(one.get("determined")) for one in told]
+    fits = [of(found, name) for name in joints]
+    known = [bool(one.get("determined")) for one in fits]
     promise = of(of(facts, "limits"), "promise")
     budget = of(promise, "asked") if promise.get("supported", True) else of(promise, "supported_budget")
     return BundleFacts(
@@ -158,15 +158,15 @@ def read_bundle(path: Place) -> BundleFacts:
         false_per_hour=budget.get("rate_per_hour"),
         promise=str(of(facts, "limits").get("sentence") or promise.get("sentence") or ""),
         constants=numbers(
-            one.get("nm_per_unit") if is_known else None for one, is_known in zip(told, known, strict=True)
+            one.get("nm_per_unit") if is_known else None for one, is_known in zip(fits, known, strict=True)
         ),
-        constants_error=numbers(one.get("standard_error") for one in told),
+        constants_error=numbers(one.get("standard_error") for one in fits),
         bundle=bundle,
     )
 
 
 def of(facts: Any, key: str) -> dict[str, Any]:
-    """The table under the key; empty where there is none."""
+    """The table under the key; empty without such a key."""
     value = facts.get(key) if isinstance(facts, dict) else None
     return value if isinstance(value, dict) else {}
 
@@ -231,7 +231,7 @@ class Visit:
     run: int
     """Which of the fleet folders it stands in, from 0 on."""
     date: str
-    """YYYY-MM-DD; empty: nobody knows."""
+    """YYYY-MM-DD; empty: unknown."""
     state: str
     reason: str
     """Why it is not done; empty where it is."""
@@ -247,7 +247,7 @@ class Visit:
 def visits_of(fleets: Sequence[Place]) -> list[Visit]:
     """All arms of these fleet folders, each arm's dates in their order.
 
-    A date is what FLEET.toml says, or the day of the first recording where its clock tells one. Where an arm has
+    A date is that of FLEET.toml, or else the day of the first recording if its clock has one. Where an arm has
     entries without a date, all of its entries are in the order of the folders.
 
     Raises:
@@ -287,9 +287,9 @@ def visit_of(entry: dict[str, Any], fleet: Place, run: int) -> Visit:
 
     name, state = str(entry["name"]), str(entry["state"])
     stage, reason = "", ""
-    for word, told in entry["stages"].items():
-        if told["state"] in ("failed", "refused"):
-            stage, reason = word, str(told.get("reason") or told["state"])
+    for word, outcome in entry["stages"].items():
+        if outcome["state"] in ("failed", "refused"):
+            stage, reason = word, str(outcome.get("reason") or outcome["state"])
             break
     if not reason and state != "done":
         stage, reason = "", "not run to the end; the same `tauext fleet run` goes on"
@@ -311,7 +311,7 @@ def visit_of(entry: dict[str, Any], fleet: Place, run: int) -> Visit:
 
 
 def date_in(dataset: Place | None) -> str:
-    """Day of the first training recording; empty: its clock tells none, or it is not there."""
+    """Day of the first training recording; empty: its clock has none, or there is no recording."""
     if dataset is None:
         return ""
     try:
@@ -322,7 +322,7 @@ def date_in(dataset: Place | None) -> str:
     return found.isoformat() if found is not None else ""
 
 
-# --- What the files of one arm at one date say, as plain JSON: bundle, results, findings of the doctor.
+# --- Content of the files of one arm at one date, as plain JSON: bundle, results, findings of the doctor.
 
 
 def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray | None, broken: str) -> dict[str, Any]:
@@ -333,7 +333,7 @@ def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray
         friction_nm: of each joint.
         broken: why its bundle cannot be read; empty where it can.
     """
-    said: dict[str, Any] = {
+    content: dict[str, Any] = {
         "name": visit.name,
         "run": visit.run,
         "date": visit.date or None,
@@ -343,10 +343,10 @@ def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray
         "findings": findings_of(visit.folder / "check" / "check.json"),
     }
     if visit.results is not None and visit.dataset is not None:
-        said["places"] = {"results": str(visit.results), "dataset": str(visit.dataset)}
+        content["places"] = {"results": str(visit.results), "dataset": str(visit.dataset)}
     if facts is None:
-        return said
-    said |= {
+        return content
+    content |= {
         "recipe": facts.recipe or None,
         "minutes": rounded(facts.minutes),
         "friction_nm": rounded(friction_nm),
@@ -356,11 +356,11 @@ def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray
         "promised_per_hour": rounded(facts.false_per_hour),
         "promise": facts.promise or None,
     }
-    return said | results_of(visit.results)
+    return content | results_of(visit.results)
 
 
 def results_of(folder: Place | None) -> dict[str, Any]:
-    """Of the free motion that training did not see: its error, and what was false there."""
+    """Results on free motion outside training: errors and false collisions."""
     try:
         free = load_results(folder).bundles[0].free_motion if folder is not None else None
     except ConfigError:  # a report of a hundred arms does not end for one of them

@@ -1,6 +1,6 @@
 """A worker process: reads tasks from stdin, one JSON a line, does them, and writes outcomes to stdout.
 
-It ends when its stdin does: a driver that is killed leaves nobody at work.
+It ends when its stdin does: a killed driver leaves no worker running.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from tauext.fleet.task import expect_json, run_task
 
 def work() -> None:
     """Until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the driver's: it says who stops
-    told = os.fdopen(os.dup(1), "w")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the driver, which stops the workers
+    reports = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a library prints is no outcome
     waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=read_on, args=(waiting,), daemon=True).start()
     while True:
         outcome = run_task(expect_json(json.loads(waiting.get())), STAGES)
-        told.write(json.dumps(asdict(outcome)) + "\n")
-        told.flush()
+        reports.write(json.dumps(asdict(outcome)) + "\n")
+        reports.flush()
 
 
 def read_on(waiting: queue.SimpleQueue[str]) -> None:

@@ -19,12 +19,12 @@ from tauext.fleet.task import LONGEST_REASON, Outcome, Task
 
 
 Begun = Callable[[Task], None]
-"""Called when somebody begins a task, where that is known."""
+"""Called when a worker begins a task, where that is known."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """A task that somebody did, or that nobody could do."""
+    """A task that ended, done or not."""
 
     task: Task
     outcome: Outcome
@@ -33,17 +33,17 @@ class Ended:
 
 
 class Workers(Protocol):
-    """A context: on its way out nobody works any more."""
+    """A context manager: no worker runs after its exit."""
 
     def __enter__(self) -> Workers: ...
 
     def __exit__(self, *error: object) -> None: ...
 
     def submit(self, task: Task) -> None:
-        """It is done when somebody is free, in the order of these calls where they can choose."""
+        """Queue a task; free workers take tasks in the order of these calls where they can choose."""
 
     def wait(self) -> Ended:
-        """The next task that ends, in whatever order; there is one under way."""
+        """Wait for the next task to end, in any order; at least one must be running."""
 
 
 # --- Workers that are processes of this machine: one that dies costs the task it was at, which is begun again.
@@ -94,7 +94,7 @@ class Process:
             self.process.stdin.write(json.dumps(task.to_json()) + "\n")
             self.process.stdin.flush()
         except BrokenPipeError:
-            pass  # it is dead, which its end of file tells
+            pass  # it is dead; its end of file is detected later
 
     def end(self) -> str:
         """Kill it, if it lives; how it ended, for a person."""
@@ -115,7 +115,7 @@ class Process:
 
 @dataclass
 class LocalWorkers:
-    """A context of so many processes, each started when there is work for it."""
+    """A context manager of so many processes, each started when there is work for it."""
 
     workers: int
     retries: int
@@ -170,7 +170,7 @@ class LocalWorkers:
         return Ended(task, Outcome("failed", f"its worker died {times}, by {how}"), deaths)
 
     def _give(self) -> None:
-        """Tasks to those who are free; a new process where there are too few."""
+        """Give tasks to free workers; start a new process if there are too few."""
         while self._waiting:
             free = next((one for one in self._processes if one.task is None), None)
             if free is None:

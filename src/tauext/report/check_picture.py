@@ -46,7 +46,7 @@ def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[
 
 
 def _rows(diagnosis: Diagnosis) -> Rows:
-    assert diagnosis.rows is not None  # draw() looked
+    assert diagnosis.rows is not None  # checked by draw()
     return diagnosis.rows
 
 

@@ -52,7 +52,7 @@ class Excerpt:
 
     collision: LabelledCollision
     recording: Recording
-    said: Estimates
+    estimates: Estimates
     first: int
     last: int
     shown_at_s: float
@@ -85,13 +85,13 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         label_joint(axes, name, f"torque, {results.unit_of(joint)}")
         axes.set_xlim(0, excerpts[-1].shown_at_s + excerpts[-1].length_s)
     label_excerpts(grid[0], grid[-1], excerpts)
-    what = uncertainty_words([excerpts[0].said])
+    what = uncertainty_words([excerpts[0].estimates])
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
         Line2D([], [], color=colour, label=what),
         Patch(color=CONTACT, label="contact"),
     ]
-    moves = excerpts[0].said.limits_move
+    moves = excerpts[0].estimates.limits_move
     if moves:
         handles.insert(2, Line2D([], [], label="± limit", **LIMIT_LINE))
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
@@ -116,13 +116,13 @@ def cut_excerpts(collisions: tuple[LabelledCollision, ...], bundle: str, signals
         if collision.recording not in loaded:
             recording = signals.recording(collision.recording)
             loaded[collision.recording] = recording, signals.estimates(bundle, recording)
-        recording, said = loaded[collision.recording]
+        recording, estimates = loaded[collision.recording]
         begin_s = collision.start_s - BEFORE_S
         end_s = max(begin_s + LENGTH_S, collision.end_s + AFTER_S)
         inside = np.flatnonzero((recording.time_s >= begin_s) & (recording.time_s <= end_s))
         if len(inside) == 0:
             raise NotAvailable(f"collision {collision.id} lies outside its recording")
-        excerpt = Excerpt(collision, recording, said, int(inside[0]), int(inside[-1]), shown_at_s)
+        excerpt = Excerpt(collision, recording, estimates, int(inside[0]), int(inside[-1]), shown_at_s)
         excerpts.append(excerpt)
         shown_at_s += excerpt.length_s
     return excerpts
@@ -137,12 +137,12 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
             span = excerpt.shown(np.clip([other.start_s, other.end_s], begin_s, end_s))
             axes.axvspan(*span, color=CONTACT, linewidth=0, zorder=0)
     shown_s = excerpt.shown(excerpt.recording.time_s[rows])
-    axes.plot(shown_s, excerpt.said.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
-    uncertainty = excerpt.said.uncertainty[rows, joint]
+    axes.plot(shown_s, excerpt.estimates.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
+    uncertainty = excerpt.estimates.uncertainty[rows, joint]
     axes.plot(shown_s, uncertainty, color=colour)
-    if excerpt.said.limits_move:
+    if excerpt.estimates.limits_move:
         for side in (-1, 1):
-            axes.plot(shown_s, uncertainty + side * excerpt.said.limit_nm[rows, joint], **LIMIT_LINE)
+            axes.plot(shown_s, uncertainty + side * excerpt.estimates.limit_nm[rows, joint], **LIMIT_LINE)
     if excerpt.shown_at_s > 0:
         axes.axvline(excerpt.shown_at_s, color=JOINT_AT, linewidth=0.7)
 
@@ -257,7 +257,7 @@ def draw_strength(results: Results) -> Drawing:
         figure,
         "Left, the share of collisions that were latched over how hard they were: the sensor reference's peak on the "
         "joint where it is largest. Right, the median time from the onset of contact to the alarm, of those latched: "
-        "a method that latches only the hardest of a bin looks faster there than it is.",
+        "a method that latches only the hardest of a bin appears faster there than it is.",
     )
 
 
@@ -322,7 +322,7 @@ def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
 
 
 MOST_PER_HOUR = 300.0
-"""No one bears more false alarms: the axis ends there."""
+"""Upper end of the axis: more false alarms are of no use."""
 STRIP = (0.02, 0.4)
 """Where limits without any false collision stand: between these shares of one in the hours tested."""
 
@@ -330,8 +330,8 @@ STRIP = (0.02, 0.4)
 def draw_missed_curve(results: Results) -> Drawing:
     """One curve a bundle, its limits scaled by a common factor; a mark where its own limits stand.
 
-    The axis of rates is logarithmic. Limits without any false collision stand in a strip at its left, whose place says
-    nothing but that: of those, the lowest limits, hence the fewest missed.
+    The axis of rates is logarithmic. Limits without any false collision are drawn in a strip at its left: of those,
+    the lowest limits, hence the fewest missed.
 
     Raises:
         NotAvailable: no bundle has such a curve, or there were no collisions.
@@ -384,7 +384,7 @@ def draw_curve(axes: Axes, bundle: EvaluatedBundle, none_at: float, stroke: dict
 
     Under lower limits yet, alarms run into one another: they become fewer and no better.
     """
-    assert bundle.latched is not None  # drawable() looked
+    assert bundle.latched is not None  # checked by drawable()
     collisions = bundle.latched.collisions
     points = sorted((p for p in bundle.missed_curve if p.false_per_hour is not None), key=lambda p: p.scale)
     rates = [point.false_per_hour or 0.0 for point in points]

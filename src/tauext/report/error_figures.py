@@ -39,7 +39,7 @@ from tauext.report.style import (
 )
 from tauext.report.tables import NONE, Row, Table, block, whole
 
-# --- Errors in free motion over the standard error that was told with them, and the shares within it.
+# --- Errors in free motion over the standard error that was estimated with them, and the shares within it.
 
 
 REGIONS = {"sliding": "sliding", "near_stiction": "near stiction"}
@@ -81,7 +81,7 @@ def draw_error_against_sigma(results: Results) -> Drawing:
         use_log_height(axes)
         use_log_width(axes)
         axes.set_title(results.joints[joint])
-        axes.set_xlabel(f"standard error as told, {results.unit_of(joint)}")
+        axes.set_xlabel(f"estimated standard error, {results.unit_of(joint)}")
         if joint % columns == 0:
             axes.set_ylabel(f"RMS error, {results.unit_of(joint)}")
     ink = "#555555"
@@ -89,7 +89,7 @@ def draw_error_against_sigma(results: Results) -> Drawing:
     handles += [
         Line2D([], [], color=ink, linestyle="none", marker="o", label="sliding"),
         Line2D([], [], color=ink, linestyle="none", marker="o", markerfacecolor="white", label="near stiction"),
-        Line2D([], [], color=GREY, linewidth=1, label="as large as told"),
+        Line2D([], [], color=GREY, linewidth=1, label="as large as estimated"),
         Line2D([], [], color=GREY, linewidth=0.8, linestyle="--", label="twice as large"),
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=6)
@@ -97,7 +97,8 @@ def draw_error_against_sigma(results: Results) -> Drawing:
         figure,
         "Error against standard error on test free motion, where the whole estimate is error: each dot is the root "
         "mean square of the errors of all samples whose standard error fell in one bin, larger where they were more. "
-        "On the full line the standard error is right; above it, errors are larger than told." + results.shown_note,
+        "On the full line the standard error is right; above it, errors are larger than estimated."
+        + results.shown_note,
     )
 
 
@@ -201,13 +202,13 @@ def collect(bundle: EvaluatedBundle, signals: Signals) -> tuple[np.ndarray, np.n
     for name in bundle.free_motion.recordings:
         try:
             recording = signals.recording(name)
-            said = signals.estimates(bundle.name, recording)
+            estimates = signals.estimates(bundle.name, recording)
         except NotAvailable:
             continue
-        rows = said.healthy & np.isfinite(said.tau_ext).all(axis=1)
+        rows = estimates.healthy & np.isfinite(estimates.tau_ext).all(axis=1)
         speeds.append(recording.dq[rows])
-        errors.append(said.tau_ext[rows])
-        limits.append(said.limit_nm[rows])
+        errors.append(estimates.tau_ext[rows])
+        limits.append(estimates.limit_nm[rows])
         used.append(name)
     if sum(map(len, speeds)) == 0:
         raise NotAvailable(f"no test recording is there with its estimates of bundle {bundle.label}")
@@ -270,11 +271,11 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     width = min(WIDTH_IN, max(NARROWEST_IN, 1.5 + 3.2 * len(estimates)))
     figure = Figure(figsize=(width, 0.7 + (1.75 if n <= 3 else 1.25) * n), layout="constrained")
     grid = figure.subplots(n, len(estimates), sharex=True, sharey="row", squeeze=False)
-    for column, (bundle, said) in enumerate(estimates.items()):
+    for column, (bundle, estimate) in enumerate(estimates.items()):
         for joint in range(n):
             axes = grid[joint, column]
-            axes.plot(time_s[rows], said.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
-            axes.plot(time_s[rows], said.uncertainty[rows, joint], color=colours[bundle])
+            axes.plot(time_s[rows], estimate.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
+            axes.plot(time_s[rows], estimate.uncertainty[rows, joint], color=colours[bundle])
             axes.margins(x=0)
         grid[0, column].set_title(results.labels[bundle].replace(", ", ",\n"), color=colours[bundle], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")

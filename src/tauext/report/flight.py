@@ -54,7 +54,7 @@ COLUMNS = {
 
 
 def heading_words(flight: Flight) -> dict[str, str]:
-    """Units, the level whose limits are told, and what is taken off the observer's output."""
+    """Units, the level whose limits are listed, and what is taken off the observer's output."""
     return {
         "unit": flight.estimate_unit,
         "torque_unit": flight.torque_unit,
@@ -93,8 +93,8 @@ def carried_words(flight: Flight) -> str:
         return ""
     first, *later = (f"{mass_kg:.3g} kg" if mass_kg else "nothing" for _, mass_kg in flight.loads)
     changes = zip(later, flight.loads[1:], strict=True)
-    told = [first, *(f"{words} from {since_s:+.2f} s on" for words, (since_s, _) in changes)]
-    return f" It was taken to carry {', '.join(told)}."
+    stages = [first, *(f"{words} from {since_s:+.2f} s on" for words, (since_s, _) in changes)]
+    return f" It was taken to carry {', '.join(stages)}."
 
 
 def draw_close(flight: Flight) -> Drawing:
@@ -121,24 +121,24 @@ def draw_close(flight: Flight) -> Drawing:
 
 def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice, unit_s: float = 1.0) -> None:
     """One signal of one joint, over the regions that its limits and its health make."""
-    said, recording = flight.estimates, flight.recording
+    estimates, recording = flight.estimates, flight.recording
     since = flight.since_s[part] / unit_s
     period = 1 / recording.rate_hz / unit_s
     if column in ("tau_ext", "observer"):
-        shade(axes, since, said.near_stiction[part, joint], NEAR_STICTION, 0)
-    shade(axes, since, said.health[part] != OK, NOT_OK, 1)
+        shade(axes, since, estimates.near_stiction[part, joint], NEAR_STICTION, 0)
+    shade(axes, since, estimates.health[part] != OK, NOT_OK, 1)
     if column == "tau_ext":
         limit = flight.limit_nm[part, joint]
         for side in (-1, 1):
             axes.plot(*broken(since, side * limit, period), color=LIMIT, linestyle="--", linewidth=0.9, zorder=3)
-        curves: list[tuple[np.ndarray, dict[str, Any]]] = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
-        if said.band_nm is not None:
-            whole_s, centre = broken(since, said.tau_ext[part, joint], period)
-            draw_band(axes, whole_s, centre, broken(since, said.band_nm[part, joint], period)[1], TAU_EXT)
+        curves: list[tuple[np.ndarray, dict[str, Any]]] = [(estimates.tau_ext[part, joint], {"color": TAU_EXT})]
+        if estimates.band_nm is not None:
+            whole_s, centre = broken(since, estimates.tau_ext[part, joint], period)
+            draw_band(axes, whole_s, centre, broken(since, estimates.band_nm[part, joint], period)[1], TAU_EXT)
     elif column == "observer":
         curves = [
-            (said.residual[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
-            (said.uncertainty[part, joint], {"color": UNCERTAINTY}),
+            (estimates.residual[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
+            (estimates.uncertainty[part, joint], {"color": UNCERTAINTY}),
         ]
     else:
         curves = [(getattr(recording, column)[part, joint], {"color": MEASURED, "linewidth": 0.8})]
@@ -185,7 +185,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
         *lines,
         Line2D([], [], color=MEASURED, linewidth=0.8, label="measured"),
         Line2D([], [], color=EVENT, linewidth=1, label=flight.event["what"]),
-        *[Line2D([], [], color=LOAD, linewidth=1, linestyle=":", label="another load told")][: len(flight.loads[1:])],
+        *[Line2D([], [], color=LOAD, linewidth=1, linestyle=":", label="load changed")][: len(flight.loads[1:])],
         Patch(color=NEAR_STICTION, label="near stiction"),
         Patch(color=NOT_OK, label="health not ok"),
     ]
@@ -275,13 +275,13 @@ FIELDS = ("tau_ext_nm", "contact_sigma_nm", "limit_nm", "margin_nm", "residual_n
 
 
 def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:
-    """What was said of each joint at the event, and whether it is the event's joint; a dash where no number exists."""
+    """The estimates of each joint at the event, and whether it is the event's joint; a dash where no number exists."""
     rows, regions = [], flight.event["near_stiction"]
     for j, joint in enumerate(flight.recording.joints):
-        said = {field: flight.event[field][j] for field in FIELDS}
+        fields = {field: flight.event[field][j] for field in FIELDS}
         if flight.limit_level == "contact":
-            said |= contact_margin(flight.event["contact_limit_nm"][j], said["tau_ext_nm"])
-        values = said.values()
+            fields |= contact_margin(flight.event["contact_limit_nm"][j], fields["tau_ext_nm"])
+        values = fields.values()
         cells = ["–" if value is None else f"{value:.3f}".replace("-", "−") for value in values]
         name = f"{joint} [{flight.estimate_unit_of(j)}]" if flight.estimate_unit == SEVERAL else joint
         region = "near stiction" if regions[j] else "sliding"

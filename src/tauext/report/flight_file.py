@@ -30,7 +30,7 @@ class Flight:
     recording: Recording
     estimates: Estimates
     event: dict[str, Any]
-    """What the monitor said at the event."""
+    """The monitor's report of the event."""
     explanation: tuple[str, ...]
     """A paragraph each; the first is the headline."""
     facts: dict[str, Any]
@@ -47,10 +47,10 @@ class Flight:
 
         The first is of the whole time before the second.
         """
-        told = self.facts["loads"]
-        if not any(one["mass_kg"] for one in told):
+        entries = self.facts["loads"]
+        if not any(one["mass_kg"] for one in entries):
             return []
-        return [((one["t_ns"] - self.event["t_ns"]) * 1e-9, one["mass_kg"]) for one in told]
+        return [((one["t_ns"] - self.event["t_ns"]) * 1e-9, one["mass_kg"]) for one in entries]
 
     @property
     def torque_unit(self) -> str:
@@ -98,8 +98,8 @@ def load_flight(path: Path) -> Flight:
     recording = load_recording(path)
     facts = dict(recording.provenance)
     event, explanation = facts.pop("event", None), facts.pop("explanation", None)
-    told = isinstance(explanation, str) and bool(explanation.strip())
-    if not isinstance(event, dict) or not told:
+    is_explained = isinstance(explanation, str) and bool(explanation.strip())
+    if not isinstance(event, dict) or not is_explained:
         raise RecordingError(
             f"{path}: a recording, but no flight: its provenance has no event; `tauext run --flights` writes flights"
         )

@@ -35,11 +35,11 @@ from tauext.report.tables import NONE, Row, Table, block, milliseconds
 COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
 """Of limits in their order: collision, contact; or both while sliding, then near stiction."""
 MOST_N, EDGE_N = 1000.0, 1950.0
-"""Beyond the first a direction is blind; blind marks stand between the two."""
+"""Above MOST_N a direction is blind; blind marks are drawn between MOST_N and EDGE_N."""
 BLIND_N = 1400.0
 BLIND = "blind"
 CLOSING = (
-    "ISO/TS 15066 and your risk assessment say what force is allowed where; these are what tauext would notice, not "
+    "ISO/TS 15066 and your risk assessment define what force is allowed where; these are what tauext would notice, not "
     "what the contact would do."
 )
 
@@ -68,7 +68,7 @@ def left_out_words(joints: Sequence[str]) -> str:
     """A sentence about joints that do not answer in N m; empty without any."""
     if not joints:
         return ""
-    return f"Without {', '.join(joints)}: their torque constants are not known, so what they notice is not counted."
+    return f"Without {', '.join(joints)}: their torque constants are unknown, so what they notice is not counted."
 
 
 def surely(error_share: float) -> float:
@@ -153,7 +153,7 @@ def noticed_table(noticed: NoticedForce | None) -> Table | None:
 
 
 def short(place: str) -> str:
-    """Without what the column's heading says: that a link's end is the next joint."""
+    """The place without what the column's heading states: that a link's end is the next joint."""
     link, _, end = place.partition(", at ")
     return place if end == "its origin" else link
 

@@ -60,7 +60,7 @@ NO_ALARMS_BELOW = 3.0
 RELIABLE = 0.9
 """Share of collisions of one strength that raise an alarm, from which on they count as seen."""
 FEW_HOURS = 1.0
-"""Fewer of test motion say little about an hour."""
+"""With less test motion, a rate an hour is uncertain."""
 MOST_JOINTS = 8
 """Whose limits are named one by one."""
 CONTACT_KINDS = {"pads": "by padded bodies", "pulses": "by force pulses"}
@@ -128,10 +128,12 @@ def tested(results: Results, bundle: EvaluatedBundle) -> str:
     hours = bundle.free_motion.hours
     motion = f"{span(hours)} of motion in which nothing touched the arm" if hours else "no free motion"
     kinds = Counter(collision.kind for collision in results.collisions)
-    told = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
-    known = f" ({', '.join(told)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and told else ""
+    counted = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
+    known = (
+        f" ({', '.join(counted)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and counted else ""
+    )
     touches = f"{plural(kinds.total(), 'collision')}{known}" if kinds else "no collision"
-    return f"Tested on {motion}, and on {touches}; training saw none of it.{rejected_words(bundle)}"
+    return f"Tested on {motion}, and on {touches}; none of it was used in training.{rejected_words(bundle)}"
 
 
 def rejected_words(bundle: EvaluatedBundle) -> str:
@@ -146,7 +148,7 @@ def rejected_words(bundle: EvaluatedBundle) -> str:
 def found(bundle: EvaluatedBundle) -> Glance:
     latched = bundle.latched
     if latched is None or not latched.collisions:
-        return Glance("–", "no collisions were tried, so nobody knows how many are found")
+        return Glance("–", "no collisions were tested, so the share found is unknown")
     strong = f"; of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}"
     if latched.unhealthy:
         why = f"; {latched.unhealthy} came while the monitor was not healthy, and nothing is detected"
@@ -165,7 +167,7 @@ def false_alarms(bundle: EvaluatedBundle) -> Glance:
         return Glance("–", "false alarms: no free motion was tested")
     low, high = free.false_collisions_interval_per_hour or (None, None)
     if count == 0:
-        rate = f"fewer than {plain(NO_ALARMS_BELOW / hours)} an hour, as far as so short a test can tell"
+        rate = f"fewer than {plain(NO_ALARMS_BELOW / hours)} an hour, the bound of a test this short"
     else:
         rate = f"{plain(count / hours)} an hour"
         if low is not None and high is not None:
@@ -201,8 +203,8 @@ def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
         "not feel them."
     )
     lines.append(
-        "A load that training did not have: a new tool or workpiece looks like a touch that stays, until the monitor "
-        "is told of it or the arm is trained with it."
+        "A load that training did not have: a new tool or workpiece looks like a lasting touch, until the load is "
+        "set in the monitor or the arm is trained with it."
     )
     lines.append("The first second after a start, while the filters fill.")
     return lines
@@ -224,7 +226,7 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
     """What to do next."""
     free, lines = bundle.free_motion, list[Step]()
     if rejected_words(bundle):
-        words = "Find out why the monitor rejects so much, record or import anew, and evaluate again:"
+        words = "Find out why the monitor rejects so much, record or import again, and evaluate again:"
         lines.append(Step(words, "tauext check"))
     if free.promised_per_hour is None:
         words = (
@@ -233,14 +235,14 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
         lines.append(Step(f"{words}touching it, and set them for a rate that you can bear:", "tauext calibrate"))
     elif free.promise_kept is False:
         words = f"At most {plain(free.promised_per_hour)} false alarms an hour were promised, and the test had more. "
-        words += "Find out what differs (load, speed, temperature), record it, and set limits anew:"
+        words += "Find out what differs (load, speed, temperature), record it, and set new limits:"
         lines.append(Step(words, "tauext calibrate"))
     if free.hours is not None and free.hours < FEW_HOURS:
         rate = plain(NO_ALARMS_BELOW / free.hours)
         words = f"{span(free.hours)} of test motion can show no rate below {rate} an hour: record more before you "
         lines.append(Step(f"{words}trust it."))
     if not results.collisions:
-        lines.append(Step("Touch the arm while it is recorded, and mark when: else nobody knows what is found."))
+        lines.append(Step("Touch the arm while it is recorded, and mark when: else the share found is unknown."))
     else:
         lines.append(Step("Look at what was missed: every collision has its row below, and the traces show it."))
     command = f"tauext run {bundle.name}.tauext RECORDING.parquet --acknowledge-after-s 1"
@@ -277,7 +279,7 @@ def plain(value: float) -> str:
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
-# --- The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything.
+# --- The page: what was done, headline numbers, tables and figures, in one HTML file without requests to any host.
 
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
@@ -360,7 +362,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         touched_links=tables.links_table(results),
         links_worth=[words for one, its in tables.touched(results) if (words := tables.links_worth(one.label, its))],
         touch_kinds=tables.kinds_table(results),
-        touches_told=tables.told_table(results),
+        touch_estimates=tables.touch_estimates_table(results),
         extremes=tables.extremes(results),
         noticed=noticed_table(noticed),
         noticed_by=shown.label,
@@ -387,7 +389,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
 
 def facts(results: Results) -> list[tuple[str, str]]:
     """What made these results, as pairs of a word and its value."""
-    told = {
+    names = {
         "command": "command",
         "scale": "scale",
         "seed": "seed",
@@ -396,7 +398,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
         "version": "tauext version",
     }
     pairs = [
-        (words, str(results.provenance[key])) for key, words in told.items() if results.provenance.get(key) is not None
+        (words, str(results.provenance[key])) for key, words in names.items() if results.provenance.get(key) is not None
     ]
     pairs.append(("joints", ", ".join(results.joints)))
     steps = {bundle.label: f"{bundle.steps:,} steps" for bundle in results.bundles if bundle.steps is not None}
@@ -404,14 +406,14 @@ def facts(results: Results) -> list[tuple[str, str]]:
 
 
 def by_bundle(values: dict[str, str]) -> str:
-    """A value of every bundle, by its label; once where all say the same."""
+    """A value of every bundle, by its label; once if all are equal."""
     if len(values) > 1 and len(set(values.values())) == 1:
         return f"{next(iter(values.values()))} each"
     return "; ".join(f"{label} {value}" for label, value in values.items())
 
 
 def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
-    """Headline of one bundle; what does not exist is said to be so."""
+    """Headline of one bundle; missing numbers are named as missing."""
     found, of_what = headline(bundle, results)
     error = f"L1 {short_list(bundle.free_motion.l1_nm, results.unit)}"
     return Tile(bundle.label, colour, found, of_what, false_collisions(bundle), error)
@@ -420,7 +422,7 @@ def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
 def headline(bundle: EvaluatedBundle, results: Results) -> tuple[str, str]:
     """How many collisions it found that it had to, and what those are.
 
-    Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results that do not know
+    Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results without
     them have the ten that were drawn by seed.
     """
     latched = bundle.latched
@@ -461,7 +463,7 @@ def write_report(
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 
-    What is missing (a bundle, a recording, estimates, a number) is said on the page where it would stand.
+    What is missing (a bundle, a recording, estimates, a number) is named on the page where it would stand.
 
     Args:
         results_dir: what `tauext evaluate` wrote.

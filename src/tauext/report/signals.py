@@ -46,7 +46,7 @@ class Signals:
         return recording
 
     def estimates(self, bundle: str, recording: Recording) -> Estimates:
-        """What a bundle said of a recording.
+        """A bundle's estimates of a recording.
 
         Raises:
             NotAvailable: the file is missing.
@@ -56,13 +56,13 @@ class Signals:
         if not path.is_file():
             raise NotAvailable(f"there are no estimates of bundle {bundle} for {recording.name}")
         estimates = load_estimates(path)
-        for what, said, recorded in (
+        for what, found, recorded in (
             ("samples", len(estimates.t_ns), recording.samples),
             ("joints", ", ".join(estimates.joints), ", ".join(recording.joints)),
         ):
-            if said != recorded:
+            if found != recorded:
                 raise RecordingError(
-                    f"{path}: it has {what} {said}, its recording {recorded}; evaluate this dataset again"
+                    f"{path}: it has {what} {found}, its recording {recorded}; evaluate this dataset again"
                 )
         return estimates
 
@@ -93,8 +93,8 @@ NAMED = 3
 def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
     """Raise ConfigError where the dataset's recordings are not those that were evaluated.
 
-    One that is missing is said on the page where it would stand; a dataset that has none of them is another one.
-    Results of before fingerprints were kept say nothing.
+    A missing recording is named on the page where it would stand; a dataset that has none of them is another one.
+    Results from before fingerprints were kept are not checked.
     """
     judged = results.provenance.get("recordings") or {}
     there = [name for name in judged if (dataset_dir / f"{name}.parquet").is_file()]
@@ -103,9 +103,9 @@ def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place)
     if not other and not missing:
         return
     names = other or list(judged)
-    told = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
     what = "are not those that were evaluated" if other else "are not in it"
     raise ConfigError(
         f"{dataset_dir}: it is another dataset than that of {results_dir}, '{results.provenance.get('dataset')}': "
-        f"{told} {what}; give the dataset that was evaluated, or evaluate this one"
+        f"{listed} {what}; give the dataset that was evaluated, or evaluate this one"
     )

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from tauext.bundle.estimates import Estimates
 from tauext.evaluate.results import Results, model_of
 
-# --- How figures look: one colour a bundle throughout, text that is legible at the page's width, no decoration.
+# --- Style of figures: one colour a bundle throughout, text that is legible at the page's width, no decoration.
 
 
 WIDTH_IN = 10.0
@@ -33,7 +33,7 @@ LIMIT = "#404040"
 BAND = 0.25
 """Opacity of a band of one standard error, in the colour of its curve."""
 
-# Okabe and Ito's palette, told apart by colour-blind readers; black is the sensor's.
+# Okabe and Ito's palette, distinguishable for colour-blind readers; black is the sensor's.
 CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
 VARIANT_COLOURS = {"exact": "#56b4e9", "mass": "#8f6200", "com": "#00563f", "mass+com": "#85406a", "none": "#7d3000"}
 """Of a second bundle of the same model: its colour, lighter or darker."""
@@ -48,7 +48,7 @@ GREY = "#8a8a8a"
 RC = {
     "font.size": 9,
     "axes.titlesize": 9,
-    "axes.titley": 1.0,  # where titles stand anyway; to look above axes for what they must clear takes its time
+    "axes.titley": 1.0,  # the default position; computing it from what is above the axes is slow
     "axes.labelsize": 9,
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
@@ -79,7 +79,7 @@ def bundle_colours(names: Sequence[str]) -> dict[str, str]:
     """A colour for every bundle: the paper's and one more of each model have their own, others the rest in order.
 
     The plain observer is what methods are compared with, hence grey. Where no bundle is of the paper's, its colours are
-    free, and taken first: they are told apart best.
+    free, and taken first: they are the easiest to distinguish.
     """
     known = CASE_COLOURS | {"observer": GREY}
     own = {name: known.get(name) or VARIANT_COLOURS.get(model_of(name) or "") for name in names}
@@ -101,7 +101,7 @@ def bundle_colours(names: Sequence[str]) -> dict[str, str]:
 def bundle_strokes(names: Sequence[str]) -> dict[str, dict]:
     """Keyword arguments of a curve for every bundle: its colour, a mark of its own and one of four kinds of line.
 
-    So a dozen curves are told apart without their colours.
+    So a dozen curves can be distinguished without their colours.
     """
     colours = bundle_colours(names)
     return {
@@ -194,17 +194,17 @@ def missing_bundles(results: Results, names: Sequence[str]) -> str:
 
 def sigma_words(estimates: Iterable[Estimates]) -> str:
     """A sentence for the caption: what the band is; empty where no estimate has one."""
-    if all(said.band_nm is None for said in estimates):
+    if all(one.band_nm is None for one in estimates):
         return ""
     return " Bands are one standard error to either side; a contact widens them until the joint slides again."
 
 
 def uncertainty_words(estimates: Iterable[Estimates]) -> str:
-    """What these estimates' uncertainty is made of: prior; network; prior, network and drift; nothing, said so."""
+    """Sources of these estimates' uncertainty: prior; network; prior, network and drift; or `nothing learned`."""
     several = list(estimates)
-    words = ["prior"] if any(said.prior is not None for said in several) else []
-    words += ["network"] if any(said.has_network for said in several) else []
-    words += ["drift"] if any(said.drift is not None for said in several) else []
+    words = ["prior"] if any(one.prior is not None for one in several) else []
+    words += ["network"] if any(one.has_network for one in several) else []
+    words += ["drift"] if any(one.drift is not None for one in several) else []
     if not words:
         return "nothing learned"
     return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]

@@ -20,8 +20,8 @@ from tauext.evaluate.results import (
     Numbers,
     Results,
     SanityRow,
-    ToldTouch,
     Touches,
+    TouchEstimate,
     Verdict,
 )
 from tauext.report import paper
@@ -150,12 +150,12 @@ def tables_one(results: Results) -> list[tuple[str, Table]]:
     if len(several) < 2:
         return [("", table_one(results))]
     several.sort(key=lambda recipe: recipe != "paper")
-    told = {"paper": "By the paper's own recipe", None: "Others"}
+    headings = {"paper": "By the paper's own recipe", None: "Others"}
     of = {recipe: [b for b in bundles if b.recipe == recipe and b.model] for recipe in several}
     rest = [bundle for bundle in bundles if not any(bundle in those for those in of.values())]
     parts = [*of.items(), *([(None, rest)] if rest else [])]
     return [
-        (told.get(recipe, f"By recipe {recipe}"), table_one(replace(results, bundles=tuple(those))))
+        (headings.get(recipe, f"By recipe {recipe}"), table_one(replace(results, bundles=tuple(those))))
         for recipe, those in parts
     ]
 
@@ -275,7 +275,7 @@ def verdict_text(verdict: Verdict | None) -> str:
     return f"{milliseconds(verdict.delay_s)} ({against})"
 
 
-# --- The two tables of methods, a row a bundle: alarms, with detectors that know nothing under them; errors and limits.
+# --- The two tables of methods, a row a bundle: alarms, also of detectors without information; errors and limits.
 
 
 EACH_JOINT = 2
@@ -434,7 +434,7 @@ def links_table(results: Results) -> Table | None:
             if sum(counts)
         ]
         rows += block(bundle.label, lines, bundle.name)
-    groups = (("", 1), ("touched", 1), ("said to be on the link of", len(joints)), ("", 1))
+    groups = (("", 1), ("touched", 1), ("estimated to be on the link of", len(joints)), ("", 1))
     return Table(groups, ("model", "link of", *joints, "right"), tuple(rows), words=2)
 
 
@@ -452,35 +452,35 @@ def links_worth(label: str, one: Touches) -> str:
 
 
 def kinds_table(results: Results) -> Table | None:
-    """A row a bundle and the recordings' word for their contacts; None where no kind was told."""
+    """A row a bundle and the recordings' word for their contacts; None where no kind was estimated."""
     rows: list[Row] = []
     for bundle, one in touched(results):
         lines = [(word, *(str(of.get(kind) or "") for kind in KINDS)) for word, of in sorted(one.kinds.items())]
         rows += block(bundle.label, lines, bundle.name)
-    groups = (("", 2), ("said to be", len(KINDS)))
+    groups = (("", 2), ("estimated to be", len(KINDS)))
     return Table(groups, ("model", "contacts", *KINDS), tuple(rows), words=2) if rows else None
 
 
-def told_table(results: Results) -> Table | None:
+def touch_estimates_table(results: Results) -> Table | None:
     """A row a collision: the estimate of each bundle; None where no bundle has any."""
     touches = touched(results)
     if not touches:
         return None
-    told = [{one.id: one for one in touch.told} for _, touch in touches]
+    estimates = [{one.id: one for one in touch.told} for _, touch in touches]
     rows = []
     for collision in results.collisions:
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
         cells = [collision.recording, number(collision.start_s, 2), collision.kind, link]
-        rows.append(Row((*cells, *(told_words(one.get(collision.id)) for one in told))))
+        rows.append(Row((*cells, *(touch_estimate_words(one.get(collision.id)) for one in estimates))))
     columns = ("recording", "onset, s", "kind", "link of", *(bundle.label for bundle, _ in touches))
-    groups = (("", 2), ("labelled", 2), ("said: link, newtons, kind", len(touches)))
+    groups = (("", 2), ("labelled", 2), ("estimated: link, newtons, kind", len(touches)))
     return Table(groups, columns, tuple(rows), words=1)
 
 
-def told_words(told: ToldTouch | None) -> str:
+def touch_estimate_words(estimate: TouchEstimate | None) -> str:
     """`joint4 83%, 34 N, push`; a dash where no alarm was raised."""
-    if told is None:
+    if estimate is None:
         return NONE
-    parts = [f"{one.joint} {one.probability:.0%}" for one in told.links[:1]]
-    parts += [] if told.force_n is None or not told.links else [f"{told.force_n:.0f} N"]
-    return ", ".join([*parts, *([told.kind] if told.kind not in (None, "none") else [])]) or NONE
+    parts = [f"{one.joint} {one.probability:.0%}" for one in estimate.links[:1]]
+    parts += [] if estimate.force_n is None or not estimate.links else [f"{estimate.force_n:.0f} N"]
+    return ", ".join([*parts, *([estimate.kind] if estimate.kind not in (None, "none") else [])]) or NONE

@@ -36,11 +36,11 @@ FOUND_MARK = {"marker": "o", "markersize": 5.5, "zorder": 7}
 
 @dataclass(frozen=True)
 class Scene:
-    """One collision on one joint: what the sensor and every available bundle said of it."""
+    """One collision on one joint: the sensor's reference and every available bundle's estimates."""
 
     collision: LabelledCollision
     recording: Recording
-    said: dict[str, Estimates]
+    estimates: dict[str, Estimates]
     verdicts: dict[str, Verdict]
     joint: int
 
@@ -55,7 +55,7 @@ class Scene:
     def side(self) -> int:
         """+1 or -1: where the sensor goes, or the first estimate where there is none."""
         shown = self.sensor
-        torque = next(iter(self.said.values())).tau_ext[:, self.joint] if shown is None else shown
+        torque = next(iter(self.estimates.values())).tau_ext[:, self.joint] if shown is None else shown
         torque = np.nan_to_num(torque[self.rows(0, self.length_s + AFTER_S)])
         return 1 if torque[np.argmax(np.abs(torque))] >= 0 else -1
 
@@ -93,13 +93,13 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     for column, collision in enumerate(collisions):
         recording = signals.recording(collision.recording)
         sensed &= recording.tau_ext_sensor is not None
-        said, without = signals.by_bundle(names, recording)
+        estimates, without = signals.by_bundle(names, recording)
         missing |= set(without)
-        bands = bands or sigma_words(said.values())
+        bands = bands or sigma_words(estimates.values())
         if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
             raise NotAvailable(f"collision {collision.id} lies outside its recording")
         verdicts = {c.name: c.verdicts[collision.id] for c in results.shown if collision.id in c.verdicts}
-        scene = Scene(collision, recording, said, verdicts, joint)
+        scene = Scene(collision, recording, estimates, verdicts, joint)
         draw_whole(grid[0, column], scene, colours)
         draw_impact(grid[1, column], scene, colours, results.joints[joint])
         draw_delays(
@@ -155,14 +155,14 @@ def choose(results: Results) -> tuple[int, list[LabelledCollision]]:
 def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, str], unit_s: float) -> None:
     """Sensor, estimates and the first bundle's limit, on the side where the sensor goes."""
     time = scene.since_s()[rows] / unit_s
-    for bundle, estimates in scene.said.items():
+    for bundle, estimates in scene.estimates.items():
         tau_ext = estimates.tau_ext[rows, scene.joint]
         axes.plot(time, tau_ext, color=colours[bundle], zorder=4)
         sigma = None if estimates.band_nm is None else estimates.band_nm[rows, scene.joint]
         draw_band(axes, time, tau_ext, sigma, colours[bundle])
     if scene.sensor is not None:
         axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)
-    limit = next(iter(scene.said.values())).limit_nm[rows, scene.joint]
+    limit = next(iter(scene.estimates.values())).limit_nm[rows, scene.joint]
     axes.plot(time, scene.side() * limit, color=LIMIT, linestyle="--", linewidth=1, zorder=2)
     axes.margins(x=0)
 
@@ -180,7 +180,7 @@ def draw_impact(axes: Axes, scene: Scene, colours: dict[str, str], joint: str) -
     end_s = scene.impact_end_s()
     axes.axvspan(0, min(end_s, scene.length_s) * 1e3, color=CONTACT, linewidth=0, zorder=0)
     draw_curves(axes, scene, scene.rows(-CLOSE_BEFORE_S, end_s), colours, unit_s=1e-3)
-    for bundle, estimates in scene.said.items():
+    for bundle, estimates in scene.estimates.items():
         verdict = scene.verdicts.get(bundle)
         if verdict and verdict.delay_s is not None and verdict.joint == joint:
             at = min(int(np.searchsorted(scene.since_s(), verdict.delay_s - 1e-6)), scene.recording.samples - 1)

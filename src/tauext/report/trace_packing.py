@@ -78,7 +78,7 @@ def run_begins(t_ns: np.ndarray, blocks: Sequence[np.ndarray], gap_ns: float, cu
 
 
 def bucket_starts(begins: np.ndarray, count: int) -> np.ndarray:
-    """First row of every bucket of `count` rows, counted anew where a run begins: (buckets,) int64."""
+    """First row of every bucket of `count` rows, counted from 0 where a run begins: (buckets,) int64."""
     here = np.arange(len(begins))
     run = np.maximum.accumulate(np.where(begins, here, 0))
     return np.flatnonzero((here - run) % count == 0)
@@ -148,7 +148,7 @@ METHOD_SIGNALS = ("tau_ext", "limit", "sigma", "learned", "r")
 
 @dataclass
 class Traced:
-    """One recording and what methods said of it, reduced."""
+    """One recording and the estimates of methods, reduced."""
 
     head: dict[str, Any]
     """Names, and times in s from the first sample, as the page reads them."""
@@ -160,12 +160,12 @@ class Traced:
 
 
 def trace(
-    recording: Recording, said: dict[str, Estimates], size: int, windows: int, first: Sequence[Stretch] = ()
+    recording: Recording, by_method: dict[str, Estimates], size: int, windows: int, first: Sequence[Stretch] = ()
 ) -> Traced:
     """Reduce one recording.
 
     Args:
-        said: by method, the most important first; its alarms have windows first.
+        by_method: estimates, the most important first; its alarms have windows first.
         size: samples a bucket.
         windows: around so many events, at most, every sample is kept: contacts first, then alarms.
         first: events that come before all others, [s].
@@ -175,13 +175,13 @@ def trace(
     reference = recording.tau_ext if recording.tau_ext_sensor is None else recording.tau_ext_sensor
     if reference is not None:
         named["reference", None] = reference
-    for method, estimates in said.items():
+    for method, estimates in by_method.items():
         healthy_only = np.where((estimates.health == OK)[:, None], estimates.tau_ext, np.nan)
         learned = estimates.residual - estimates.tau_ext
         values = (healthy_only, estimates.limit_nm, estimates.band_nm, learned, estimates.residual)
         named |= {(name, method): one for name, one in zip(METHOD_SIGNALS, values, strict=True) if one is not None}
     contacts = [] if recording.contact is None else stretches(recording.contact == 1, time_s)
-    found = {method: alarms(estimates, time_s) for method, estimates in said.items()}
+    found = {method: alarms(estimates, time_s) for method, estimates in by_method.items()}
     parts = around([*first, *contacts, *(one[:2] for each in found.values() for one in each)], time_s, windows)
     gap_ns = GAP_PERIODS * 1e9 / recording.rate_hz
     blocks = list(named.values())
@@ -195,7 +195,7 @@ def trace(
         "gaps": gaps(recording.t_ns, gap_ns),
         "contacts": contacts,
         "alarms": found,
-        "unhealthy": {method: stretches(estimates.health != OK, time_s) for method, estimates in said.items()},
+        "unhealthy": {method: stretches(estimates.health != OK, time_s) for method, estimates in by_method.items()},
     }
     return Traced(
         head=head,
@@ -208,7 +208,7 @@ def trace(
 def around(events: Sequence[Stretch], time_s: np.ndarray, count: int) -> list[tuple[int, slice]]:
     """Rows around the first `count` events that are not covered yet, in order of time, none touching the next.
 
-    With each the place of the first event that asked for it.
+    With each the place of the first event that it belongs to.
     """
     rank = np.full(len(time_s) + 2, len(events))
     for place, (start, end) in enumerate(events):
@@ -312,18 +312,18 @@ class Plan:
 class Tier:
     """Buckets as they stand in the page."""
 
-    told: dict[str, Any]
+    header: dict[str, Any]
     text: str
 
     @classmethod
     def of(cls, buckets: Buckets, unit: np.ndarray) -> Tier:
         content, rows = encode(buckets, unit)
-        told = {"size": buckets.size, "count": len(buckets), "rows": rows}
-        return cls(told, base64.b64encode(content).decode())
+        header = {"size": buckets.size, "count": len(buckets), "rows": rows}
+        return cls(header, base64.b64encode(content).decode())
 
 
 def pack(traced: Sequence[Traced], joints: Sequence[str], room: int) -> tuple[dict[str, Any], list[str]]:
-    """What the page is told of the recordings, and base64 for each of their tiers: buckets, then windows if it has any.
+    """The page's data of the recordings, and base64 for each of their tiers: buckets, then windows if it has any.
 
     All of it takes `room` bytes at most: the least important windows go until the others take their share, then buckets
     are merged.
@@ -347,7 +347,7 @@ def pack(traced: Sequence[Traced], joints: Sequence[str], room: int) -> tuple[di
     merge = 1
     while True:
         whole = [[Tier.of(one.whole.merged(merge), unit)] for one, unit in zip(traced, units, strict=True)]
-        if size_of(whole) <= left or all(tier.told["count"] <= FEWEST_BUCKETS for (tier,) in whole):
+        if size_of(whole) <= left or all(tier.header["count"] <= FEWEST_BUCKETS for (tier,) in whole):
             break
         merge = max(merge + 1, int(merge * size_of(whole) / left))
     tiers = [of_all + near for of_all, near in zip(whole, close, strict=True)]
@@ -355,13 +355,13 @@ def pack(traced: Sequence[Traced], joints: Sequence[str], room: int) -> tuple[di
         one.head
         | {
             "traces": one.traces,
-            "tiers": [tier.told for tier in mine],
+            "tiers": [tier.header for tier in mine],
             "windows": [((part.t_ns[[0, -1], [0, 1]] - one.whole.t_ns[0, 0]) * 1e-9).tolist() for _, part in parts],
         }
         for one, mine, parts in zip(traced, tiers, windows, strict=True)
     ]
-    told = {"joints": list(joints), "quanta": steps, "quanta_a_row": QUANTA_A_ROW}
-    return told | {"recordings": recordings}, [tier.text for mine in tiers for tier in mine]
+    content = {"joints": list(joints), "quanta": steps, "quanta_a_row": QUANTA_A_ROW}
+    return content | {"recordings": recordings}, [tier.text for mine in tiers for tier in mine]
 
 
 def size_of(tiers: Sequence[Sequence[Tier]]) -> int:

@@ -23,7 +23,7 @@ from tauext.report.trace_packing import METHOD_SIGNALS, Plan, Traced, pack, trac
 FOLDER = Path(__file__).parent
 SCRIPTS = ("traces_data.js", "traces_view.js", "traces_control.js")
 PAGE_MB = 9.5
-"""Of the whole page, unless another size is asked for: traces get what figures and tables leave."""
+"""Of the whole page, unless another size is requested: traces get what figures and tables leave."""
 LEAST_MB, SCRIPT_MB = 0.3, 0.05
 """With less room there are no traces; what script and controls take."""
 HOUR_S = 3600.0
@@ -55,7 +55,7 @@ class Words:
 
 
 def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> PageTraces:
-    """Traces of recordings with contacts and of free motion, an hour in all, with what methods said of them.
+    """Traces of recordings with contacts and of free motion, an hour in all, with the estimates of methods.
 
     Args:
         room: bytes that they may take.
@@ -79,12 +79,12 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     learned: set[str] = set()
     for name in shown:
         recording = signals.recording(name)
-        said, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
-        learned |= {uncertainty_words([one]) for one in said.values()}
+        estimates, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
+        learned |= {uncertainty_words([one]) for one in estimates.values()}
         first = [(touch.start_s, touch.end_s) for touch in results.ten if touch.recording == name]
-        traced.append(trace(recording, said, plan.size, plan.windows(recording), first))
+        traced.append(trace(recording, estimates, plan.size, plan.windows(recording), first))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
-    told = [
+    listed = [
         {"name": bundle.name, "label": bundle.label, "colour": colours[bundle.name], "on": bundle is bundles[0]}
         for bundle in bundles
     ]
@@ -94,11 +94,11 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
     units = [results.unit_of(joint) for joint in range(len(results.joints))]
     words = Words(learned.pop() if len(learned) == 1 else "what was learned", units)
-    return section(traced, results.joints, told, plan.room, note, words)
+    return section(traced, results.joints, listed, plan.room, note, words)
 
 
 def flight_traces(flight: Flight, room: float) -> PageTraces:
-    """Traces of one flight, with what its monitor said; every sample of the event comes first.
+    """Traces of one flight, with its monitor's estimates; every sample of the event comes first.
 
     Raises:
         NotAvailable: there is too little room.
@@ -124,7 +124,7 @@ def flight_traces(flight: Flight, room: float) -> PageTraces:
 
 def load_words(mass_kg: float) -> str:
     """A change of what the arm was taken to carry."""
-    return f"told of a load of {mass_kg:.3g} kg" if mass_kg else "told that it carries nothing"
+    return f"load set to {mass_kg:.3g} kg" if mass_kg else "load set to none"
 
 
 def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:
@@ -187,18 +187,18 @@ def section(
     words: Words,
 ) -> PageTraces:
     """Their part of the page."""
-    told, texts = pack(traced, joints, room)
-    told |= {"learned": words.learned, "units": words.units}
-    windows = sum(len(one["windows"]) for one in told["recordings"])
-    size = max(one["tiers"][0]["size"] for one in told["recordings"])
+    content, texts = pack(traced, joints, room)
+    content |= {"learned": words.learned, "units": words.units}
+    windows = sum(len(one["windows"]) for one in content["recordings"])
+    size = max(one["tiers"][0]["size"] for one in content["recordings"])
     if size > 1:
         note += f"Minimum and maximum of every {size} samples are kept"
         note += f", and every sample in {windows} stretches around events. " if windows else ". "
     html = render_template(
         FOLDER / "traces.html.j2",
-        told=json.dumps(told | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
+        content=json.dumps(content | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
         texts=texts,
         script="\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS),
         note=note,
     )
-    return PageTraces(html, tuple(one["name"] for one in told["recordings"]))
+    return PageTraces(html, tuple(one["name"] for one in content["recordings"]))

@@ -227,7 +227,9 @@ def test_shapes_stay_with_the_dataset_and_missing_meshes_are_said(workplace, cap
     first, second, rest = arm.read_text().split("</link>")
     arm.write_text(first + shapes + second + mesh + rest)
     code, out, _ = run(capsys, workplace)
-    assert code == 0 and "there is no mesh file meshes/none.stl; places of touches there follow from guessed shapes" in out
+    assert (
+        code == 0 and "there is no mesh file meshes/none.stl; places of touches there follow from guessed shapes" in out
+    )
     kept = json.loads((workplace / "out/robot.shapes.json").read_text())
     ((_, (capsule,)),) = kept["bodies"].items()
     assert capsule["radius_m"] == 0.05 and len(kept["notes"]) == 1

@@ -24,6 +24,7 @@ def look_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequ
         FaultyDataError: a fault that nobody accepted.
     """
     expect_codes(accept, given.training[0].joints)
+    _ = given.tree  # a robot file that lacks a joint is refused before all checks
     looks = view_dataset(dataset, given, config, report)
     return judge(looks, str(dataset.folder), accept, report)
 

@@ -24,7 +24,7 @@ from tauext import _core
 from tauext.config import PAPER_CASES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.files.whole_file import whole_file
+from tauext.files.atomic_write import atomic_write
 from tauext.page.bundles import LESSONS, practice_recording
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import ARMS, DemoArm
@@ -165,7 +165,7 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
             signals[key].append(value.copy())
         phases.append(phase(now, ends_s, stopped))
     columns = {key: np.array(values) for key, values in signals.items()}
-    with whole_file(path) as part, part.open("wb") as file:
+    with atomic_write(path) as part, part.open("wb") as file:
         np.savez_compressed(file, t_ns=np.array(stamps), phase=np.array(phases), joint=joint, **columns)
     return path
 

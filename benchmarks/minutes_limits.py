@@ -31,7 +31,7 @@ from tauext.errors import TrainingError
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.events import EventMeasures
 from tauext.evaluate.injected import estimate_recording
-from tauext.files.whole_file import whole_file
+from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
@@ -66,7 +66,7 @@ def main() -> None:
         for name, result in running.items():
             done[name] = result.result()
             print(name, done[name], flush=True)
-            with whole_file(file) as part:
+            with atomic_write(file) as part:
                 part.write_text(json.dumps(done, indent=1) + "\n")
     write_page(options.out / "README.md", markdown([done[name] for name in jobs]))
 

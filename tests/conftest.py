@@ -80,7 +80,7 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
         calls.append([r.name for r in recordings])
         return SimpleNamespace(findings=[])
 
-    monkeypatch.setattr("tauext.check.look.examine", nothing_found)
+    monkeypatch.setattr("tauext.check.preflight.examine", nothing_found)
     return calls
 
 

@@ -15,7 +15,7 @@ from made_recordings import made_motion
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.check.finding import CODES, Finding
-from tauext.check.look import MOST_MOVING_S, Look, folder, judge, shares
+from tauext.check.preflight import MOST_MOVING_S, Look, folder, judge, shares
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
 from tauext.data.dataset import Split, load_dataset, save_split
@@ -184,8 +184,8 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
 
 def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
-    monkeypatch.setattr("tauext.check.look.MOST_MOVING_S", 20.0)
-    monkeypatch.setattr("tauext.check.look.LEAST_MOVING_S", 8.0)
+    monkeypatch.setattr("tauext.check.preflight.MOST_MOVING_S", 20.0)
+    monkeypatch.setattr("tauext.check.preflight.LEAST_MOVING_S", 8.0)
     whole = load_recording(data / "one.parquet")
     push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
     tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]

@@ -23,12 +23,12 @@ from tauext.data import recording_file
 from tauext.data.dataset import Split, ahead, load_dataset, save_split, stretches
 from tauext.data.recording_file import describe, fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, StoreError
+from tauext.files.atomic_write import atomic_files, atomic_folder, atomic_write
 from tauext.files.copies import added, local_file, local_folder, local_robot, put, send, staged
 from tauext.files.places import place_of
-from tauext.files.whole_file import whole_file, whole_files, whole_folder
 from tauext.fleet.places import fits, places_of
 from tauext.fleet.stages import STAGES
-from tauext.train.calibrate import half_done_file
+from tauext.train.calibrate import checkpoint_file
 
 SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact")
 
@@ -467,11 +467,11 @@ def test_what_cannot_be_sent_is_not_there(s3, tmp_path, size, fault):
 def test_what_fails_while_it_is_written_leaves_the_old_one(s3):
     s3.put("a.json", b"old")
     one, two = place_of("s3://arms/a.json"), place_of("s3://arms/b.json")
-    with pytest.raises(ZeroDivisionError), whole_file(one) as part:
+    with pytest.raises(ZeroDivisionError), atomic_write(one) as part:
         part.write_text("new")
         raise ZeroDivisionError
     assert s3.objects["a.json"].content == b"old" and not part.exists()
-    with whole_files(one, two) as parts:
+    with atomic_files(one, two) as parts:
         for part in parts:
             part.write_text("new")
     assert s3.objects["a.json"].content == s3.objects["b.json"].content == b"new"
@@ -500,24 +500,24 @@ def test_a_staged_folder_is_kept_where_work_fails_and_sent_with_what_says_that_i
 
 def test_a_folder_of_findings_is_known_to_be_whole_by_its_last_file(s3, tmp_path, monkeypatch):
     for place in (place_of("s3://arms/check"), tmp_path / "check"):
-        with whole_folder(place) as part:
+        with atomic_folder(place) as part:
             for name in ("check.json", "check.txt", "torque.png"):
                 (part / name).write_text("x")
     assert [r.key for r in s3.requests if r.method == "PUT"][-1] == "check/check.json"
     assert sorted(path.name for path in (tmp_path / "check").iterdir()) == ["check.json", "check.txt", "torque.png"]
     monkeypatch.chdir(tmp_path)
-    with whole_folder(Path()) as part:
+    with atomic_folder(Path()) as part:
         (part / "here.txt").write_text("x")
     assert (tmp_path / "here.txt").exists() and not (tmp_path / ".part").exists()
 
 
-def test_half_done_work_on_a_url_is_kept_here_and_told_apart_by_server(s3, tmp_path, monkeypatch):
+def test_checkpoint_work_on_a_url_is_kept_here_and_told_apart_by_server(s3, tmp_path, monkeypatch):
     place = place_of("s3://arms/new/arm.tauext")
-    kept = half_done_file(place)
-    assert kept.is_relative_to(tmp_path / "cache") and kept == half_done_file(place_of(place.url))
-    assert kept != half_done_file(place_of("s3://arms/old/arm.tauext"))
+    kept = checkpoint_file(place)
+    assert kept.is_relative_to(tmp_path / "cache") and kept == checkpoint_file(place_of(place.url))
+    assert kept != checkpoint_file(place_of("s3://arms/old/arm.tauext"))
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://10.0.0.1:9000")
-    assert kept != half_done_file(place)
+    assert kept != checkpoint_file(place)
 
 
 def test_limits_of_waiting_are_numbers(s3, monkeypatch, capsys):

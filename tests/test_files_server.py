@@ -25,9 +25,9 @@ from tauext.cli import main
 from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import StoreError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import send_folder
 from tauext.files.places import place_of
-from tauext.files.whole_file import whole_file
 
 PROGRAM = os.environ.get("TAUEXT_VERSITYGW") or shutil.which("versitygw") or ""
 pytestmark = [
@@ -113,7 +113,7 @@ def test_training_and_limits_are_the_same_from_a_real_server(gateway, folder, tm
 
 def test_a_large_file_is_put_together_from_parts(gateway):
     content = os.urandom(25_000_000)
-    with whole_file(place_of("s3://arms/a/large.bin")) as part:
+    with atomic_write(place_of("s3://arms/a/large.bin")) as part:
         part.write_bytes(content)
     assert (gateway.objects / "arms/a/large.bin").read_bytes() == content
     assert place_of("s3://arms/a/large.bin").read_bytes() == content

@@ -24,7 +24,7 @@ from tauext.config import TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
-from tauext.files.whole_file import whole_file
+from tauext.files.atomic_write import atomic_write
 from tauext.fleet import task as build_file
 from tauext.fleet.book import plan_fleet
 from tauext.fleet.fleet_file import EXAMPLE, load_fleet
@@ -298,7 +298,7 @@ def test_a_pattern_that_fits_the_whole_disk_is_refused(place, capsys, monkeypatc
 def test_a_full_disk_is_reported_with_the_file(tmp_path):
     """Python's error of a write names no file; /dev/full fails as a full disk does."""
     with pytest.raises(OSError, match="No space left on device: .*kept.json") as told:
-        with whole_file(tmp_path / "kept.json"), open("/dev/full", "wb", buffering=0) as disk:
+        with atomic_write(tmp_path / "kept.json"), open("/dev/full", "wb", buffering=0) as disk:
             disk.write(b"x")
     assert (
         reason_and_report(told.value)[0]

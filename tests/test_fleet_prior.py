@@ -35,7 +35,7 @@ def made(tmp_path_factory) -> tuple[Path, list[Path]]:
     data = fleet(folder)
     out = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.prior_arms.look_first", lambda *told: {})
+        patch.setattr("tauext.fleet.prior_arms.check_first", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
     return out, data
 
@@ -57,7 +57,7 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
 def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
     """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
     monkeypatch.setattr("tauext.fit.regression.RIDGE_TIE", tie)
-    monkeypatch.setattr("tauext.fleet.prior_arms.look_first", lambda *told: {})
+    monkeypatch.setattr("tauext.fleet.prior_arms.check_first", lambda *told: {})
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
@@ -167,7 +167,7 @@ def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
     steps = {step.task.stage: step.why for one in plan_fleet(load_fleet(fleet), tmp_path / "out") for step in one.steps}
     assert steps == {"check": "", "train": "inputs changed: train.like", "evaluate": "train is done again"}
     work = {"name": "new", "dataset": str(data), "case": None, "robot": None, "accept": [], "settings": plain(CONFIG)}
-    monkeypatch.setattr("tauext.train.stage.look_first", lambda *told: {})
+    monkeypatch.setattr("tauext.train.stage.check_first", lambda *told: {})
     train_arm(work | {"like": str(made[0])}, tmp_path)
     like = load_fleet_prior(made[0])
     assert json.loads((tmp_path / "new.run.json").read_text())["like"]["sha256"] == like.sha256

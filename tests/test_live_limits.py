@@ -12,7 +12,7 @@ from made_bundles import pushed, watching_bundle
 from tauext.cli import main
 from tauext.data.recording_file import save_recording
 from tauext.errors import RecordingError
-from tauext.files import room
+from tauext.files import preflight
 from tauext.monitor import record_sink
 from tauext.monitor.control_lines import MOST_CONNECTIONS, ControlSocket
 
@@ -102,7 +102,7 @@ def test_a_recorder_that_keeps_all_ends_with_0(place, capsys):
 
 
 def test_a_full_disk_is_refused_before_anything_is_watched(place, capsys, monkeypatch):
-    monkeypatch.setattr(room.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
+    monkeypatch.setattr(preflight.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
     assert main([*RECORD, "--speed", "1000"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "4.1 kB are free" in line

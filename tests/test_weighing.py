@@ -355,7 +355,7 @@ def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_mot
     command = saved(tmp_path, bundle_of(arm, free_motion), loaded_motion)
     assert main(command) == 0
     said = capsys.readouterr().out
-    assert "load 1.6" in said and "of the link of joint6" in said and "by windows of 4 s each alone: 5 say" in said
+    assert "load 1.6" in said and "of the link of joint6" in said and "by windows of 4 s each alone: 5 give" in said
     assert main([*command, "--json", "--from", "5", "--to", "10"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == "load" and abs(facts["mass_kg"] - MASS) < 0.1 and facts["seconds"] < 5.1

@@ -7,11 +7,11 @@ from typing import Any
 
 from tauext import _core
 from tauext.errors import BundleError, ConfigError
+from tauext.files.atomic_write import atomic_files
 from tauext.files.copies import local_file, written_as
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import json_of
 from tauext.files.provenance import json_text
-from tauext.files.whole_file import whole_files
 
 # --- Bundles from their files.
 
@@ -69,7 +69,7 @@ def write_bundle(bundle: _core.Bundle, path: Place, run: dict, wall_time: dict) 
     beside = (path.with_suffix(".run.json"), path.with_suffix(".wall_time_s.json"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_files(*beside, path) as (run_part, wall_part, part):
+        with atomic_files(*beside, path) as (run_part, wall_part, part):
             run_part.write_text(json_text(run))
             wall_part.write_text(json_text(wall_time))
             bundle.save(str(part))

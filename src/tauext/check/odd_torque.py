@@ -11,15 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import (
-    GRID_RAD,
-    HALVED,
-    LEAST_KG,
-    LEAST_RAD,
-    WORSE,
-    load_columns,
-    search_stretches,
-)
+from tauext.check.arrangement import GRID_RAD, HALVED, LEAST_KG, LEAST_RAD, WORSE, load_columns, search_stretches
 from tauext.check.effort import inverted, sign_vote
 from tauext.check.finding import Finding, Severity
 from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows

@@ -14,7 +14,7 @@ from tauext.config import FleetConfig, TrainConfig, require_threads
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import local_folder, staged
 from tauext.files.places import place_of
-from tauext.files.room import expect_folder
+from tauext.files.preflight import expect_folder
 from tauext.files.toml_file import write_template
 from tauext.progress import Reporter
 

@@ -10,9 +10,9 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_files
 from tauext.files.places import Place, StoredPlace, place_of, same_place
-from tauext.files.room import expect_new_file
-from tauext.files.whole_file import whole_files
+from tauext.files.preflight import expect_new_file
 
 # --- Options that take a path or a URL of a store.
 
@@ -84,7 +84,7 @@ def write_another(new: Bundle, source: Place, out: Place) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     run = source.with_suffix(".run.json")
     beside = [run] if run.is_file() else []
-    with whole_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*copies, part):
+    with atomic_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*copies, part):
         for copy, old in zip(copies, beside, strict=True):
             copy.write_bytes(old.read_bytes())
         new.save(str(part))

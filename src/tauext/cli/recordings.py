@@ -13,10 +13,10 @@ from tauext.cli.place_argument import JsonArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal
 from tauext.config import require, require_seed
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_folder
 from tauext.files.copies import local_file, local_folder, local_robot, staged
 from tauext.files.places import is_stored
-from tauext.files.room import expect_folder, expect_new_file
-from tauext.files.whole_file import whole_folder
+from tauext.files.preflight import expect_folder, expect_new_file
 
 if TYPE_CHECKING:
     from tauext.data.importers.raw import RawRecording
@@ -108,11 +108,11 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
 
 def print_findings(out: Path) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
-    from tauext.check.look import entries, sentence, told
+    from tauext.check.preflight import entries, sentence, told
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
-    from tauext.train.look import view_dataset
+    from tauext.train.preflight import view_dataset
     from tauext.train.preparation import Given
 
     dataset, terminal = load_dataset(out), Terminal()
@@ -216,7 +216,7 @@ def check(
     if out is not None:
         from tauext.report.check_picture import draw
 
-        with whole_folder(out) as part:
+        with atomic_folder(out) as part:
             (part / "check.txt").write_text(text + "\n")
             (part / "check.json").write_text(json.dumps(content, indent=1) + "\n")
             draw(diagnosis, part, Terminal())

@@ -12,7 +12,7 @@ from tauext.cli.progress import Terminal
 from tauext.cli.results import command_line
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
 from tauext.files.copies import staged
-from tauext.files.room import expect_folder
+from tauext.files.preflight import expect_folder
 from tauext.progress import SILENT, Reporter
 
 
@@ -87,7 +87,7 @@ def reproduce_paper(
     from tauext.report.page import write_report
     from tauext.sim.collect import simulate_dataset
     from tauext.sim.config import RigConfig
-    from tauext.train.look import look_first
+    from tauext.train.preflight import check_first
     from tauext.train.preparation import Given, finished
     from tauext.train.stage import train_on_recordings
 
@@ -110,7 +110,7 @@ def reproduce_paper(
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
         # One check for all: with a model it contains every check that works without a model.
         case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
-        looked = look_first(dataset, Given(robot, case, training, validation), config, (), report)
+        looked = check_first(dataset, Given(robot, case, training, validation), config, (), report)
         for name in missing:
             case, config = jobs[name]
             given = Given(robot, case, training, validation)

@@ -15,7 +15,7 @@ from tauext.config import CaseName, EventsConfig, require, require_seed, require
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
 from tauext.files.places import Place
-from tauext.files.room import expect_folder
+from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
 
 # --- The command as typed, for what it writes.

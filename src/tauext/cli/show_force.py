@@ -78,7 +78,7 @@ def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]
 
 def expect_picture(picture: Place | None) -> None:
     """Raise ConfigError where no picture could be written."""
-    from tauext.files.room import expect_new_file
+    from tauext.files.preflight import expect_new_file
 
     if picture is not None:
         if picture.suffix != ".png":

@@ -14,10 +14,10 @@ import numpy as np
 from tauext.data.recording import Recording
 from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import local_robot
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT, expect_format, read_json
-from tauext.files.whole_file import whole_file
 
 # --- Which recording belongs to which set: whole recordings only, so that no window is in two sets.
 
@@ -107,7 +107,7 @@ def split_recordings(
 def save_split(split: Split, folder: Place | str) -> None:
     """Write `split.json` into a dataset folder, under a temporary name first."""
     path = place_of(folder) / FILE_NAME
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps({"format": FORMAT} | asdict(split), indent=1) + "\n")
 
 

@@ -19,11 +19,11 @@ from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import expect_empty, new_folder
 from tauext.files.places import Place
 from tauext.files.plain_file import read_text
+from tauext.files.preflight import expect_folder
 from tauext.files.provenance import provenance, write_json
-from tauext.files.room import expect_folder
-from tauext.files.whole_file import expect_empty, new_folder
 from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot

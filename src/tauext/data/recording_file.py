@@ -15,10 +15,10 @@ import numpy as np
 
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError, StoreError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import reading
 from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
-from tauext.files.whole_file import whole_file
 
 # --- How a Parquet file of ours is written: whole or not at all, the same content to the same bytes.
 
@@ -39,7 +39,7 @@ def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
     import pyarrow.parquet as pq
 
     try:
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)
     except (OSError, UnicodeEncodeError) as error:  # or a name that is no UTF-8
         cause = getattr(error, "strerror", None) or error

@@ -15,7 +15,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import changed_since_training
 from tauext.bundle.estimates import STALE, Estimates, save_estimates
 from tauext.bundle.loss_history import LossHistory
-from tauext.check.look import Rejected
+from tauext.check.preflight import Rejected
 from tauext.config import EventsConfig
 from tauext.data.dataset import ahead
 from tauext.data.free_motion import free_samples
@@ -47,7 +47,7 @@ from tauext.evaluate.free_motion import (
 )
 from tauext.evaluate.injected import EVENTS, Injection, estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve
-from tauext.files.half_done import HalfDone
+from tauext.files.checkpoint import Checkpoint
 
 # --- Everything that is measured of one bundle, taken in recording by recording.
 
@@ -166,7 +166,7 @@ def evaluate(
     sanity: bool = False,
     events: EventsConfig = EventsConfig(),  # noqa: B008
     quiet: Sequence[Loader] = (),
-    kept: HalfDone | None = None,
+    kept: Checkpoint | None = None,
     inject: bool = False,
 ) -> dict:
     """Results of every bundle: the content of results.json but for its provenance.

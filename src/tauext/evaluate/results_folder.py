@@ -14,12 +14,12 @@ from typing import Any
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import WORTH_A_WARNING
+from tauext.check.preflight import WORTH_A_WARNING
 from tauext.config import EventsConfig
 from tauext.data.dataset import Dataset
 from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
-from tauext.files.half_done import HalfDone
+from tauext.files.checkpoint import Checkpoint
 from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, provenance, write_json
@@ -73,7 +73,7 @@ def evaluate_bundles(
         "events": asdict(events),
         "inject": inject,
     }
-    kept = HalfDone(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded)
+    kept = Checkpoint(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded)
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with report.progress("evaluate") as show:
         results = evaluate(

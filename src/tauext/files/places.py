@@ -351,7 +351,7 @@ class StoredPlace:
         Raises:
             FileNotFoundError: there is none.
         """
-        assert mode == "rb", "what is written passes through whole_file"
+        assert mode == "rb", "written files pass through atomic_write"
         with answers(self):
             return file_system(self.server).open_input_file(self.path)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from tauext._core import __version__ as VERSION
+from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
-from tauext.files.whole_file import whole_file
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")
 
@@ -19,7 +19,7 @@ LIBRARIES = ("numpy", "mujoco", "pyarrow")
 def write_json(content: Any, path: Place) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json_text(content))
 
 

@@ -15,9 +15,9 @@ from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
-from tauext.files.whole_file import whole_file
 
 REQUIRED = object()
 
@@ -188,7 +188,7 @@ def write_template(path: Path, content: str) -> None:
     if path.exists():
         raise ConfigError(f"{path}: is there already; choose another name or remove it")
     try:
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             part.write_text(content, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error

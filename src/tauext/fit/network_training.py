@@ -18,7 +18,7 @@ from tauext.bundle.estimates import OK
 from tauext.config import TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.whole_file import whole_file
+from tauext.files.atomic_write import atomic_write
 from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, TooShort, WindowSet
 
@@ -181,7 +181,7 @@ class TrainState:
 def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
     """Write under a temporary name, then rename: an interruption leaves the last whole checkpoint."""
     parameters, adam = state.at
-    with whole_file(path) as part, part.open("wb") as file:
+    with atomic_write(path) as part, part.open("wb") as file:
         np.savez(
             file,
             parameters=parameters,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime
 from typing import TYPE_CHECKING, Any, get_args
 
-from tauext.check.look import expect_codes
+from tauext.check.preflight import expect_codes
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
 from tauext.data.description import load_arm

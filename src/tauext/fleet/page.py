@@ -10,19 +10,9 @@ from typing import Any
 import numpy as np
 
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
-from tauext.files.whole_file import whole_file
-from tauext.fleet.measures import (
-    NONE,
-    ArmRow,
-    Cell,
-    likelier,
-    measures,
-    number,
-    outness,
-    percent,
-    trends,
-)
+from tauext.fleet.measures import NONE, ArmRow, Cell, likelier, measures, number, outness, percent, trends
 from tauext.fleet.odds import NAMED
 from tauext.report.tables import plural, render_template
 
@@ -285,7 +275,7 @@ def write_fleet_page(content: Mapping[str, Any], out: Path) -> Path:
     page = out / PAGE
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with whole_file(page) as part:
+        with atomic_write(page) as part:
             part.write_text(render_fleet_page(content, links), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{page}: cannot be written ({error.strerror or error})") from error

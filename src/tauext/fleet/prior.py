@@ -13,8 +13,8 @@ from tauext import _core
 from tauext.config import PriorConfig, TrainConfig
 from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place
+from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
-from tauext.files.room import expect_new_file
 from tauext.fit.coverage import fit_coverage, seen_too
 from tauext.fit.fleet_prior import FleetPrior, Hierarchy, block_columns, expect_name, learn_hierarchy, write_fleet_prior
 from tauext.fit.prior_terms import ESTIMATED, own_terms

@@ -18,8 +18,8 @@ from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
-from tauext.train.look import look_first
 from tauext.train.network import choose_gain
+from tauext.train.preflight import check_first
 from tauext.train.preparation import Given, Job, prepare
 
 LEAST_ARMS = 3
@@ -118,7 +118,7 @@ def job_of(
     training = dataset.training()
     given = Given(robot, model, training)
     if look is not None:
-        look_first(dataset, given, config, look, report)
+        check_first(dataset, given, config, look, report)
     config = replace(like_settings(config, like), minutes=minutes)
     name = Path(f"{arm.name}.tauext")
     return prepare(given, config, name, report, like)

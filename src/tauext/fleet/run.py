@@ -10,7 +10,7 @@ from typing import Protocol
 from tauext.config import FleetConfig
 from tauext.files.copies import at_home
 from tauext.files.places import Place
-from tauext.files.room import expect_folder
+from tauext.files.preflight import expect_folder
 from tauext.fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
 from tauext.fleet.fleet_file import Fleet
 from tauext.fleet.task import Outcome, Task, clean, locked

@@ -31,7 +31,7 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
     from tauext.check.examine import as_files, examine, gather
-    from tauext.check.look import by_code, is_accepted
+    from tauext.check.preflight import by_code, is_accepted
     from tauext.files.provenance import write_json
 
     recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))

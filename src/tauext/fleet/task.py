@@ -21,11 +21,11 @@ from uuid import uuid4
 
 from tauext import _core
 from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import at_home, send_folder, version_of
 from tauext.files.places import Place, StoredPlace, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, json_of, read_text
 from tauext.files.provenance import VERSION, provenance, write_json
-from tauext.files.whole_file import whole_file
 
 # --- One driver a folder: a second one would clear away what the first one's workers are writing.
 #
@@ -278,7 +278,7 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
         return ended(marker)
     except Exception as error:
         reason, block = (text.replace(str(part), str(folder)) for text in reason_and_report(error))
-        with suppress(OSError, StoreError), whole_file(failure_file) as whole:  # the reason itself is reported
+        with suppress(OSError, StoreError), atomic_write(failure_file) as whole:  # the reason itself is reported
             whole.write_text(block + "\n")
         return Outcome("failed", reason, time.monotonic() - started)
     finally:

@@ -20,9 +20,9 @@ from tauext.bundle.estimates import save_estimates
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
 from tauext.errors import ConfigError, RecordingError, TauextError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
 from tauext.files.provenance import VERSION
-from tauext.files.whole_file import whole_file
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import (
     Flight,
@@ -281,7 +281,7 @@ def reserve(folder: Path, wanted: str) -> Path:
 
 def write_dropped(flight: Flight, kept: np.ndarray, source: FlightSource, path: Path) -> None:
     """The samples that the recording cannot hold, all of them, with the monitor's health."""
-    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         signals = [f"{signal}_{joint}" for signal in ("q", "dq", "tau") for joint in source.joints]
         table.writerow(["row", "t_ns", *signals, "health", "causes"])

@@ -16,8 +16,8 @@ from matplotlib.patches import Patch
 from tauext.bundle.estimates import OK
 from tauext.bundle.units import SEVERAL
 from tauext.errors import ConfigError
-from tauext.files.room import expect_folder
-from tauext.files.whole_file import whole_folder
+from tauext.files.atomic_write import atomic_folder
+from tauext.files.preflight import expect_folder
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure, check_page_mb, make_figure
 from tauext.report.style import (
@@ -215,7 +215,7 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
     draw = {name: partial(draw_flight, flight), f"{name}-close": partial(draw_close, flight)}
     page = out_dir / f"{name}.html"
     try:
-        with whole_folder(out_dir) as part:
+        with atomic_folder(out_dir) as part:
             figures = [make_figure(one, part / "figures" / f"{stem}.png") for stem, one in draw.items()]
             room = page_mb * 1e6 - len(render_flight(flight, figures[::-1]).encode())
             traces = or_reason(partial(flight_traces, flight, room))

@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 
 from tauext.errors import ConfigError
 from tauext.evaluate.results import EvaluatedBundle, Injected, JsonReader, NoticedForce
+from tauext.files.atomic_write import atomic_files
 from tauext.files.places import Place
-from tauext.files.whole_file import whole_files
 from tauext.report.signals import NotAvailable
 from tauext.report.style import (
     CASE_COLOURS,
@@ -177,7 +177,7 @@ def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
         drawing = draw_noticed_force(JsonReader(0).object(NoticedForce, noticed, str(picture)))
         try:
             picture.parent.mkdir(parents=True, exist_ok=True)
-            with whole_files(picture) as (part,):
+            with atomic_files(picture) as (part,):
                 save_png(drawing.figure, part)
         except OSError as error:
             raise ConfigError(f"{picture}: cannot be written ({error.strerror or error})") from error

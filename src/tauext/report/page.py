@@ -12,12 +12,12 @@ from pathlib import Path
 
 import matplotlib
 
-from tauext.check.look import WORTH_A_WARNING
+from tauext.check.preflight import WORTH_A_WARNING
 from tauext.errors import ConfigError
 from tauext.evaluate.results import EvaluatedBundle, Numbers, Results, load_results
+from tauext.files.atomic_write import atomic_folder
 from tauext.files.places import Place
-from tauext.files.room import expect_folder
-from tauext.files.whole_file import whole_folder
+from tauext.files.preflight import expect_folder
 from tauext.report import paper, tables
 from tauext.report.collision_figures import (
     draw_after_contact,
@@ -501,7 +501,7 @@ def write_report(
     }
     page = out_dir / "report.html"
     try:
-        with whole_folder(out_dir) as part:
+        with atomic_folder(out_dir) as part:
             figures = {name: make_figure(one, part / "figures" / f"{name}.png") for name, one in draw.items()}
             linked = PageTraces("", tuple(collision.recording for collision in results.collisions))
             room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())

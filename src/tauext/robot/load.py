@@ -18,7 +18,7 @@ import numpy as np
 
 from tauext._core import MAX_JOINTS, CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
-from tauext.files.room import in_words
+from tauext.files.preflight import in_words
 from tauext.robot.inertial import point_inertia, six_of
 
 # --- Which joints of a robot file are in use, in which order, and where the others are held.

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import mujoco
 
 from tauext.errors import RobotError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import expect_file
-from tauext.files.whole_file import whole_file
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""
@@ -191,6 +191,6 @@ def _require(source: Path, kind: str, name: str, there: list[str]) -> None:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(content)
     return path

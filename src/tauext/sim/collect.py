@@ -19,10 +19,10 @@ from tauext.data.dataset import save_split, split_recordings
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import FORMAT, json_of, read_text
+from tauext.files.preflight import expect_folder, span
 from tauext.files.provenance import VERSION, write_json
-from tauext.files.room import expect_folder, span
-from tauext.files.whole_file import whole_file
 from tauext.sim.config import RigConfig
 from tauext.sim.contacts import contact_torque, draw_pads, draw_pulses, pulse_torque
 from tauext.sim.rig import Kind, Truth, arm_xml, build_scene, draw_motion, joint_names, measure, roll_out
@@ -155,7 +155,7 @@ def simulate_dataset(
     settings = {"minutes": minutes, "collision_recordings": collision_recordings}
     settings |= {f"{set_name}_hours": hours for set_name, hours in more.items() if hours > 0}
     _claim(out_dir, _settings(config, seed, settings))
-    with whole_file(out_dir / "robot.xml") as file:
+    with atomic_write(out_dir / "robot.xml") as file:
         file.write_text(robot)
 
     def make(k: int) -> str:

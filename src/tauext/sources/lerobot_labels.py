@@ -23,9 +23,9 @@ from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, 
 from tauext.data.recording import runs_of
 from tauext.data.servo import velocity_and_torque
 from tauext.errors import ConfigError, RecordingError, TauextError
+from tauext.files.atomic_write import expect_empty, new_folder
 from tauext.files.plain_file import json_of, read_text
-from tauext.files.room import expect_folder
-from tauext.files.whole_file import expect_empty, new_folder
+from tauext.files.preflight import expect_folder
 from tauext.progress import Reporter
 from tauext.sources.lerobot_frames import UNKNOWN, Labels, ServoFrames, bare_name, element_names, expect_rate, labels_of
 

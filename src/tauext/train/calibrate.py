@@ -16,17 +16,17 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, check_for_bundle, expect_codes
+from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
+from tauext.files.checkpoint import Checkpoint
 from tauext.files.copies import at_home
-from tauext.files.half_done import HalfDone
 from tauext.files.places import Place, place_of
+from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
-from tauext.files.room import expect_new_file
 from tauext.progress import SILENT, Reporter
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.held_peaks import KeptPeaks
@@ -94,7 +94,7 @@ def recalibrate(
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
     loaded.provenance = json.dumps(facts, sort_keys=True)
     write_bundle(loaded, out, facts | {"loss_history": history}, {"calibrate_s": time.monotonic() - started})
-    forget_half_done(out)
+    remove_checkpoint(out)
     return promised
 
 
@@ -174,7 +174,7 @@ def calibrate_bundle(
     """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
 
     A killed process is gone on with, by a file beside `out`, the bundle that will be written; whoever writes it calls
-    `forget_half_done`.
+    `remove_checkpoint`.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.
@@ -210,7 +210,7 @@ def kept_peaks(
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
     out.parent.mkdir(parents=True, exist_ok=True)
     work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings])
-    return KeptPeaks(HalfDone(half_done_file(out), hashlib.sha256(work.encode()).hexdigest()))
+    return KeptPeaks(Checkpoint(checkpoint_file(out), hashlib.sha256(work.encode()).hexdigest()))
 
 
 def file_of(load: Callable[[], Recording]) -> Place:
@@ -219,11 +219,11 @@ def file_of(load: Callable[[], Recording]) -> Place:
     return place_of(load.args[0])
 
 
-def half_done_file(out: Place) -> Path:
+def checkpoint_file(out: Place) -> Path:
     """Where the work on a bundle's limits is kept: on this machine."""
     return at_home(out).with_suffix(".limits.half-done")
 
 
-def forget_half_done(out: Place) -> None:
+def remove_checkpoint(out: Place) -> None:
     """The bundle is written."""
-    half_done_file(out).unlink(missing_ok=True)
+    checkpoint_file(out).unlink(missing_ok=True)

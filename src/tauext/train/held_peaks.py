@@ -15,7 +15,7 @@ from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.half_done import HalfDone
+from tauext.files.checkpoint import Checkpoint
 from tauext.train.error_scale import Judged, errors, no_free_motion
 
 # --- What an alarm with a hold time sees of an error: the least of the last samples.
@@ -118,17 +118,17 @@ def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
 class KeptPeaks:
     """Peaks of the first recordings, from a process that was killed, and what this one does of it."""
 
-    def __init__(self, half_done: HalfDone):
-        self._half_done = half_done
+    def __init__(self, checkpoint: Checkpoint):
+        self._checkpoint = checkpoint
         self.collectors: list[Any]
         self.names: list[str]
-        self.collectors, self.names = half_done.load() or ([], [])
+        self.collectors, self.names = checkpoint.load() or ([], [])
         self._taken = len(self.names)
 
     def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
         """One more recording is taken in; names of these and of the next few, which are estimated already."""
         self._taken += 1
-        self._half_done.offer((collectors, list(names[: self._taken])))
+        self._checkpoint.offer((collectors, list(names[: self._taken])))
 
 
 # --- Peaks of the error in free motion, as an alarm with a hold time sees it: of the held minimum (held_minimum.py).

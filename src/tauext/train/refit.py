@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, check_for_bundle, expect_codes
+from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
 from tauext.config import FreeMotionConfig
 from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
@@ -26,8 +26,8 @@ from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.files.copies import local_file
 from tauext.files.places import Place
+from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
-from tauext.files.room import expect_new_file
 from tauext.fit.fleet_prior import CLOSE, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.train.held_peaks import REGIONS, separate_peaks

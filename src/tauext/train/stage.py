@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.look import Rejected, expect_codes
+from tauext.check.preflight import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
-from tauext.files.room import expect_memory, expect_new_file, expect_time
+from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.network_training import apply_gate
 from tauext.fit.prior_terms import PriorFit
@@ -31,8 +31,8 @@ from tauext.train.fitting import (
 )
 from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
-from tauext.train.look import look_first
 from tauext.train.network import assemble, choose_gain, fit_network
+from tauext.train.preflight import check_first
 from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.writing import put_wrench, write
 
@@ -138,7 +138,7 @@ def train_bundle(
         report.say(note)
     training, validation = dataset.training(), dataset.recordings("validation")
     given = Given(robot_file, PAPER_CASES[case], training, validation, dataset.stretches("calibration"))
-    looked = look_first(dataset, given, config, accept, report) if look else None
+    looked = check_first(dataset, given, config, accept, report) if look else None
     train_on_recordings(given, config, out, report, looked, like, accept)
     return load_bundle(out)
 
@@ -160,7 +160,7 @@ def train_on_recordings(
     Args:
         out: NAME.tauext; its folder is made.
         report: receives the progress and sentences about what was found.
-        looked: what the doctor found (look_first), for provenance; None: nobody looked.
+        looked: findings of the checks (check_first), for provenance; None: none were made.
         like: the fleet prior of this type; None: the arm is by itself.
         accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
 

@@ -16,7 +16,7 @@ from tauext.errors import RobotError
 from tauext.files.copies import at_home
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
-from tauext.train.calibrate import forget_half_done
+from tauext.train.calibrate import remove_checkpoint
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
 
@@ -34,7 +34,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     seconds = network.trained.seconds if network else 0.0
     run = facts | job.run | {"loss_history": history}
     write_bundle(bundle, job.out, run, {"train_s": seconds})
-    forget_half_done(job.out)
+    remove_checkpoint(job.out)
     at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
 
 

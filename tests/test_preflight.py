@@ -13,9 +13,9 @@ from tauext import _core
 from tauext.cli import main
 from tauext.config import MOST_HIDDEN, TrainConfig
 from tauext.errors import ConfigError
-from tauext.files import room
+from tauext.files import preflight
+from tauext.files.atomic_write import atomic_files, atomic_folder
 from tauext.files.plain_file import json_of, read_text, toml_of
-from tauext.files.whole_file import whole_files, whole_folder
 from tauext.sim import collect
 from tauext.train.stage import expect_size
 
@@ -32,11 +32,11 @@ def refused(capsys, *arguments: object) -> str:
 def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path):
     first, last = tmp_path / "a.run.json", tmp_path / "a.tauext"
     last.write_text("old")
-    with pytest.raises(RuntimeError), whole_files(first, last) as (part, _):
+    with pytest.raises(RuntimeError), atomic_files(first, last) as (part, _):
         part.write_text("new")
         raise RuntimeError
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.tauext": "old"}
-    with whole_files(first, last) as parts:
+    with atomic_files(first, last) as parts:
         for part in parts:
             part.write_text("new")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.tauext": "new", "a.run.json": "new"}
@@ -47,7 +47,7 @@ def test_a_folder_s_files_come_at_the_end_and_others_stay(tmp_path):
     (tmp_path / "report/mine.txt").write_text("mine")
     for fails in (True, False):
         with pytest.raises(RuntimeError) if fails else nullcontext():
-            with whole_folder(tmp_path / "report") as part:
+            with atomic_folder(tmp_path / "report") as part:
                 (part / "figures").mkdir()
                 (part / "figures/a.png").write_text("a")
                 if fails:
@@ -60,21 +60,21 @@ def test_a_folder_s_files_come_at_the_end_and_others_stay(tmp_path):
     ("size", "told"), [(0, "0 bytes"), (999, "999 bytes"), (4096, "4.1 kB"), (2.5e9, "2.5 GB"), (3.6e15, "3.6 PB")]
 )
 def test_sizes_are_told_in_words(size, told):
-    assert room.in_words(size) == told
+    assert preflight.in_words(size) == told
 
 
 def test_what_memory_disk_and_time_do_not_hold_is_refused_with_both_numbers(tmp_path, monkeypatch):
-    monkeypatch.setattr(room, "free_memory", lambda: 8 * 10**9)
-    room.expect_memory(7e9, "x")
+    monkeypatch.setattr(preflight, "free_memory", lambda: 8 * 10**9)
+    preflight.expect_memory(7e9, "x")
     with pytest.raises(ConfigError, match=r"batch = 9 needs 9 GB of memory, and 8 GB are free"):
-        room.expect_memory(9e9, "batch = 9")
-    monkeypatch.setattr(room.shutil, "disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
-    room.expect_folder(tmp_path / "new/folder", 4e6)
+        preflight.expect_memory(9e9, "batch = 9")
+    monkeypatch.setattr(preflight.shutil, "disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
+    preflight.expect_folder(tmp_path / "new/folder", 4e6)
     with pytest.raises(ConfigError, match="what is written needs 6 MB of disk, and 5 MB are free"):
-        room.expect_folder(tmp_path / "new/folder", 6e6)
-    room.expect_time(86400.0, "x")
+        preflight.expect_folder(tmp_path / "new/folder", 6e6)
+    preflight.expect_time(86400.0, "x")
     with pytest.raises(ConfigError, match="it takes 2 years at least"):
-        room.expect_time(2 * 365.25 * 86400, "it")
+        preflight.expect_time(2 * 365.25 * 86400, "it")
 
 
 @pytest.mark.parametrize("place", ["file/x.tauext", "folder.tauext", "pipe.tauext", "/dev/full", "/dev/full/x.tauext"])
@@ -83,7 +83,7 @@ def test_a_place_where_no_file_can_stand_is_refused(place, tmp_path):
     (tmp_path / "folder.tauext").mkdir()
     os.mkfifo(tmp_path / "pipe.tauext")
     with pytest.raises(ConfigError, match="choose another"):
-        room.expect_new_file(tmp_path / place)
+        preflight.expect_new_file(tmp_path / place)
 
 
 @pytest.mark.parametrize(

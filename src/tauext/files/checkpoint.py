@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tauext.files.whole_file import whole_file
+from tauext.files.atomic_write import atomic_write
 
 EVERY_S = 20.0
 """Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
@@ -43,7 +43,7 @@ ARRAYS = {
 }
 
 
-class HalfDone:
+class Checkpoint:
     """The state of one piece of work: load() at its start, offer() after each step, end() when all is written."""
 
     def __init__(self, path: Path, key: str, outside: Mapping[str, object] | None = None):
@@ -68,7 +68,7 @@ class HalfDone:
             return
         content = io.BytesIO()
         _Writer(content, self._outside).dump((self._key, state))
-        with whole_file(self._path) as part:
+        with atomic_write(self._path) as part:
             part.write_bytes(content.getvalue())
         self._written = time.monotonic()
 

@@ -25,10 +25,10 @@ from tauext.data.free_motion import cut
 from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import cache_folder, version_of
 from tauext.files.places import Place, is_stored
 from tauext.files.provenance import VERSION
-from tauext.files.whole_file import whole_file
 from tauext.progress import Reporter
 
 # --- How much of some motion a bundle's monitor rejects, and why.
@@ -145,7 +145,7 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
     found = find()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             part.write_text(json.dumps([asdict(finding) for finding in found]) + "\n")
     except OSError:
         pass

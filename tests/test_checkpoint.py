@@ -17,8 +17,8 @@ from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording_file import save_recording
 from tauext.evaluate import comparison
 from tauext.evaluate.results_folder import evaluate_bundles
-from tauext.files import half_done
-from tauext.files.half_done import HalfDone
+from tauext.files import checkpoint
+from tauext.files.checkpoint import Checkpoint
 from tauext.train import held_peaks
 from tauext.train.calibrate import recalibrate
 
@@ -26,7 +26,7 @@ from tauext.train.calibrate import recalibrate
 @pytest.fixture
 def at_once(monkeypatch):
     """Everything that is offered is written."""
-    monkeypatch.setattr(half_done, "EVERY_S", 0.0)
+    monkeypatch.setattr(checkpoint, "EVERY_S", 0.0)
 
 
 @pytest.fixture
@@ -89,11 +89,11 @@ def test_a_state_of_other_work_counts_as_none(place, at_once):
 
 def test_what_is_damaged_or_asks_for_other_classes_is_no_state(tmp_path, at_once):
     path = tmp_path / "state"
-    work = HalfDone(path, "key")
+    work = Checkpoint(path, "key")
     assert work.load() is None
     work.offer({"rows": np.arange(4.0), "names": ["a"]})
     np.testing.assert_array_equal(work.load()["rows"], np.arange(4.0))
-    assert HalfDone(path, "other").load() is None
+    assert Checkpoint(path, "other").load() is None
     whole = path.read_bytes()
     for end in range(0, len(whole), 7):
         path.write_bytes(whole[:end])

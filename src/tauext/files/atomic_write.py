@@ -16,17 +16,17 @@ from tauext.files.places import Place
 
 
 @contextmanager
-def whole_file(path: Place) -> Iterator[Path]:
+def atomic_write(path: Place) -> Iterator[Path]:
     """The name NAME.part beside it to write under; renamed at the end, removed where writing fails.
 
     Folders are not made. Errors of the system come out as they are.
     """
-    with whole_files(path) as (part,):
+    with atomic_files(path) as (part,):
         yield part
 
 
 @contextmanager
-def whole_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
+def atomic_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
     """Write files that belong together: none is renamed before all are written; the last one is renamed last."""
     parts = tuple(written_as(path) for path in paths)
     try:
@@ -71,7 +71,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(folder: Place) -> Iterator[Path]:
+def atomic_folder(folder: Place) -> Iterator[Path]:
     """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
 
     What else stands in the folder stays. Where writing fails nothing has changed.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tauext.check.look import Look, expect_codes, judge, look_at_calibration, look_at_training
+from tauext.check.preflight import Look, expect_codes, judge, look_at_calibration, look_at_training
 from tauext.config import TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.servo import in_amperes
@@ -13,7 +13,7 @@ from tauext.robot.torque_limits import torque_limits
 from tauext.train.preparation import Given, chosen_recordings, wants_constants
 
 
-def look_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
+def check_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
     """Check all that a training of the dataset would use; the facts for provenance: what was accepted, warnings.
 
     Args:

@@ -257,29 +257,30 @@ def fit_prior(
         kept_widths = [width for width in setup.widths_rad if width not in dropped]
         without = fit_terms(with_presliding(setup, kept_widths), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
+
+    def fitted(to: Setup, inertia: Inertia) -> PriorFit:
+        return fit_terms(to, recordings, config, ripple, inertia)
+
     if any(derives_velocity(recording) for recording in recordings) and inertia.load is not None:
-        inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, report)
-    inertia, fit = with_local_memory(setup, fit, recordings, config, ripple, inertia)
+        inertia, fit = with_play(setup, fit, fitted, inertia, report)
+    inertia, fit = with_local_memory(setup, fit, fitted, inertia)
     return chosen(setup, fit, recordings, config, ripple, inertia)
 
 
 def with_play(
     setup: Setup,
     fit: PriorFit,
-    recordings: Sequence[Recording],
-    config: PriorConfig,
-    ripple: Sequence[Sequence[int]],
+    fitted: Callable[[Setup, Inertia], PriorFit],
     inertia: Inertia,
     report: Callable[[str], None] | None,
 ) -> tuple[Inertia, PriorFit]:
     """The play of servos' gears, where it shows: see find_play."""
     bent = with_presliding(setup, fit.settings.widths_rad)
 
-    def fitted(play: Play) -> PriorFit:
-        again = fit_terms(bent, recordings, config, ripple, replace(inertia, play=play))
-        return replace(again, dropped_widths=fit.dropped_widths)
+    def fitted_with(play: Play) -> PriorFit:
+        return replace(fitted(bent, replace(inertia, play=play)), dropped_widths=fit.dropped_widths)
 
-    play, better = find_play(fit, fitted)
+    play, better = find_play(fit, fitted_with)
     words = play_sentence(play, bent.widths_rad, [link.joint_name for link in setup.tree.links])
     if words and report is not None:
         report(words)
@@ -287,12 +288,7 @@ def with_play(
 
 
 def with_local_memory(
-    setup: Setup,
-    fit: PriorFit,
-    recordings: Sequence[Recording],
-    config: PriorConfig,
-    ripple: Sequence[Sequence[int]],
-    inertia: Inertia,
+    setup: Setup, fit: PriorFit, fitted: Callable[[Setup, Inertia], PriorFit], inertia: Inertia
 ) -> tuple[Inertia, PriorFit]:
     """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
 
@@ -304,7 +300,7 @@ def with_local_memory(
         return inertia, fit
     bent = with_presliding(setup, fit.settings.widths_rad, branches)
     tried = presliding_friction_nm(fit.settings).sum(axis=1)
-    more = fit_terms(bent, recordings, config, ripple, replace(inertia, local_memory_nm=tuple(tried.tolist())))
+    more = fitted(bent, replace(inertia, local_memory_nm=tuple(tried.tolist())))
     growth = more.error_nm / np.maximum(fit.error_nm, 1e-300) - 1
     helps = (growth.mean() < -LOCAL_MEMORY_HELPS) & (growth < LOCAL_MEMORY_HELPS)
     has_some = np.zeros(len(tried), dtype=bool)
@@ -317,7 +313,7 @@ def with_local_memory(
     if (kept == tried).all():
         found = more
     elif kept.any():
-        found = fit_terms(bent, recordings, config, ripple, inertia)
+        found = fitted(bent, inertia)
     else:
         found = fit
         for settings in (fit.settings, *(one.settings for one in fit.left_out)):

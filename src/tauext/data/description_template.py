@@ -188,43 +188,29 @@ def _bare(pattern: str) -> str:
 MADE_OF = {"duty": "duty", "q_des": "goal"}
 """Sources of a servo's torque where no column holds it, by the signal that is there; best first."""
 OPTIONAL = {
-    "q_des": """
-# Commanded position. Optional; keys as of q.
-[signals.q_des]
-columns = @COLUMNS@
-unit = "rad"
-""",
-    "tau_ext": """
-# External torque as the robot itself estimates it, to compare with; positive where the environment pushes the joint in
-# its positive direction (sign = -1 turns it). Optional.
-[signals.tau_ext]
-columns = @COLUMNS@
-unit = "Nm"
-""",
-    "temperature": """
-# Motor temperature, degC. Optional.
-[signals.temperature]
-columns = @COLUMNS@
-""",
-    "current": """
-# Current as a servo reports it, A or mA: of its windings or of its supply, see [servo]. Optional.
-[signals.current]
-columns = @COLUMNS@
-unit = "mA"
-""",
-    "duty": """
-# Share of the supply voltage at a servo's motor, 1 (from -1 to 1), % or permille; Feetech: load, Dynamixel: PWM.
-# Optional.
-[signals.duty]
-columns = @COLUMNS@
-unit = "1"
-""",
-    "voltage": """
-# Supply voltage of a servo, V or mV. Optional.
-[signals.voltage]
-columns = @COLUMNS@
-unit = "V"
-""",
+    signal: f"\n{comment}\n[signals.{signal}]\ncolumns = @COLUMNS@\n" + (f'unit = "{unit}"\n' if unit else "")
+    for signal, unit, comment in (
+        ("q_des", "rad", "# Commanded position. Optional; keys as of q."),
+        (
+            "tau_ext",
+            "Nm",
+            "# External torque as the robot itself estimates it, to compare with; positive where the environment "
+            "pushes the joint in\n# its positive direction (sign = -1 turns it). Optional.",
+        ),
+        ("temperature", "", "# Motor temperature, degC. Optional."),
+        (
+            "current",
+            "mA",
+            "# Current as a servo reports it, A or mA: of its windings or of its supply, see [servo]. Optional.",
+        ),
+        (
+            "duty",
+            "1",
+            "# Share of the supply voltage at a servo's motor, 1 (from -1 to 1), % or permille; Feetech: load, "
+            "Dynamixel: PWM.\n# Optional.",
+        ),
+        ("voltage", "V", "# Supply voltage of a servo, V or mV. Optional."),
+    )
 }
 
 TEMPLATE = """\

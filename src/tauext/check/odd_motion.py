@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,10 +126,14 @@ def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> lis
     return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
 
 
-def _fault(recording: Recording, wrong: np.ndarray, evidence: str) -> Finding:
-    """Of these joints, by their numbers: one is named, more are all."""
-    joint = recording.joints[int(wrong[0])] if len(wrong) == 1 else None
-    return Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)
+def _fault(recording: Recording, wrong: np.ndarray, evidence: Callable[[int, str], str]) -> list[Finding]:
+    """None where no joint is wrong. `evidence` receives the first wrong joint's number and the names of all."""
+    joints = [joint for joint, is_wrong in zip(recording.joints, wrong, strict=True) if is_wrong]
+    if not joints:
+        return []
+    words = f"'{recording.name}': {evidence(int(np.argmax(wrong)), ', '.join(joints))}"
+    joint = joints[0] if len(joints) == 1 else None
+    return [Finding("odd-recording", "fault", joint, words, ADVICE, recording.name)]
 
 
 def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
@@ -139,29 +143,27 @@ def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> li
     unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > UNIT_OFF)
     sure = np.array([(m.correlation > ALIKE) | ~np.isfinite(m.factor) for m in others]).all(axis=0)
     unlike = one.correlation < np.where(sure, UNLIKE_BESIDE, UNLIKE)
-    wrong = np.flatnonzero(usual & np.isfinite(one.factor) & (unit | unlike))
-    if not len(wrong):
-        return []
-    j = int(wrong[0])
-    evidence = (
-        f"'{recording.name}': the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
-        f"{one.correlation[j]:.3f}, at {', '.join(recording.joints[k] for k in wrong)}; elsewhere it is the derivative"
+    return _fault(
+        recording,
+        usual & np.isfinite(one.factor) & (unit | unlike),
+        lambda j, names: (
+            f"the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
+            f"{one.correlation[j]:.3f}, at {names}; elsewhere it is the derivative"
+        ),
     )
-    return [_fault(recording, wrong, evidence)]
 
 
 def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
     low, high = np.min([m.torque_nm for m in others], axis=0), np.max([m.torque_nm for m in others], axis=0)
     moves = np.isfinite([m.factor for m in (one, *others)]).all(axis=0)
-    wrong = np.flatnonzero(moves & (low > 0) & ((one.torque_nm > TORQUES * high) | (one.torque_nm < low / TORQUES)))
-    if not len(wrong):
-        return []
-    j = int(wrong[0])
-    evidence = (
-        f"'{recording.name}': torques of {', '.join(recording.joints[k] for k in wrong)} are of another unit, as it "
-        f"seems: '{recording.joints[j]}' takes {one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
+    return _fault(
+        recording,
+        moves & (low > 0) & ((one.torque_nm > TORQUES * high) | (one.torque_nm < low / TORQUES)),
+        lambda j, names: (
+            f"torques of {names} are of another unit, as it seems: '{recording.joints[j]}' takes "
+            f"{one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
+        ),
     )
-    return [_fault(recording, wrong, evidence)]
 
 
 def _turns(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:

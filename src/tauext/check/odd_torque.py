@@ -87,7 +87,25 @@ def mends_of_motion(
     joints: Sequence[str],
 ) -> Iterator[Mend]:
     """Sign, order and zero of the positions; the torques go with them, or do not."""
-    yield from _of_arrangement(stretches, tree, errors, suspects, joints)
+    n = len(joints)
+    motion, all_of_it = ("q", "dq", "q_raw", "dq_raw"), SIGNALS
+    for chosen in (*range(n), None):
+        sign = np.where([chosen is None or j == chosen for j in range(n)], -1.0, 1.0)
+        for names, what in ((motion, "positions and velocities"), (all_of_it, "all signals")):
+            changed = [s.changed(partial(np.multiply, sign), names) for s in stretches]
+            change = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
+            yield Mend(change, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
+    for a, b in combinations(range(n), 2):
+        if not suspects[a] and not suspects[b]:
+            continue
+        order = list(range(n))
+        order[a], order[b] = b, a
+        for names, what in ((motion, "the positions and velocities"), (all_of_it, "all signals")):
+            changed = [s.changed(partial(np.take, indices=order, axis=1), names) for s in stretches]
+            after = errors(rows_of(changed, tree))
+            if names is all_of_it:
+                after = after[order]  # each torque against itself
+            yield Mend(f"{what} of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0, moves=True)
     yield from _of_zero(rows, tree, errors)
 
 
@@ -149,34 +167,6 @@ def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
         error = np.abs(torque - factor * predicted)
         keep = error <= np.percentile(error, 90)
     return factor
-
-
-def _of_arrangement(
-    stretches: Sequence[Stretch],
-    tree: _core.Tree | None,
-    errors: Errors,
-    suspects: np.ndarray,
-    joints: Sequence[str],
-) -> Iterator[Mend]:
-    n = len(joints)
-    motion, all_of_it = ("q", "dq", "q_raw", "dq_raw"), SIGNALS
-    for chosen in (*range(n), None):
-        sign = np.where([chosen is None or j == chosen for j in range(n)], -1.0, 1.0)
-        for names, what in ((motion, "positions and velocities"), (all_of_it, "all signals")):
-            changed = [s.changed(partial(np.multiply, sign), names) for s in stretches]
-            change = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
-            yield Mend(change, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
-    for a, b in combinations(range(n), 2):
-        if not suspects[a] and not suspects[b]:
-            continue
-        order = list(range(n))
-        order[a], order[b] = b, a
-        for names, what in ((motion, "the positions and velocities"), (all_of_it, "all signals")):
-            changed = [s.changed(partial(np.take, indices=order, axis=1), names) for s in stretches]
-            after = errors(rows_of(changed, tree))
-            if names is all_of_it:
-                after = after[order]  # each torque against itself
-            yield Mend(f"{what} of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0, moves=True)
 
 
 def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[Mend]:

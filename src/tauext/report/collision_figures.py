@@ -196,8 +196,7 @@ def draw_after_contact(results: Results) -> Drawing:
             use_log_height(axes)
     figure.supxlabel("time since the end of the last contact, s", fontsize=9)
     hours = sum(entry.hours for entry in known[0][1].bins)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,
         "What a contact leaves behind: error of the estimate while nothing touches the arm any more, and at the right "

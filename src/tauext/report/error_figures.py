@@ -400,8 +400,7 @@ def draw_learning_curves(results: Results) -> Drawing:
         axes.set_title(name)
         axes.set_ylabel(f"L1, {results.unit}")
     figure.supxlabel("training data, minutes", fontsize=9)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,
         "Learning curves: mean error in test free motion over the minutes of motion that a method was trained on.",

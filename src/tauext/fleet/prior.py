@@ -31,6 +31,7 @@ from tauext.fleet.prior_evidence import (
     priors_without,
     weight_prior,
 )
+from tauext.fleet.visits import AT_SPEED
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import FULL_PRIOR
 from tauext.train.fitting import observe
@@ -38,23 +39,15 @@ from tauext.train.fitting import observe
 # --- The fleet in a table that a person reads: each arm's friction by the fleet's, and which arm is the odd one.
 
 
-SPEED_RAD_S = 0.5
-"""Friction is compared at this speed."""
 ODD = 0.5
 """An arm's joint is the odd one whose trust is below this."""
-Kind = _core.TermKind
 
 
 def friction_columns(terms: Sequence[Sequence[_core.Term]], joint: int) -> np.ndarray:
-    """What each of all columns adds to the joint's friction at SPEED_RAD_S, (columns,)."""
+    """What each of all columns adds to the joint's friction at the speed of AT_SPEED, (columns,)."""
     blocks = block_columns(terms)
-    value = {
-        Kind.coulomb: lambda term: float(np.tanh(SPEED_RAD_S / term.speed)),
-        Kind.presliding: lambda term: 1.0,
-        Kind.viscous: lambda term: SPEED_RAD_S,
-    }
     out = np.zeros(int(blocks[-1][-1]) + 1)
-    out[blocks[joint]] = [value[t.kind](t) if t.kind in value else 0.0 for t in terms[joint]]
+    out[blocks[joint]] = [AT_SPEED[t.kind](t) if t.kind in AT_SPEED else 0.0 for t in terms[joint]]
     return out
 
 
@@ -82,7 +75,7 @@ def arms_facts(
 
 
 def spread_facts(joints: Sequence[str], terms: Sequence, found: Hierarchy) -> dict:
-    """Of each joint: the fleet's friction at SPEED_RAD_S, [N m], and by what share arms differ."""
+    """Of each joint: the fleet's friction at the speed of AT_SPEED, [N m], and by what share arms differ."""
     out = {}
     for j, name in enumerate(joints):
         line = friction_columns(terms, j)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,6 +89,12 @@ MEMORY_S = 2.0
 MOVING = 0.5
 """Share of its recordings in which a joint is assumed to move."""
 Kind = _core.TermKind
+AT_SPEED: dict[_core.TermKind, Callable[[_core.Term], float]] = {
+    Kind.coulomb: lambda term: float(np.tanh(SPEED_RAD_S / term.speed)),
+    Kind.presliding: lambda term: 1.0,
+    Kind.viscous: lambda term: SPEED_RAD_S,
+}
+"""Friction of a term of weight 1 at SPEED_RAD_S."""
 
 
 @dataclass(frozen=True)
@@ -185,10 +191,7 @@ def friction_nm(facts: BundleFacts, weight_nm: np.ndarray) -> np.ndarray:
     prior, n = facts.bundle.prior, len(facts.joints)
     if not facts.has_prior:
         return np.full(n, np.nan)
-    at_speed = {
-        Kind.coulomb: lambda term: float(np.tanh(SPEED_RAD_S / term.speed)),
-        Kind.presliding: lambda term: 1.0,
-        Kind.viscous: lambda term: SPEED_RAD_S,
+    at_speed = AT_SPEED | {
         Kind.load: lambda term: weight_nm[term.a] * float(np.tanh(SPEED_RAD_S / term.speed)),
         Kind.load_presliding: lambda term: weight_nm[term.a],
     }

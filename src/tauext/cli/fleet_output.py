@@ -7,9 +7,9 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
-from tauext.cli.progress import aligned
+from tauext.cli.progress import PrintContext, aligned
 from tauext.fleet.book import Book, PlannedArm, stage_counts
 from tauext.fleet.fleet_file import STAGES
 from tauext.fleet.run import FleetEnd
@@ -32,14 +32,8 @@ def open_watcher(as_json: bool) -> JsonLines | TextLines:
     return TextLines()
 
 
-class JsonLines:
+class JsonLines(PrintContext):
     """On stdout, an object an event; docs/files.md lists them."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
     def reading(self, done: int, of: int) -> None:
         pass
@@ -64,18 +58,12 @@ class JsonLines:
         print(json.dumps({"event": event} | content, allow_nan=False), flush=True)
 
 
-class TextLines:
+class TextLines(PrintContext):
     """A line on stderr for each task that ends; tables and failures on stdout at the end."""
 
     def __init__(self) -> None:
         self._done = self._of = 0
         self._printed_s = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
     def reading(self, done: int, of: int) -> None:
         if time.monotonic() - self._printed_s > READING_EVERY_S:
@@ -114,13 +102,6 @@ class LiveTable(TextLines):
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
         self._counts: dict[str, Counter[str]] = {}
         self._running: list[str] = []
-
-    def __enter__(self) -> Self:
-        self._live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._live.stop()
 
     def started(self, plan: Sequence[PlannedArm]) -> None:
         self._counts = {stage: Counter() for stage in STAGES}

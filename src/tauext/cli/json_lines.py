@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS, number
+from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
 from tauext.monitor.changes import (
@@ -33,17 +34,11 @@ if TYPE_CHECKING:
     from tauext.monitor.reactions import ReactionNews
 
 
-class JsonLines:
+class JsonLines(PrintContext):
     """One object an event, each written at once; times count from the recording's first sample."""
 
     def __init__(self, status_hz: float):
         self._status_ns = round(1e9 / status_hz) if status_hz else 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
         self._recording, self._joints, self._start_ns = recording.name, recording.joints, int(recording.t_ns[0])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -35,13 +34,6 @@ class LiveView(TextLines):
         self._console = console or Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._drawn = 0.0
-
-    def __enter__(self) -> Self:
-        self._live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._live.stop()
 
     def print_line(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)

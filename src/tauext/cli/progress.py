@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from tauext.progress import Show
 
@@ -69,6 +69,21 @@ class Terminal:
     def progress(self, title: str) -> Iterator[Show]:
         with ProgressBar(title) as bar:
             yield bar.update
+
+
+class PrintContext:
+    """A context in which a command prints events; subclasses that redraw a view keep it in `_live`."""
+
+    _live: Any = None  # rich.live.Live
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._live is not None:
+            self._live.stop()
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

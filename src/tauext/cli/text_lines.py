@@ -7,11 +7,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import short
+from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.files.places import Place
 from tauext.monitor.changes import (
@@ -63,8 +64,8 @@ class Outcome:
     recorded: RecordCount | None = None
 
 
-class TextLines:
-    """A line an event and a summary; a context, which the live view needs."""
+class TextLines(PrintContext):
+    """A line an event and a summary."""
 
     def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False):
         """
@@ -74,12 +75,6 @@ class TextLines:
         """
         self._flights, self._acknowledges = flights, acknowledges
         self._start_ns: int | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
     def print_line(self, line: str) -> None:
         print(line, flush=True)

@@ -81,12 +81,11 @@ def gather(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    terms = [term for group in own for term in group] + list(shared)
     usable = [recording for recording in recordings if recording.duration_s > setup.warm_up_s + 1]
     count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
     with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
-        each = pool.map(lambda one: _problems(setup, one, own, shared, terms, corrected, loads, count), chosen)
+        each = pool.map(lambda one: _problems(setup, one, own, shared, corrected, loads, count), chosen)
         found = [
             (problem, (recording, span))
             for recording, problems in zip(chosen, each, strict=True)
@@ -106,7 +105,6 @@ def solved(
     corrected: _core.Tree | None = None,
 ) -> PriorFit:
     """The fit that a regression of these equations makes, within the bounds of links that can be."""
-    terms = [term for group in own for term in group] + list(shared)
     excited = regression.used.copy()
     if corrected:
         bound_links(regression, corrected)
@@ -120,8 +118,8 @@ def solved(
     for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
         one = solve_possible(regression.copy(), regression.without(k), ridge, corrected)
         where = [where for _, where in found[k::FOLDS]]
-        left_out.append(LeftOut(_settings(setup, own, shared, terms, corrected, one), where))
-    settings = _settings(setup, own, shared, terms, corrected, solution)
+        left_out.append(LeftOut(_settings(setup, own, shared, corrected, one), where))
+    settings = _settings(setup, own, shared, corrected, solution)
     weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
     moved, moved_errors, moved_shares = [np.zeros((setup.tree.size, 0))] * 3
     held = np.zeros((setup.tree.size, 0), dtype=bool)
@@ -138,7 +136,6 @@ def _problems(
     recording: Recording,
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
-    terms: list[_core.Term],
     corrected: _core.Tree | None,
     loads: Sequence[_core.Link],
     pieces: int,
@@ -153,7 +150,7 @@ def _problems(
         return []
     settings = _core.PriorSettings()
     settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
-    settings.terms = terms
+    settings.terms = terms = [term for group in own for term in group] + list(shared)
     settings.weights = [0.0] * (n * len(terms))
     settings.corrected_links = list(loads)
     values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
@@ -199,14 +196,13 @@ def _settings(
     setup: Setup,
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
-    terms: list[_core.Term],
     corrected: _core.Tree | None,
     solution: np.ndarray,
 ) -> _core.PriorSettings:
     """The prior that these coefficients make."""
     settings = _core.PriorSettings()
     settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
-    settings.terms = terms
+    settings.terms = [term for group in own for term in group] + list(shared)
     settings.weights = _by_joint(setup, own, shared, solution).ravel().tolist()
     if corrected:
         by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from made_arms import planar_rig, urdf
 from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
-from made_recordings import joint_rows, write_bag
+from made_recordings import JOINT_STATES, joint_rows, write_bag
 from test_import_table import files_imported, name_of
 
 import tauext
@@ -34,18 +34,12 @@ from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, reason_an
 from tauext.fleet.workers import LocalWorkers
 from tauext.train.stage import train_bundle
 
-ARM_TOML = """
+ARM_TOML = f"""
 [robot]
 model = "arm.urdf"
 joints = ["shoulder", "elbow"]
 names = ["base", "tip"]
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
-"""
+{JOINT_STATES}"""
 
 
 pytestmark = pytest.mark.usefixtures("undrawn")

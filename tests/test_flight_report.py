@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from made_arms import no_model
 from made_bundles import JOINTS, cut_flight, damaged, pushed, taking_amperes, watching_bundle, with_error_scale
-from made_results import make_recording, run_command
+from made_results import make_recording, run_command, words_of
 
 from tauext import _core
 from tauext.bundle.estimates import COLUMNS, STORED, load_estimates, save_estimates
@@ -60,10 +60,6 @@ def fault(bundle, tmp_path_factory):
 def written(collision, tmp_path_factory):
     """Its page; no test changes it."""
     return write_flight_report(collision, tmp_path_factory.mktemp("written") / "out")
-
-
-def words_of(page: str) -> str:
-    return " ".join(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
 
 
 def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collision, written):

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from made_arms import planar_rig, random_states, six_axis, urdf
+from made_arms import PLANAR_RIG, planar_rig, random_states, six_axis, urdf
 from made_recordings import JOINT_STATES, joint_rows, motion, write_bag
 
 from tauext.cli import main
@@ -21,15 +21,7 @@ from tauext.robot.capsules import link_capsules
 from tauext.robot.load import load_tree, movable_joints
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
-ARM = f"""
-[robot]
-model = "arm.urdf"
-joints = ["shoulder", "elbow"]
-names = ["base", "tip"]
-{{robot}}
-{JOINT_STATES}
-{{rest}}
-"""
+ARM = PLANAR_RIG + "{robot}\n" + JOINT_STATES + "{rest}\n"
 
 
 @pytest.fixture(scope="module")

@@ -129,6 +129,15 @@ def urdf(parts: list[Part], extra: str = "") -> str:
     return "\n".join([*lines, extra, "</robot>"])
 
 
+PLANAR_RIG = """
+[robot]
+model = "arm.urdf"
+joints = ["shoulder", "elbow"]
+names = ["base", "tip"]
+"""
+"""Of arm.toml: the arm below, its joints renamed."""
+
+
 def planar_rig() -> list[Part]:
     """The paper's two links in a vertical plane."""
     return [

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.config import AlarmConfig, PriorConfig, TrainConfig
-from tauext.page.bundles import Lesson
+from tauext import _core
+from tauext.config import AlarmConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.page.bundles import Lesson, practice_recording
+from tauext.robot.load import load_tree
 from tauext.sim.arms import ARMS, DemoArm
 
 SHORT = Lesson(
@@ -32,6 +35,13 @@ def smooth_arm() -> DemoArm:
     seven = ARMS["seven"]()
     little = {"coulomb_nm": 1e-4, "static_nm": 1.2e-4, "viscous_nm_s_rad": 0.0, "ripple_nm": 0.0}
     return replace(seven, friction=tuple(replace(friction, **little) for friction in seven.friction))
+
+
+def smooth_bundle(arm: DemoArm, folder: Path, limit_nm: float) -> tuple[_core.Bundle, _core.Tree]:
+    """An observer of this arm, whose file robot.xml is written into the folder."""
+    (folder / "robot.xml").write_text(arm.xml)
+    tree, free = load_tree(folder / "robot.xml"), practice_recording(arm, 1.0, 0, 0)
+    return make_bundle("free", build_setup(tree, free, ObserverConfig(window_s=0.1)), limit_nm, free), tree
 
 
 CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))

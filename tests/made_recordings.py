@@ -13,6 +13,15 @@ from tauext.data.recording import Recording
 ENCODER_RAD = 2 * np.pi / 2**20
 VELOCITY_RAD_S = 300.0  # cut-off of the drives' velocity filters
 NOISE = 0.01  # of the torque, as a share of its spread
+JOINT_STATES = """
+[signals.q]
+columns = "position"
+[signals.dq]
+columns = "velocity"
+[signals.tau]
+columns = "effort"
+"""
+"""Signals of an arm's description, as JointState messages hold them."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +175,15 @@ def motion(samples: int = 400, rate_hz: float = 100.0, joints: int = 3) -> tuple
     time_s = np.arange(samples)[:, None] / rate_hz
     phase = np.arange(joints)
     return t_ns, np.sin(time_s + phase), np.cos(time_s + phase), 3 * np.sin(2 * time_s + phase) + 0.1 * time_s
+
+
+def smooth_motion(seed: int, samples: int) -> tuple[np.ndarray, ...]:
+    """Positions, velocities and friction's torques of two joints at 1 kHz."""
+    rng = np.random.default_rng(seed)
+    phase, speed = rng.uniform(0, 6, 2), rng.uniform(1, 3, 2)
+    angle = speed * (np.arange(samples) * 1e-3)[:, None] + phase
+    dq = speed * np.cos(angle)
+    return np.sin(angle), dq, 5 * np.tanh(dq / 0.05) + 2 * dq
 
 
 def message(store, stamp_ns: int, names, q, dq, tau, ros1: bool = False, frame: str = ""):

@@ -1,9 +1,10 @@
-"""A made-up dataset and results folder in the real formats: plausible to look at, and true of no robot."""
+"""A made-up dataset and results folder in the real formats, true of no robot; and the command as tests run it."""
 
 from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
@@ -16,6 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.signal import lfilter
 
 from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
+from tauext.cli import main
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
@@ -271,3 +273,19 @@ def undrawn() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FigureCanvasAgg, "print_png", print_pixel)
         yield
+
+
+def words_of(page: str) -> str:
+    """What a reader of the page sees."""
+    return " ".join(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
+
+
+def run_command(capsys, *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of one command."""
+    capsys.readouterr()
+    try:
+        code = main([str(argument) for argument in arguments])
+    except SystemExit as stop:  # the argument parser's own way out
+        code = stop.code or 0
+    out, err = capsys.readouterr()
+    return code, out, err

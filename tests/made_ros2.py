@@ -29,6 +29,23 @@ def until(condition: Callable[[], object], what: str):
     raise AssertionError(f"waited {PATIENCE_S} s for {what}")
 
 
+def own_space(request) -> str:
+    """One for each test, so that no test meets the publishers of another."""
+    return "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+
+
+def reading(peer, topic, of, lasting="volatile"):
+    """A reader that has met its writer."""
+    reader = peer.inbox(topic, of, "reliable", lasting, 64).reader
+    until(reader.get_matched_publications, f"a writer of {topic}")
+    return reader
+
+
+def next_of(reader):
+    (message,) = until(lambda: [m for m in reader.take(1) if m.sample_info.valid_data], "a message")
+    return message
+
+
 class Robot:
     """Publishes joint states as a driver does; each of its messages is one step later than the last."""
 

@@ -61,15 +61,17 @@ class S3:
     def count(self, method: str, key: str) -> int:
         return sum(request.method == method and request.key == key for request in self.requests)
 
-    def environment(self) -> dict[str, str]:
-        """What a process needs to find it."""
-        return {
-            "AWS_ACCESS_KEY_ID": "tester",
-            "AWS_SECRET_ACCESS_KEY": "secret-of-the-tester",
-            "AWS_REGION": "us-east-1",
-            "AWS_EC2_METADATA_DISABLED": "true",
-            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self.port}",
-        }
+
+def s3_environment(port: int) -> dict[str, str]:
+    """What a process needs to find a server on this port; it tries twice."""
+    return {
+        "AWS_ACCESS_KEY_ID": "tester",
+        "AWS_SECRET_ACCESS_KEY": "secret-of-the-tester",
+        "AWS_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",
+        "TAUEXT_STORE_TRIES": "2",
+    }
 
 
 @contextmanager

@@ -53,3 +53,12 @@ def momentum(model, q: np.ndarray, dq: np.ndarray, joints: list[str]) -> tuple[n
         p[k] = mass_matrix @ speed
         beta[k] = pin.computeGeneralizedGravity(model, data, configuration) - coriolis.T @ speed
     return p[:, order], beta[:, order]
+
+
+def frame_jacobian(model, q: np.ndarray, joints: list[str], frame: str, axes) -> np.ndarray:
+    """(6, n), its columns in the order of `joints`."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, configurations(model, q[None], joints)[0])
+    pin.updateFramePlacements(model, data)
+    order = [model.joints[model.getJointId(name)].idx_v for name in joints]
+    return pin.getFrameJacobian(model, data, model.getFrameId(frame, pin.FrameType.BODY), axes)[:, order]

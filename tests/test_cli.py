@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from made_results import undrawn
+from made_results import run_command, undrawn
 
 from tauext import _core
 from tauext.cli import COMMANDS, main
@@ -73,17 +73,6 @@ def done(tmp_path_factory) -> Done:
 @pytest.fixture(scope="module")
 def workplace(done) -> Path:
     return done.folder
-
-
-def run(capsys, *arguments: object) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of one command."""
-    capsys.readouterr()
-    try:
-        code = main([str(a) for a in arguments])
-    except SystemExit as stop:  # the argument parser's own way out
-        code = stop.code or 0
-    out, err = capsys.readouterr()
-    return code, out, err
 
 
 def test_every_command_step_by_step_works_as_written(workplace):
@@ -147,39 +136,39 @@ def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, 
     (tmp_path / "once.toml").write_text("epochs = 1\nbatch = 64\n")
     options = ("--data", data, "--case", "none", "--recipe", "paper", "--config", tmp_path / "once.toml")
     options += ("--max-steps", STEPS)
-    assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
+    assert run_command(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
     assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
 
 
 def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
-    code, out, _ = run(capsys, "show", workplace / "runs/none.tauext")
+    code, out, _ = run_command(capsys, "show", workplace / "runs/none.tauext")
     assert code == 0 and "window_steps 100, step_s 0.01" in out and "joint1" in out and "2202" in out
-    code, out, _ = run(capsys, "show", workplace / "runs/none.tauext", "--json")
+    code, out, _ = run_command(capsys, "show", workplace / "runs/none.tauext", "--json")
     assert json.loads(out)["network"]["hidden"] == 20
-    code, out, _ = run(capsys, "show", workplace / "runs/data/collisions-000.parquet", "--json")
+    code, out, _ = run_command(capsys, "show", workplace / "runs/data/collisions-000.parquet", "--json")
     assert code == 0 and json.loads(out)["rate_hz"] == 1000.0
 
 
 def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     data, out = workplace / "runs/data", tmp_path / "observer.tauext"
-    assert run(capsys, "train", "--data", data, "--recipe", "observer", "--out", out)[0] == 0
+    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", out)[0] == 0
     assert not _core.Bundle.load(str(out)).has_network
-    assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
+    assert run_command(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_answers_for_every_command(capsys, command):
-    code, out, _ = run(capsys, *([command] if command else []), "--help")
+    code, out, _ = run_command(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out
 
 
 def test_train_has_few_options_and_a_file_for_all_settings(capsys):
-    code, text, _ = run(capsys, "train", "--help")
+    code, text, _ = run_command(capsys, "train", "--help")
     options = re.findall(r"^[│ ] {1,2}(--[\w.-]+)", text, flags=re.MULTILINE)
     assert code == 0 and options[:3] == ["--data", "--out", "--config"] and {"--case", "--recipe"} <= set(options)
     assert len(options) < 20 and "--help-config" in text
     assert "a checkpoint beside it is written every 20 s" in " ".join(re.sub(r"[│|]", "", text).split())
-    code, text, _ = run(capsys, "train", "--help-config")
+    code, text, _ = run_command(capsys, "train", "--help-config")
     keys = tomllib.loads(re.sub(r"^# (\w+ = .+  #)", r"\1", text, flags=re.MULTILINE))
     assert code == 0 and settings_of(TrainConfig, keys, "all") == TrainConfig()
     for name in (*field_help(TrainConfig), *field_help(AlarmConfig), *field_help(DriftConfig)):
@@ -210,7 +199,7 @@ BAD_KEYS = [
 def test_a_wrong_key_of_the_file_is_refused_in_one_line(tmp_path, capsys, text, options, says):
     (tmp_path / "study.toml").write_text(text)
     arguments = ("--data", "x", "--out", "a.tauext", "--config", tmp_path / "study.toml", *options)
-    code, _, err = run(capsys, "train", *arguments)
+    code, _, err = run_command(capsys, "train", *arguments)
     assert code == 2 and len(err.splitlines()) == 1 and says in err
 
 
@@ -254,7 +243,7 @@ def test_wrong_input_gets_one_line_that_says_what_is_wrong_and_exit_code_2(
         '<inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
     )
     paths = {"data": workplace / "runs/data", "other": "other.xml", "broken": "broken.tauext"}
-    code, out, err = run(capsys, *(a.format(**paths) for a in arguments))
+    code, out, err = run_command(capsys, *(a.format(**paths) for a in arguments))
     assert code == 2 and out == ""
     assert len(err.strip().splitlines()) == 1, err
     assert err.startswith("tauext: error: ")
@@ -264,7 +253,7 @@ def test_wrong_input_gets_one_line_that_says_what_is_wrong_and_exit_code_2(
 
 @pytest.mark.parametrize("arguments", [("trian",), ("train", "--dta", "x"), ("train", "--data", "x", "--case", "bent")])
 def test_a_mistyped_command_option_or_choice_exits_with_2(capsys, arguments):
-    code, out, err = run(capsys, *arguments)
+    code, out, err = run_command(capsys, *arguments)
     assert code == 2 and out == "" and arguments[-1] in err
 
 
@@ -286,10 +275,10 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
             return step(*arguments)
 
         patch.setattr(_core, "lstm_gradient", interrupted)
-        code, _, err = run(capsys, *options)
+        code, _, err = run_command(capsys, *options)
     assert code == 130 and "goes on from there" in err
     assert (tmp_path / "none.checkpoint.npz").exists() and not out.exists()
-    assert run(capsys, *options)[0] == 0
+    assert run_command(capsys, *options)[0] == 0
     assert out.read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
     assert not (tmp_path / "none.checkpoint.npz").exists()
 

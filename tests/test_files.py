@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from made_arms import PLANAR_MJCF
 from made_fleets import moving, workers_here
-from made_s3 import S3, Request, s3_server
+from made_s3 import S3, Request, s3_environment, s3_server
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
@@ -40,10 +40,9 @@ def s3(monkeypatch, tmp_path, own_cache):
         folder.mkdir(parents=True, exist_ok=True)
     (tmp_path / "cache/tauext/looks").symlink_to(own_cache / "tauext/looks")
     with s3_server() as server:
-        for name, value in server.environment().items():
+        for name, value in s3_environment(server.port).items():
             monkeypatch.setenv(name, value)
         monkeypatch.setenv("TAUEXT_STORE_STALL_S", "60")  # no machine is so slow
-        monkeypatch.setenv("TAUEXT_STORE_TRIES", "2")
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
         yield server
 

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from made_arms import PLANAR_MJCF
 from made_fleets import moving
+from made_s3 import s3_environment
 
 from tauext.cli import main
 from tauext.data.dataset import Split, load_dataset, save_split
@@ -67,16 +68,8 @@ class Gateway:
 @pytest.fixture
 def gateway(tmp_path, monkeypatch):
     gateway = Gateway(tmp_path / "objects")
-    for name, value in {
-        "AWS_ACCESS_KEY_ID": "tester",
-        "AWS_SECRET_ACCESS_KEY": "secret-of-the-tester",
-        "AWS_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{gateway.port}",
-        "TAUEXT_STORE_STALL_S": "1",
-        "TAUEXT_STORE_TRIES": "2",
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-    }.items():
+    more = {"TAUEXT_STORE_STALL_S": "1", "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for name, value in (s3_environment(gateway.port) | more).items():
         monkeypatch.setenv(name, value)
     yield gateway
     gateway.kill()

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_arms import planar_rig, urdf
+from made_arms import PLANAR_RIG, planar_rig, urdf
 from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
-from made_recordings import joint_rows, write_bag
+from made_recordings import JOINT_STATES, joint_rows, write_bag
 from test_import_table import files_imported, name_of
 
 import tauext
@@ -33,20 +33,6 @@ from tauext.fleet.stages import STAGES
 from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, reason_and_report, run_task
 from tauext.fleet.workers import LocalWorkers
 from tauext.train.stage import train_bundle
-
-ARM_TOML = """
-[robot]
-model = "arm.urdf"
-joints = ["shoulder", "elbow"]
-names = ["base", "tip"]
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
-"""
-
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -67,7 +53,7 @@ def place(tmp_path, data, whole_bag):
     """A folder with the dataset, a robot file, its description, and two bags, of which one is cut off."""
     (tmp_path / "data").symlink_to(data)
     (tmp_path / "arm.urdf").write_text(urdf(planar_rig()))
-    (tmp_path / "arm.toml").write_text(ARM_TOML)
+    (tmp_path / "arm.toml").write_text(PLANAR_RIG + JOINT_STATES)
     raw = whole_bag.read_bytes()
     (tmp_path / "whole.bag").write_bytes(raw)
     (tmp_path / "broken.bag").write_bytes(raw[: len(raw) // 2])
@@ -309,7 +295,7 @@ def test_a_full_disk_is_reported_with_the_file(tmp_path):
 
 def test_the_example_is_a_fleet(tmp_path, data):
     for name in ("ur10e.toml", "cell-02.toml"):
-        (tmp_path / name).write_text(ARM_TOML)
+        (tmp_path / name).write_text(PLANAR_RIG + JOINT_STATES)
     (tmp_path / "arm.urdf").write_text(urdf(planar_rig()))
     for folder in ("bags/cell-01", "bags/cell-02", "datasets"):
         (tmp_path / folder).mkdir(parents=True)

@@ -11,11 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from made_arms import no_model
 from made_bundles import JOINTS, cut_flight, damaged, pushed, taking_amperes, watching_bundle, with_error_scale
-from made_results import make_recording
+from made_results import make_recording, run_command, words_of
 
 from tauext import _core
 from tauext.bundle.estimates import COLUMNS, STORED, load_estimates, save_estimates
-from tauext.cli import main
 from tauext.config import ObserverConfig
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.servo import in_amperes
@@ -61,10 +60,6 @@ def fault(bundle, tmp_path_factory):
 def written(collision, tmp_path_factory):
     """Its page; no test changes it."""
     return write_flight_report(collision, tmp_path_factory.mktemp("written") / "out")
-
-
-def words_of(page: str) -> str:
-    return " ".join(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
 
 
 def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collision, written):
@@ -190,10 +185,7 @@ def test_names_are_text_and_never_markup(bundle, tmp_path, undrawn):
 
 
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
-    capsys.readouterr()
-    code = main(["report", *map(str, arguments)])
-    out, err = capsys.readouterr()
-    return code, out, err
+    return run_command(capsys, "report", *arguments)
 
 
 def test_the_command_prints_the_page_and_takes_the_newest_flight_of_a_folder(

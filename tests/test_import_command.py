@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from made_arms import planar_rig, random_states, six_axis, urdf
-from made_recordings import joint_rows, motion, write_bag
+from made_arms import PLANAR_RIG, planar_rig, random_states, six_axis, urdf
+from made_recordings import JOINT_STATES, joint_rows, motion, write_bag
 
 from tauext.cli import main
 from tauext.data.dataset import load_split
@@ -21,20 +21,7 @@ from tauext.robot.capsules import link_capsules
 from tauext.robot.load import load_tree, movable_joints
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
-ARM = """
-[robot]
-model = "arm.urdf"
-joints = ["shoulder", "elbow"]
-names = ["base", "tip"]
-{robot}
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
-{rest}
-"""
+ARM = PLANAR_RIG + "{robot}\n" + JOINT_STATES + "{rest}\n"
 
 
 @pytest.fixture(scope="module")

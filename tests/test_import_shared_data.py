@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_recordings import JOINT_STATES
 
 from tauext.data.assemble import assemble
 from tauext.data.description import parse_arm
@@ -20,14 +21,6 @@ from tauext.robot.load import load_tree
 SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
 
-STATES = """
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
-"""
 UR_JOINTS = (
     '["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]'
 )
@@ -36,11 +29,11 @@ UR3 = f"""
 [robot]
 joints = {UR_JOINTS}
 names = ["Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3"]
-{STATES}
+{JOINT_STATES}
 sign = -1
 """
-UR10 = f"[robot]\njoints = {UR_JOINTS}\n{STATES}"
-PANDA = f"[robot]\njoints = {PANDA_JOINTS}\nnames = {[f'fer_joint{k}' for k in range(1, 8)]}\n{STATES}"
+UR10 = f"[robot]\njoints = {UR_JOINTS}\n{JOINT_STATES}"
+PANDA = f"[robot]\njoints = {PANDA_JOINTS}\nnames = {[f'fer_joint{k}' for k in range(1, 8)]}\n{JOINT_STATES}"
 TOUCHED_PANDA = f"""
 [robot]
 joints = {PANDA_JOINTS}

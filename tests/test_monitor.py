@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from made_arms import ROTOR_INERTIA, planar_arm
+from made_recordings import smooth_motion
 
 from tauext import _core
 from tauext.config import AlarmConfig, ObserverConfig
@@ -18,12 +19,7 @@ HIDDEN, GAIN_PER_S = 20, 20.0
 
 def recording(seed: int, samples: int = 2500, push_nm: float = 0.0) -> Recording:
     """A smooth motion of two joints at 1 kHz; a push on the elbow from sample 1800 to 1900."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(samples) * 1e-3
-    phase, speed = rng.uniform(0, 6, 2), rng.uniform(1, 3, 2)
-    q = np.sin(speed * t[:, None] + phase)
-    dq = speed * np.cos(speed * t[:, None] + phase)
-    tau = 5 * np.tanh(dq / 0.05) + 2 * dq
+    q, dq, tau = smooth_motion(seed, samples)
     tau[1800:1900, 1] += push_nm
     signals = {"t_ns": np.arange(samples, dtype=np.int64) * 1_000_000, "q": q, "dq": dq, "tau": tau}
     meta = {"rate_hz": 1000.0, "torque_timing": "held", "source": "test", "robot_sha256": ""}

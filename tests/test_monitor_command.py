@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import pushed, watching_bundle
+from made_results import run_command
 
 from tauext.cli import main
 from tauext.cli.monitor_output import Aside
@@ -35,13 +36,7 @@ def place(tmp_path, monkeypatch):
 
 def monitor(capsys, *arguments: object) -> tuple[int, str, str]:
     """Exit code, stdout and stderr."""
-    capsys.readouterr()
-    try:
-        code = main(["monitor", *map(str, arguments)])
-    except SystemExit as stop:
-        code = stop.code or 0
-    out, err = capsys.readouterr()
-    return code, out, err
+    return run_command(capsys, "monitor", *arguments)
 
 
 SOURCE = ("watching.tauext", "--source", "replay:pushed.parquet", "--speed", "1000")

@@ -10,12 +10,12 @@ import pinocchio_oracle as oracle
 import pytest
 from made_arms import planar_arm, regular_times, settings
 from made_bundles import SEVEN_AXIS, planar_tool_bundle, pushed, watching_bundle, with_error_scale
+from made_results import run_command
 from scipy.spatial import HalfspaceIntersection
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import load_estimates
-from tauext.cli import main
 from tauext.config import ObserverConfig
 from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError
@@ -131,16 +131,11 @@ def test_levers_are_pinocchio_s_at_a_frame_of_the_robot_file():
     bundle.wrench_settings = asked
     told(bundle)
     pin, arm = oracle.pin, oracle.read_model(SEVEN_AXIS.read_text())
-    data, joints = arm.createData(), [link.joint_name for link in tree.links]
-    order = [arm.joints[arm.getJointId(name)].idx_v for name in joints]
+    joints = [link.joint_name for link in tree.links]
     limit, rng = np.array([8.0, 9.0, 6.0, 5.0, 2.0, 2.0, 1.0]), np.random.default_rng(4)
     frame = asked.frames[-1]
     for q in rng.uniform(-2, 2, (5, 7)):
-        configuration = oracle.configurations(arm, q[None], joints)[0]
-        pin.computeJointJacobians(arm, data, configuration)
-        pin.updateFramePlacements(arm, data)
-        which = arm.getFrameId(frame.name, pin.FrameType.BODY)
-        J = pin.getFrameJacobian(arm, data, which, pin.LOCAL_WORLD_ALIGNED)[:3, order]
+        J = oracle.frame_jacobian(arm, q, joints, frame.name, pin.LOCAL_WORLD_ALIGNED)[:3]
         found = at_poses(bundle, q, limit, frames=[frame.name])
         for axis, row in zip("xyz", J, strict=True):
             wanted = 1 / np.abs(row / limit).max()
@@ -241,9 +236,7 @@ def kept(arm_bundle, tmp_path) -> str:
 
 
 def show(capsys, *arguments) -> tuple[int, str, str]:
-    code = main(["show", *map(str, arguments)])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return run_command(capsys, "show", *arguments)
 
 
 def test_show_force_tells_it_in_lines_and_as_json(kept, arm_bundle, capsys):

@@ -6,18 +6,15 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from made_page import SHORT, smooth_arm
+from made_page import SHORT, smooth_arm, smooth_bundle
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
-from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.page.bundles import bundle_folder, practice_recording
+from tauext.page.bundles import bundle_folder
 from tauext.page.headless import carried_weights, describe_weights
 from tauext.page.panel import hand_text
 from tauext.page.simulation import EVERY_S, LEAST_S, WEIGHED_S, Simulation, Weigher, weigh, weighed_words
 from tauext.page.snapshot import Held, ball
-from tauext.robot.load import load_tree
 from tauext.sim.arms import ARMS
 from tauext.sim.plant import Mover, Plant
 
@@ -34,10 +31,7 @@ def arm():
 def bundles(arm, tmp_path_factory):
     """An observer that may be told of loads, and one that may not."""
     folder = tmp_path_factory.mktemp("hand")
-    robot = folder / "robot.xml"
-    robot.write_text(arm.xml)
-    free = practice_recording(arm, 1.0, 0, 0)
-    bundle = make_bundle("free", build_setup(load_tree(robot), free, ObserverConfig(window_s=0.1)), LIMIT_NM, free)
+    bundle, _ = smooth_bundle(arm, folder, LIMIT_NM)
     bundle.assume_load()
     bundle.save(str(folder / "tauext.tauext"))
     settings = bundle.load_settings

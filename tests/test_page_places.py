@@ -5,17 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_bundles import constant_error_scale
-from made_page import smooth_arm
+from made_page import smooth_arm, smooth_bundle
 
 from tauext import _core
-from tauext.config import ObserverConfig
-from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.page.bundles import practice_recording
 from tauext.page.drawing import PlaceDrawing, span
 from tauext.page.simulation import Simulation
 from tauext.page.snapshot import Place, Placed, Places, Verdict, outward, place_words
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree
 
 LIMIT_NM, SIGMA_NM = 3.0, 0.3
 
@@ -29,13 +25,10 @@ def arm():
 def bundles(arm, tmp_path_factory):
     """An observer that says how sure it is, and one that does not."""
     folder = tmp_path_factory.mktemp("places")
-    robot = folder / "robot.xml"
-    robot.write_text(arm.xml)
-    tree, free = load_tree(robot), practice_recording(arm, 1.0, 0, 0)
-    bundle = make_bundle("free", build_setup(tree, free, ObserverConfig(window_s=0.1)), LIMIT_NM, free)
+    bundle, tree = smooth_bundle(arm, folder, LIMIT_NM)
     bundle.save(str(folder / "deaf.tauext"))
     bundle.error_scale = constant_error_scale([SIGMA_NM] * tree.size)
-    bundle.capsules = link_capsules(robot, tree)[0]
+    bundle.capsules = link_capsules(folder / "robot.xml", tree)[0]
     bundle.save(str(folder / "tauext.tauext"))
     return {name: str(folder / f"{name}.tauext") for name in ("tauext", "deaf")}
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_results import SEVEN_BUNDLES, make_results
+from made_results import SEVEN_BUNDLES, make_results, words_of
 from made_results import undrawn as no_pictures
 
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
@@ -102,10 +102,6 @@ def change(results, edit) -> None:
 
 def page_of(results) -> str:
     return render_page(load_results(results), NO_FIGURES)
-
-
-def words_of(page: str) -> str:
-    return " ".join(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
 
 
 # The whole report

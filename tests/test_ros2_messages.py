@@ -6,32 +6,13 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("cyclonedds")
 
-from tauext.sources import ros2_messages
-from tauext.sources.ros2_messages import (
-    GRAPH_TYPES,
-    TYPE_HASHES,
-    Bool,
-    DiagnosticArray,
-    DiagnosticStatus,
-    Float64MultiArray,
-    Header,
-    Inertia,
-    JointState,
-    KeyValue,
-    MultiArrayDimension,
-    MultiArrayLayout,
-    String,
-    Time,
-    Vector3,
-    Wrench,
-    WrenchStamped,
-)
+from tauext.sources import ros2_messages as msg
 
 STORES = {16: get_typestore(Stores.ROS2_JAZZY), 24: get_typestore(Stores.ROS2_HUMBLE)}
 
 
 def graph_message(size):
-    gid, entities, info = GRAPH_TYPES[size]
+    gid, entities, info = msg.GRAPH_TYPES[size]
 
     def made(first):
         return gid(bytes((first + k) % 256 for k in range(size)))
@@ -40,29 +21,36 @@ def graph_message(size):
 
 
 MADE = {
-    "time": Time(-3, 999_999_999),
-    "header": Header(Time(1_700_000_000, 5), "base_link"),
-    "joint state": JointState(
-        Header(Time(1, 2), "b"), ["shoulder", "ell", "ü", ""], [0.1, -2.5, 1e300, 0.0], [float("inf")], [5e-324] * 3
+    "time": msg.Time(-3, 999_999_999),
+    "header": msg.Header(msg.Time(1_700_000_000, 5), "base_link"),
+    "joint state": msg.JointState(
+        msg.Header(msg.Time(1, 2), "b"),
+        ["shoulder", "ell", "ü", ""],
+        [0.1, -2.5, 1e300, 0.0],
+        [float("inf")],
+        [5e-324] * 3,
     ),
-    "no joint": JointState(),
-    "true": Bool(True),
-    "false": Bool(False),
-    "string": String("slow and careful"),
-    "no string": String(),
-    "inertia": Inertia(2.5, Vector3(0.1, -0.2, 0.3), 0.01, 0.001, -0.002, 0.02, 0.003, 0.03),
-    "wrench": WrenchStamped(Header(Time(1, 2), "tool0"), Wrench(Vector3(1.0, -2.0, 3.5), Vector3(0.1, 0.2, -0.3))),
-    "covariance": Float64MultiArray(
-        MultiArrayLayout([MultiArrayDimension("x y", 2, 4), MultiArrayDimension("x y", 2, 2)]), [4.0, 0.5, 0.5, 9.0]
+    "no joint": msg.JointState(),
+    "true": msg.Bool(True),
+    "false": msg.Bool(False),
+    "string": msg.String("slow and careful"),
+    "no string": msg.String(),
+    "inertia": msg.Inertia(2.5, msg.Vector3(0.1, -0.2, 0.3), 0.01, 0.001, -0.002, 0.02, 0.003, 0.03),
+    "wrench": msg.WrenchStamped(
+        msg.Header(msg.Time(1, 2), "tool0"), msg.Wrench(msg.Vector3(1.0, -2.0, 3.5), msg.Vector3(0.1, 0.2, -0.3))
     ),
-    "key and value": KeyValue("limit_nm a", "3.5"),
-    "diagnostics": DiagnosticArray(
-        Header(Time(7, 8)),
+    "covariance": msg.Float64MultiArray(
+        msg.MultiArrayLayout([msg.MultiArrayDimension("x y", 2, 4), msg.MultiArrayDimension("x y", 2, 2)]),
+        [4.0, 0.5, 0.5, 9.0],
+    ),
+    "key and value": msg.KeyValue("limit_nm a", "3.5"),
+    "diagnostics": msg.DiagnosticArray(
+        msg.Header(msg.Time(7, 8)),
         [
-            DiagnosticStatus(
-                ros2_messages.STALE, "tauext: arm", "fault: gap", "/x", [KeyValue("a", "b"), KeyValue("", "c")]
+            msg.DiagnosticStatus(
+                msg.STALE, "tauext: arm", "fault: gap", "/x", [msg.KeyValue("a", "b"), msg.KeyValue("", "c")]
             ),
-            DiagnosticStatus(ros2_messages.OK, "n"),
+            msg.DiagnosticStatus(msg.OK, "n"),
         ],
     ),
     "nodes": graph_message(16),
@@ -89,7 +77,7 @@ def as_rosbags(value, store):
 def as_rosbags_message(message):
     store = STORES[24 if type(message).__name__.startswith("Long") else 16]
     made = as_rosbags(message, store)
-    if isinstance(message, JointState):  # an empty list of numbers does not tell its type
+    if isinstance(message, msg.JointState):  # an empty list of numbers does not tell its type
         for field in ("position", "velocity", "effort"):
             setattr(made, field, np.array(getattr(message, field), dtype=np.float64))
     return store, made
@@ -107,17 +95,17 @@ def test_bytes_of_rosbags_are_read(message):
     assert type(message).deserialize(bytes(store.serialize_cdr(made, name_of(type(message))))) == message
 
 
-@pytest.mark.parametrize("kind", TYPE_HASHES, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", msg.TYPE_HASHES, ids=lambda kind: kind.__name__)
 def test_hashes_are_those_that_follow_from_the_definitions(kind):
-    assert STORES[16].hash_rihs01(name_of(kind)) == f"RIHS01_{TYPE_HASHES[kind]}"
+    assert STORES[16].hash_rihs01(name_of(kind)) == f"RIHS01_{msg.TYPE_HASHES[kind]}"
 
 
 @pytest.mark.parametrize("t_ns", [0, 1, -1, 1_700_000_000_123_456_789, -5_000_000_001])
 def test_times_hold_every_nanosecond_before_and_after_1970(t_ns):
-    time = Time.of_ns(t_ns)
+    time = msg.Time.of_ns(t_ns)
     assert time.ns == t_ns and 0 <= time.nanosec < 10**9
 
 
 def test_times_outside_of_the_message_are_cut():
-    assert Time.of_ns(2**40 * 10**9).sec == 2**31 - 1
-    assert Time.of_ns(-(2**40) * 10**9).sec == -(2**31)
+    assert msg.Time.of_ns(2**40 * 10**9).sec == 2**31 - 1
+    assert msg.Time.of_ns(-(2**40) * 10**9).sec == -(2**31)

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from made_ros2 import DOMAIN, until
+from made_ros2 import DOMAIN, next_of, own_space, reading, until
 
 pytest.importorskip("cyclonedds")
 
@@ -121,7 +121,7 @@ def report(rate_hz=1000.0, profile="", **counts):
 
 @pytest.fixture
 def space(request):
-    return "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+    return own_space(request)
 
 
 @pytest.fixture
@@ -142,18 +142,6 @@ def talking(settings):
 @pytest.fixture
 def peer(settings):
     return Node(Ros2Settings(domain=DOMAIN, node="peer", namespace=settings.namespace + "_peer"))
-
-
-def reading(peer, topic, of, lasting="volatile"):
-    """A reader that has met its writer."""
-    reader = peer.inbox(topic, of, "reliable", lasting, 64).reader
-    until(reader.get_matched_publications, f"a writer of {topic}")
-    return reader
-
-
-def next_of(reader):
-    (message,) = until(lambda: [m for m in reader.take(1) if m.sample_info.valid_data], "a message")
-    return message
 
 
 def statuses(reader):

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from made_ros2 import DOMAIN, Robot, until
+from made_ros2 import DOMAIN, Robot, own_space, until
 
 pytest.importorskip("cyclonedds")
 
@@ -23,8 +23,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def topic(request):
-    """One for each test, so that no test meets the publishers of another."""
-    return "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+    return own_space(request)
 
 
 @pytest.fixture

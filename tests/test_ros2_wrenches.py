@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_ros2 import DOMAIN, until
+from made_ros2 import DOMAIN, next_of, own_space, reading
 
 pytest.importorskip("cyclonedds")
 
@@ -46,24 +46,14 @@ def verdict(tau=TAU, sample=True):
 
 @pytest.fixture
 def talking(request, bundle):
-    space = "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+    space = own_space(request)
     settings = Ros2Settings(namespace=space, domain=DOMAIN, wrench_frames=("elbow", "tip/1"))
     source, publisher = connect(settings, bundle)
     publisher.open(JOINTS, None)
     peer = Node(Ros2Settings(domain=DOMAIN, node="peer", namespace=space + "_peer"))
 
-    def reading(name, of):
-        reader = peer.inbox(f"{space}/{name}", of, "reliable", "volatile", 8).reader
-        until(reader.get_matched_publications, f"a writer of {name}")
-        return reader
-
-    yield source, publisher, reading
+    yield source, publisher, lambda name, of: reading(peer, f"{space}/{name}", of)
     publisher.close()
-
-
-def next_of(reader):
-    (message,) = until(lambda: [m for m in reader.take(1) if m.sample_info.valid_data], "a message")
-    return message
 
 
 def numbers(vector):

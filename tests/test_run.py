@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, watching_bundle, with_error_scale
+from made_results import run_command
 from rich.console import Console
 
 from tauext import _core
 from tauext.bundle.estimates import HEALTHS, OK, WARMING_UP, load_estimates
-from tauext.cli import main
 from tauext.cli.live_view import LiveView, bar
 from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording, save_recording
@@ -49,13 +49,7 @@ def place(tmp_path, bundle):
 
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of `tauext run`."""
-    capsys.readouterr()
-    try:
-        code = main(["run", *map(str, arguments)])
-    except SystemExit as stop:
-        code = stop.code or 0
-    out, err = capsys.readouterr()
-    return code, out, err
+    return run_command(capsys, "run", *arguments)
 
 
 def faulty():

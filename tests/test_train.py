@@ -7,6 +7,7 @@ import signal
 import numpy as np
 import pytest
 from made_arms import planar_arm
+from made_recordings import smooth_motion
 
 from tauext import _core
 from tauext.config import ObserverConfig, TrainConfig
@@ -24,12 +25,8 @@ SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 
 def recording(seed: int, seconds: float = 4.0, missing: slice | None = None, **changes) -> Recording:
     """A smooth motion of two joints with a torque that holds friction: something to learn."""
-    rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * 1000)) * 1e-3
-    phase, speed = rng.uniform(0, 6, 2), rng.uniform(1, 3, 2)
-    q = np.sin(speed * t[:, None] + phase)
-    dq = speed * np.cos(speed * t[:, None] + phase)
-    tau = 5 * np.tanh(dq / 0.05) + 2 * dq
+    q, dq, tau = smooth_motion(seed, len(t))
     keep = np.ones(len(t), dtype=bool)
     if missing:
         keep[missing] = False

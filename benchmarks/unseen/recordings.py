@@ -126,7 +126,6 @@ def description(maker: Maker, seed: int, model: bool, takes: Sequence[Take] = ()
     warm = '[signals.temperature]\ncolumns = "temperature_{joint}"\nunit = "degC"\n' if temperature else ""
     constants = told_constants(maker, seed, model)
     numbers = ", ".join(f'"{number}"' for number in range(1, len(maker.joints) + 1))
-    by_part = {part: [f"{t.name}.csv" for t in takes if t.part == part] for part in ("train", "test", "collisions")}
     return f"""\
 [robot]
 model = {json.dumps(str(maker.model.resolve()) if model else "")}
@@ -152,12 +151,15 @@ torque_constant = {json.dumps(constants)}
 [contact]
 column = "touched"
 
-[split]
-train = {json.dumps(by_part["train"])}
-validation = []
-test = {json.dumps(by_part["test"])}
-collisions = {json.dumps(by_part["collisions"])}
-"""
+{split_text(takes, ".csv")}"""
+
+
+def split_text(takes: Sequence[Take], ending: str) -> str:
+    """[split] of arm.toml: the files of the takes, by their parts."""
+    lines = ["[split]"]
+    for part in ("train", "validation", "test", "collisions"):
+        lines.append(f"{part} = {json.dumps([take.name + ending for take in takes if take.part == part])}")
+    return "\n".join(lines) + "\n"
 
 
 def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from tauext.sim.contacts import log_uniform
 from tauext.sim.rig import encoder
 from unseen.arms import Maker, direction
-from unseen.recordings import Take
+from unseen.recordings import Take, split_text
 from unseen.servos import COUNTS, TICKS_HZ, ServoArm, ServoRun, Touch, simulate_servos
 from unseen.simulation import draw_motion
 
@@ -99,7 +99,6 @@ def description(maker: Maker, takes: Sequence[Take], source: str, model: bool, l
         source: of the torque, as [servo] names it; "linear": the signed current times a constant.
         linear: that constant, [N m/A], one a joint.
     """
-    names = {p: [f"{take.name}.parquet" for take in takes if take.part == p] for p in ("train", "test", "collisions")}
     torque = f'[servo]\ntype = "sts3215-7.4v"\ntorque_from = "{source}"\n'
     if source == "linear":
         torque = '[signals.tau]\ncolumns = "signed_{joint}"\nunit = "A"\n'
@@ -137,9 +136,4 @@ unit = "Nm"
 [contact]
 column = "touched"
 
-[split]
-train = {json.dumps(names["train"])}
-validation = []
-test = {json.dumps(names["test"])}
-collisions = {json.dumps(names["collisions"])}
-"""
+{split_text(takes, ".parquet")}"""

@@ -47,21 +47,9 @@ column = "t"
 unit = "s"
 """
 ARRAYS = ARM.replace("_{joint}", "")
-TOPICS = """[robot]
-model = "robot.xml"
-joints = ["joint1", "joint2"]
-[split]
-gap_s = 0.0
-[signals.q]
-columns = "position"
-unit = "rad"
-[signals.dq]
-columns = "velocity"
-unit = "rad/s"
-[signals.tau]
-columns = "effort"
-unit = "Nm"
-"""
+TOPICS = (
+    ARRAYS.split("[time]")[0].replace('"q"', '"position"').replace('"dq"', '"velocity"').replace('"tau"', '"effort"')
+)
 FLEET = """stages = ["train"]
 [train]
 recipe = "observer"

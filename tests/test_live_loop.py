@@ -10,10 +10,11 @@ from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
 
 from tauext import _core
+from tauext.bundle.estimates import COLLISION, FAULT, OK, STALE
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import in_amperes
 from tauext.errors import ConfigError, TauextError
-from tauext.monitor.changes import COLLISION, FAULT, OK, STALE, AlarmChange, HealthChange
+from tauext.monitor.changes import AlarmChange, HealthChange
 from tauext.monitor.control_lines import ControlSocket, obey
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings

@@ -20,12 +20,12 @@ from made_results import run_command
 from rich.console import Console
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, OK, WARMING_UP, load_estimates
+from tauext.bundle.estimates import ALARMS, HEALTHS, OK, TOUCHES, WARMING_UP, load_estimates
 from tauext.cli.live_view import LiveView, bar
 from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.monitor.changes import ALARMS, TOUCHES, AlarmChange, ChangeFinder, HiddenCollision, TouchChange
+from tauext.monitor.changes import AlarmChange, ChangeFinder, HiddenCollision, TouchChange
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
 from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight

@@ -10,10 +10,10 @@ import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
-from tauext.bundle.estimates import COLUMNS
+from tauext.bundle.estimates import COLUMNS, TOUCHES
 from tauext.cli.text_lines import touch_words
 from tauext.errors import ConfigError
-from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
+from tauext.monitor.changes import ChangeFinder, TouchChange
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.replay import replay

@@ -19,7 +19,13 @@ from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 HEALTHS = ("warming up", "ok", "stale", "fault")
 """By the core's number."""
 WARMING_UP, OK, STALE, FAULT = range(4)  # health
-CONTACT, COLLISION = 1, 2  # alarm
+ALARMS = ("none", "contact", "collision")
+"""By the core's number."""
+NONE, CONTACT, COLLISION = range(3)  # alarm
+TOUCHES: tuple[str, ...] = tuple(touch.name for touch in _core.Touch)
+"""Kinds of touch, by the core's number."""
+FIRST_KIND = TOUCHES.index("impact")
+"""The kinds before it are none and unknown."""
 
 
 @dataclass(frozen=True)

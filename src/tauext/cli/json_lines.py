@@ -7,13 +7,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from tauext._core import Bundle, cause_names
-from tauext.bundle.estimates import HEALTHS, number
+from tauext.bundle.estimates import ALARMS, HEALTHS, TOUCHES, number
 from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
 from tauext.monitor.changes import (
-    ALARMS,
-    TOUCHES,
     AlarmChange,
     Change,
     DriftChange,

@@ -12,11 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from tauext._core import cause_names
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import ALARMS, HEALTHS
 from tauext.bundle.units import SEVERAL, of_all, short
 from tauext.cli.text_lines import TextLines
 from tauext.files.places import Place
-from tauext.monitor.changes import ALARMS
 from tauext.monitor.explanation import readable
 from tauext.monitor.replay import Chunk, Tally
 

@@ -10,15 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tauext._core import Bundle, cause_names
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, TOUCHES
 from tauext.bundle.units import short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.files.places import Place
 from tauext.monitor.changes import (
-    ALARMS,
-    COLLISION,
-    TOUCHES,
     AlarmChange,
     Change,
     DriftChange,

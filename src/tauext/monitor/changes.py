@@ -6,16 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext._core import Load, LoadFound, Touch
-
-ALARMS = ("none", "contact", "collision")
-"""By the core's number."""
-TOUCHES: tuple[str, ...] = tuple(touch.name for touch in Touch)
-"""Kinds of touch, by the core's number."""
-FIRST_KIND = TOUCHES.index("impact")
-"""The kinds before it are none and unknown."""
-WARMING_UP, OK, STALE, FAULT = range(4)
-NONE, CONTACT, COLLISION = range(3)
+from tauext._core import Load, LoadFound
+from tauext.bundle.estimates import COLLISION, CONTACT, FIRST_KIND, NONE, WARMING_UP
 
 
 def with_article(kind: str) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 
 from tauext import _core
 from tauext._core import PlaceModel
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK, TOUCHES
 from tauext.bundle.units import short
 from tauext.errors import RecordingError
-from tauext.monitor.changes import CONTACT, FAULT, FIRST_KIND, NONE, OK, TOUCHES, with_article
+from tauext.monitor.changes import with_article
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words, strongest_place

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, Estimates, lacking, number, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, Estimates, lacking, number, told_torques
 from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
-from tauext.monitor.changes import ALARMS, COLLISION, FAULT
 
 Flight = dict[str, Any]
 """As FlightRecorder.take gives it."""

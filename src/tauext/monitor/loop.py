@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import COLLISION
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.monitor.changes import COLLISION, LoadChange, WeighChange
+from tauext.monitor.changes import LoadChange, WeighChange
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceFinder

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tauext.bundle.estimates import TOUCHES
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import Key, flag, names, number, read_table, read_toml, tables, text
-from tauext.monitor.changes import TOUCHES
 from tauext.monitor.sink import EVENT_KINDS, EventKind
 
 TEMPLATE = """

@@ -13,13 +13,13 @@ from typing import Any, cast
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import NONE, OK
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import VERSION
-from tauext.monitor.changes import NONE, OK
 from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict

@@ -11,19 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES, told_torques
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import (
-    ALARMS,
-    COLLISION,
-    NONE,
-    TOUCHES,
-    AlarmChange,
-    Change,
-    ChangeFinder,
-    HiddenCollision,
-    LoadChange,
-)
+from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenCollision, LoadChange
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.places import PlaceFinder

@@ -10,7 +10,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from tauext._core import Load
-from tauext.monitor.changes import COLLISION, FAULT, NONE, OK, AlarmChange, Change, HealthChange, TouchChange
+from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
+from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceChange, newtons, place_facts
 from tauext.monitor.replay import sample_facts

@@ -15,11 +15,10 @@ from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
 from tauext import _core
 from tauext._core import Load
-from tauext.bundle.estimates import HEALTHS, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, told_torques
+from tauext.bundle.estimates import OK as HEALTHY
+from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
-from tauext.monitor.changes import ALARMS, COLLISION, FAULT, NONE
-from tauext.monitor.changes import OK as HEALTHY
-from tauext.monitor.changes import STALE as HEALTH_STALE
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
 from tauext.monitor.sink import Control, Event, LoopReport, Verdict
 from tauext.monitor.source import Sample

@@ -265,7 +265,7 @@ def test_every_column_of_the_table_is_in_the_file_or_in_messages(collision):
     stored = {f"{c.name}_{JOINTS[0]}" if c.per_joint else c.name for c in STORED}
     lacking = ("prior", "drift", "sigma_nm", "contact_sigma_nm")  # as its bundle has none of them
     assert stored - names == {f"{name}_{JOINTS[0]}" for name in lacking}
-    assert all(column in STORED or column.told for column in COLUMNS)
+    assert all(column in STORED or column.in_messages for column in COLUMNS)
 
 
 def test_a_flight_of_currents_says_so(tmp_path, undrawn):

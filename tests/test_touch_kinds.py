@@ -26,7 +26,7 @@ UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impac
 def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     """What a monitor says of samples 10 ms apart whose torques nobody asks for here."""
     rows = len(touch)
-    torques = {column.name: np.ones((rows, 2)) for column in COLUMNS if column.told}
+    torques = {column.name: np.ones((rows, 2)) for column in COLUMNS if column.in_messages}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
     numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint", "detection", "unfamiliar")}
     return {

@@ -36,7 +36,7 @@ class Column:
     kind: type = np.float32
     """In files; float32: a torque, in the bundle's estimate unit of the joint."""
     per_joint: bool = True
-    told: bool = False
+    in_messages: bool = False
     """Whether it is among the torques of JSON and messages."""
 
     @property
@@ -46,18 +46,18 @@ class Column:
 
 # Described where `Estimates` has them; it does not hold the three with a comment.
 COLUMNS = (
-    Column("residual", told=True),
+    Column("residual", in_messages=True),
     Column("prior"),
     Column("network"),
     Column("drift"),
-    Column("uncertainty", told=True),  # r expected in free motion: prior + network + drift
-    Column("tau_ext", told=True),
-    Column("load_nm", told=True),  # share of tau_ext taken for a load that is expected
-    Column("sigma_nm", told=True),
-    Column("contact_sigma_nm", told=True),
-    Column("limit_nm", told=True),
-    Column("contact_limit_nm", told=True),
-    Column("margin_nm", told=True),  # limit_nm - |tau_ext|
+    Column("uncertainty", in_messages=True),  # r expected in free motion: prior + network + drift
+    Column("tau_ext", in_messages=True),
+    Column("load_nm", in_messages=True),  # share of tau_ext taken for a load that is expected
+    Column("sigma_nm", in_messages=True),
+    Column("contact_sigma_nm", in_messages=True),
+    Column("limit_nm", in_messages=True),
+    Column("contact_limit_nm", in_messages=True),
+    Column("margin_nm", in_messages=True),  # limit_nm - |tau_ext|
     Column("near_stiction", bool),
     Column("health", np.int8, False),
     Column("causes", np.uint32, False),
@@ -179,13 +179,13 @@ def number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def told_torques(values: Callable[[str], Iterable[float]]) -> dict[str, list[float | None]]:
+def torque_lists(values: Callable[[str], Iterable[float]]) -> dict[str, list[float | None]]:
     """The torques of one sample for JSON and messages, a joint; null where a number does not exist.
 
     Args:
         values: those of the column of this name.
     """
-    return {column.key: [number(value) for value in values(column.name)] for column in COLUMNS if column.told}
+    return {column.key: [number(value) for value in values(column.name)] for column in COLUMNS if column.in_messages}
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:

@@ -266,7 +266,7 @@ def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: 
         plural = "" if len(refused) == 1 else "s"
         lines = [
             f"{where}: {len(refused)} fault{plural}, so nothing is learned from it",
-            *told(refused),
+            *finding_lines(refused),
             "  `tauext check` draws it. To learn from it as it is, on your word, which the bundle keeps:",
             f"      --accept {' '.join(accepting(refused))}",
         ]
@@ -285,7 +285,7 @@ def sentence(entry: dict) -> str:
     return f"{entry['code']}{at}: {entry['evidence']}{more}"
 
 
-def told(findings: Sequence[Finding]) -> list[str]:
+def finding_lines(findings: Sequence[Finding]) -> list[str]:
     """Lines for the terminal: code, joints, recordings, evidence of each, and the mend, once a code."""
     lines = []
     for code, same in by_code(findings).items():

@@ -108,7 +108,7 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
 
 def print_findings(out: Path) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
-    from tauext.check.preflight import entries, sentence, told
+    from tauext.check.preflight import entries, finding_lines, sentence
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
@@ -129,7 +129,7 @@ def print_findings(out: Path) -> None:
     if faults:
         plural = "" if len(faults) == 1 else "s"
         words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; correct arm.toml, and import again"
-        terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
+        terminal.say("\n".join([words, *finding_lines(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
 
 
 # --- `tauext simulate`: a dataset from the virtual rig.

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, Estimates, lacking, number, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, Estimates, lacking, number, torque_lists
 from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
 
@@ -189,7 +189,7 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         "alarm": ALARMS[event.alarm.value],
         "alarm_joint": name(event.alarm_joint),
         "detection": bool(event.detection),
-        **told_torques(partial(getattr, event)),
+        **torque_lists(partial(getattr, event)),
         "near_stiction": [bool(near) for near in event.near_stiction],
         "dq_rad_s": [number(value) for value in flight["dq"][row]],
         "tau": [number(value) for value in flight["tau"][row]],

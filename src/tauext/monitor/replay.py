@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES, torque_lists
 from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenCollision, LoadChange
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
@@ -356,7 +356,7 @@ def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any
         "alarm": ALARMS[estimates["alarm"][row]],
         "touch": TOUCHES[estimates["touch"][row]],
         "detection": bool(estimates["detection"][row]),
-        **told_torques(lambda name: estimates[name][row]),
+        **torque_lists(lambda name: estimates[name][row]),
         "unfamiliar": float(estimates["unfamiliar"][row]),
         "near_stiction": [bool(near) for near in estimates["near_stiction"][row]],
     }

@@ -15,7 +15,7 @@ from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RecordingError
 
 ESTIMATES = ".estimates.parquet"
-LISTS: dict[str, Any] = dict.fromkeys([column.key for column in COLUMNS if column.told], int | float | None)
+LISTS: dict[str, Any] = dict.fromkeys([column.key for column in COLUMNS if column.in_messages], int | float | None)
 LISTS |= dict.fromkeys(("tau", "dq_rad_s"), int | float | None)
 LISTS |= {"near_stiction": bool, "torque_units": str, "estimate_units": str}
 """Of an event, a value a joint: its kind."""

@@ -24,7 +24,7 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
         joints: names of moving joints, in the order of the recordings' columns.
 
     Raises:
-        RobotError: an effort that is no number >= 0, or a file that cannot be read.
+        RobotError: an effort that is no number >= 0, an MJCF without one of the joints, or a file that cannot be read.
     """
     path = Path(path)
     try:
@@ -34,7 +34,11 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
         model = mujoco.MjModel.from_xml_path(str(path))
     except (OSError, ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise RobotError(f"{path}: its torque limits cannot be read: {' '.join(str(error).split())}") from error
-    return np.array([_drive_limit(model, model.joint(joint).id) for joint in joints])
+    known = [model.joint(joint).name for joint in range(model.njnt)]
+    for joint in joints:
+        if joint not in known:
+            raise RobotError(f"{path}: joint {joint!r} must be one of {', '.join(known)}")
+    return np.array([_drive_limit(model, known.index(joint)) for joint in joints])
 
 
 def _effort(robot: ElementTree.Element, name: str, path: Path) -> float:

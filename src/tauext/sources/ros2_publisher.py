@@ -15,7 +15,7 @@ from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
 from tauext import _core
 from tauext._core import Load
-from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, told_torques
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, torque_lists
 from tauext.bundle.estimates import OK as HEALTHY
 from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
@@ -92,7 +92,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
             KeyValue(f"{key} {joint}", number(value))
-            for key, values in told_torques(lambda name: estimates[name][0]).items()
+            for key, values in torque_lists(lambda name: estimates[name][0]).items()
             for joint, value in zip(joints, values, strict=True)
         ),
     ]

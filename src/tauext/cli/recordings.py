@@ -182,7 +182,7 @@ def simulate(
     print(out)
 
 
-# --- `tauext check`: the signal doctor, before anyone trains.
+# --- `tauext check`: errors in the data, before training.
 
 
 def check(

@@ -374,7 +374,7 @@ def results_of(folder: Place | None) -> dict[str, Any]:
 
 
 def findings_of(path: Place) -> list[dict[str, Any]]:
-    """What the doctor found, without notes."""
+    """Findings of the check, without notes."""
     try:
         content = json_of(read_text(path))
     except (OSError, ValueError):  # not there, or damaged

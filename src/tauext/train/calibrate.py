@@ -60,7 +60,7 @@ def recalibrate(
         dataset: its calibration recordings are used.
         refit_error_scale: find anew how errors grow with the motion, on the first SCALE_SHARE of the recordings; limits
             follow from the others, since what was fitted to a recording has no surprises there.
-        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
 
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.

@@ -352,7 +352,7 @@ def refit_bundle(
 
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
-        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
         like: what a fleet of arms of this type knows; None: joints that hardly moved stay as they were.
 
     Raises:

@@ -114,7 +114,7 @@ def train_bundle(
         robot: URDF or MJCF of the arm; None: the dataset's own.
         config: recipe, seed and sizes.
         report: receives the progress and sentences about what was found.
-        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
         look: False: do not look; for recordings that are known to be good.
         like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
 

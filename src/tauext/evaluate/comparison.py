@@ -188,11 +188,11 @@ def evaluate(
         loss_histories: of the bundles' training, by their names; only passed on.
         keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
             a disk, and figures need minutes.
-        sanity: add detectors without information, see sanity.py.
-        events: how labels are read, see events.py.
+        sanity: add detectors without information, see `Sanity`.
+        events: how labels are read, see `labelled_events`.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
         kept: where the work of a killed process goes on; its estimates are on disk already.
-        inject: add forces to free test motion, see injected.py.
+        inject: add forces to free test motion, see `Injection`.
 
     Raises:
         BundleError: a recording does not fit a bundle.

@@ -77,14 +77,19 @@ void online_equals_offline_to_the_last_bit() {
     }
 }
 
+// The same limits for contacts and collisions, whatever the speed.
+void limit(Bundle& bundle, const std::vector<double>& limit_nm) {
+  for (Level* level : {&bundle.limits.collision, &bundle.limits.contact})
+    level->sliding_nm = level->near_stiction_nm = limit_nm;
+}
+
 // The made bundle of two joints with another residual and both filters; its limits are low enough to be crossed.
 Bundle compared(ResidualMethod method, int hidden) {
   Bundle bundle = made::bundle(2, hidden, kSteps, kStride, 3);
   bundle.observer.method = method;
   bundle.observer.high_pass_per_s = 2;
   bundle.observer.low_pass_per_s = 40;
-  for (Level* level : {&bundle.limits.collision, &bundle.limits.contact})
-    level->sliding_nm = level->near_stiction_nm = {0.5, 0.5};
+  limit(bundle, {0.5, 0.5});
   answer_reference(bundle);
   return bundle;
 }
@@ -544,8 +549,7 @@ struct StickyArm {
     b.prior.weights = {-5, 0};
     b.limits.near_stiction_rad_s = 0.01;
     b.limits.region_width = 0;
-    for (Level* level : {&b.limits.collision, &b.limits.contact})
-      level->sliding_nm = level->near_stiction_nm = {2, 2};
+    limit(b, {2, 2});
     answer_reference(b);
     return b;
   }
@@ -611,8 +615,7 @@ void a_joint_that_breaks_away_keeps_its_limit_for_a_while() {
 // The same signals, all of them known or none: what is unknown teaches the drift tracker nothing.
 void drift_is_not_learned_from_motion_that_training_never_saw() {
   Bundle known = tracking(made::bundle(2, 0, kSteps, kStride, 7)), unknown = known;
-  for (Level* level : {&known.limits.collision, &known.limits.contact})
-    level->sliding_nm = level->near_stiction_nm = {1e3, 1e3};
+  limit(known, {1e3, 1e3});
   unknown.limits = known.limits;
   known.coverage = unknown.coverage = made::half_seen(2);
   for (CoverageSettings* coverage : {&known.coverage, &unknown.coverage}) {  // by the speed alone

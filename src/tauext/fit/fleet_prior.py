@@ -20,7 +20,7 @@ from tauext.files.provenance import json_text, write_json
 from tauext.fit.prior import bound_loads, branches_of
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.regression import inverse
-from tauext.fit.ridge import MapRegression, WeightPrior, gather, solved
+from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, solved
 from tauext.fit.temperature import with_temperature
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.robot.inertial import PARAMETERS
@@ -538,10 +538,11 @@ def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig,
         TrainingError: no recording is longer than the observer's warm-up.
     """
     bent = with_presliding(setup, like.widths_rad)
-    found = gather(bent, recordings, like.own, [], bent.tree)
+    regressors = Regressors(like.own, corrected=bent.tree)
+    found = gather(bent, recordings, regressors)
     period_s = 1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride
     regression = MapRegression([problem for problem, _ in found], like.weights, period_s)
-    fit = solved(bent, regression, found, like.own, [], bent.tree)
+    fit = solved(bent, regression, found, regressors)
     for settings in (fit.settings, *(one.settings for one in fit.left_out)):
         settings.branches = branches_of(settings)
     bound_loads(bent, recordings, fit)

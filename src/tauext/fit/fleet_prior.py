@@ -275,10 +275,8 @@ def links_digest(tree: _core.Tree) -> str:
 class FleetErrors:
     """Errors of arms that had a minute of their own and the prior of the others, on the rest of their motion."""
 
-    minutes: float
-    """Of its own that each arm had."""
-    hours: float
-    """Of motion that was judged."""
+    minutes: float  # of its own motion that each arm had
+    hours: float  # of motion in which errors were counted
     arms: int
     features: tuple[str, ...]
     limit_weights: np.ndarray  # (n, features), of an arm whose errors are as large as the fleet's
@@ -292,8 +290,7 @@ class FleetErrors:
     contact_near_stiction_limit_nm: np.ndarray
     hold_s: float
     contact_hold_s: float
-    facts: Mapping[str, Any]
-    """What the limits promise, as a training's provenance has it."""
+    facts: Mapping[str, Any]  # what the limits promise, as in a training's provenance
 
 
 @dataclass(frozen=True)

@@ -21,18 +21,12 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.evaluate.collisions import Collision, find_collisions
 from tauext.fit.bundle_writing import build_setup
+from tauext.report.paper import OBSERVER_PEAK_NM
 from tauext.robot.model_case import estimated_model
 from tauext.sim.collect import simulate_dataset
 from tauext.sim.config import RigConfig
 
-REAL = {
-    "motor torque": (91, 33),
-    "exact": (24, 14),
-    "mass": (52, 22),
-    "com": (37, 22),
-    "mass+com": (59, 26),
-    "none": (81, 29),
-}
+REAL = {"motor torque": (91, 33), **OBSERVER_PEAK_NM}
 """Extremes in free motion that the paper's authors published of their arm, joints 1 and 2, [N m]."""
 WITHIN = 0.2
 

@@ -78,7 +78,7 @@ def number(text: str, load: Callable[[str], Any]) -> str:
     Raises:
         NumberError: the text selects no number.
     """
-    source, *options = text.split("|", 2)
+    source, *options = " ".join(text.split()).split("|", 2)  # a long one may continue on the next line
     form, by = options[0] if options else "", options[1] if len(options) == 2 else None
     name, found, paths = source.partition("#")
     if not found:

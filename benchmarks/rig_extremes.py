@@ -34,7 +34,7 @@ REAL = {
     "none": (81, 29),
 }
 """Largest positive values in free motion, joints 1 and 2, [N m]: normalisation constants in data/DataCreate.m of
-[MoccaLSTM] (docs/references.md), code for the paper's arm."""
+[Mocca2020] (docs/references.md), code for the paper's arm."""
 WITHIN = 0.2
 
 

@@ -22,10 +22,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from docutils import nodes
-from sphinx.errors import ExtensionError
-from sphinx.util.docutils import SphinxRole
-
 STEP = re.compile(r"\.?(?P<key>[^.\[\]]+)|\[(?P<index>\d+)\]|\[(?P<field>[^=\]]+)=(?P<wanted>[^\]]+)\]")
 
 
@@ -117,21 +113,22 @@ def load_once(path: Path) -> Any:
     return _loaded[path][1]
 
 
-class NumberRole(SphinxRole):
-    """{num}: see above."""
+def setup(app: Any) -> dict[str, bool]:
+    from docutils import nodes  # here, so that tests need no Sphinx
+    from sphinx.errors import ExtensionError
 
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+    def role(kind: str, source: str, text: str, line: int, inliner: Any, *_: Any) -> tuple[list[Any], list[Any]]:
+        environment = inliner.document.settings.env
+
         def load(name: str) -> Any:
-            path = Path(self.env.srcdir) / name
-            self.env.note_dependency(str(path))
+            path = Path(environment.srcdir) / name
+            environment.note_dependency(str(path))
             return load_once(path)
 
         try:
-            return [nodes.Text(number(self.text, load))], []
+            return [nodes.Text(number(text, load))], []
         except NumberError as error:
-            raise ExtensionError(f"{self.env.docname}: {{num}}`{self.text}`: {error}") from error
+            raise ExtensionError(f"{environment.docname}, line {line}: {{{kind}}}`{text}`: {error}") from error
 
-
-def setup(app: Any) -> dict[str, bool]:
-    app.add_role("num", NumberRole())
+    app.add_role("num", role)
     return {"parallel_read_safe": True}

@@ -2,7 +2,7 @@
 
     python benchmarks/rig_extremes.py [--minutes 90] [--collision-recordings 20] [--seed 0]
 
-docs/rig.md holds the table that it prints.
+docs/paper.md holds the table that it prints.
 """
 
 import os
@@ -27,7 +27,8 @@ from tauext.sim.collect import simulate_dataset
 from tauext.sim.config import RigConfig
 
 REAL = {"motor torque": (91, 33), **OBSERVER_PEAK_NM}
-"""Extremes in free motion that the paper's authors published of their arm, joints 1 and 2, [N m]."""
+"""Largest positive values in free motion, joints 1 and 2, [N m]: normalisation constants in data/DataCreate.m of
+[Mocca2020] (docs/references.md), code for the paper's arm."""
 WITHIN = 0.2
 
 

@@ -1,8 +1,9 @@
 """The paper's published numbers, to stand beside ours.
 
 Source: D. Lim, D. Kim, J. Park, "Momentum Observer-Based Collision Detection Using LSTM for Model Uncertainty
-Learning", ICRA 2021: Table I, and the text for stiction, limit, collisions and delays. The observer's extremes are of
-the real arm, as its authors published them. Two joints everywhere; None where the paper gives no number.
+Learning", ICRA 2021: Table I, and the text for stiction, limit, collisions and delays. The observer's extremes are
+of the real arm, from code for it ([Mocca2020], docs/references.md). Two joints everywhere; None where the paper gives
+no number.
 """
 
 JOINTS = 2

@@ -56,9 +56,9 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
   return true;
 }
 
-bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
-                      std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
-                      std::span<double> limit_nm, std::span<double> contact_limit_nm) noexcept {
+bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
+                      std::uint32_t near_stiction, bool trusted, JointVector& limit_nm,
+                      JointVector& contact_limit_nm) noexcept {
   for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;

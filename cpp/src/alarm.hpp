@@ -34,9 +34,8 @@ class AlarmStage {
   // collision and the contact limit of every joint [N m], all of that included, and returns whether some |tau_ext|
   // exceeds its collision limit (a detection). With trusted = false nothing is detected, what was held so far starts
   // anew, and a standing alarm stays: what cannot be seen has not gone.
-  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
-            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
-            std::span<double> limit_nm, std::span<double> contact_limit_nm) noexcept;
+  bool step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
+            std::uint32_t near_stiction, bool trusted, JointVector& limit_nm, JointVector& contact_limit_nm) noexcept;
 
   // Nothing is over, and no joint has been pushed: as at the start.
   void reset() noexcept;

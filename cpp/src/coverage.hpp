@@ -43,6 +43,7 @@ class Coverage {
   // The same with memory: the residual still holds what was, so share never falls faster than exp(-fades_per_s t), and
   // tells what it was meanwhile. Samples in order of time.
   const Unfamiliar& step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept;
+  bool on() const noexcept { return joints_ > 0; }  // training motion is known
   // The residual began anew.
   void reset() noexcept { state_ = {}; }
 

@@ -19,7 +19,7 @@ void DriftTracker::step(std::int64_t t_ns, std::span<const double> dq, std::span
   }
   State& s = state_;
   s.step_ns = s.started ? static_cast<std::int64_t>(elapsed_ns(t_ns, s.t_ns)) : 0;
-  const double weight = -std::expm1(-gain_per_s_ * 1e-9 * static_cast<double>(s.step_ns));
+  const double weight = s.share.of(s.step_ns, -gain_per_s_ * 1e-9 * static_cast<double>(s.step_ns));
   for (int j = 0; j < joints_; ++j) {
     const double now[kTerms] = {1.0, std::tanh(dq[j] / kCoulombSpeed), std::clamp(dq[j] / kViscousSpeed, -1.0, 1.0)};
     double sum = 0;
@@ -125,7 +125,7 @@ void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, s
   if (!on() || coulomb.empty()) return;
   State& s = state_;
   s.step_ns = s.started ? static_cast<std::int64_t>(elapsed_ns(t_ns, s.t_ns)) : 0;
-  const double dt = seconds(s.step_ns), weight = -std::expm1(-gain_per_s_ * dt), glide = kGlidePerSecond * dt;
+  const double dt = seconds(s.step_ns), weight = s.share.of(s.step_ns, -gain_per_s_ * dt), glide = kGlidePerSecond * dt;
   for (int j = 0; j < joints_; ++j) {
     Joint& joint = s.joints[static_cast<std::size_t>(j)];
     const Parts now{coulomb[j], viscous[j]};

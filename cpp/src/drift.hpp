@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "step_share.hpp"
 #include "tauext/settings.hpp"
 #include "tauext/types.hpp"
 
@@ -32,6 +33,7 @@ class DriftTracker {
   struct State {
     bool started = false;
     std::int64_t t_ns = 0, step_ns = 0;  // of the last sample, and since the one before; 0 where it began anew
+    StepShare share;
     std::int64_t touched_ns = 0;         // left of the time to be frozen after a touch
     std::array<std::int64_t, kMaxJoints> stuck_ns{};  // and after stiction
     std::uint32_t saturated = 0;         // a bit a joint
@@ -127,6 +129,7 @@ class FrictionFactors {
   struct State {
     bool started = false;
     std::int64_t t_ns = 0, step_ns = 0;  // of the last sample, and since the one before; 0 where it began anew
+    StepShare share;
     std::uint32_t saturated = 0;         // a bit a joint: friction is off by more than `share`
     std::array<Joint, kMaxJoints> joints{};
   };

@@ -132,7 +132,7 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
     out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
     out.touch[k] = static_cast<std::uint8_t>(e.touch);
-    stage.advance();
+    stage.advance(sample.q, sample.dq);
     out.entered[k] = entered;
     out.restarted[k] = row.restarted;
   }

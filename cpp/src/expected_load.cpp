@@ -178,17 +178,15 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
   last.sums.add(one);
 }
 
-void ExpectedLoad::follow(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
-                          std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
-                          const AlarmStage& alarm) noexcept {
+void ExpectedLoad::follow(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
+                          std::uint32_t near_stiction, bool trusted, const AlarmStage& alarm) noexcept {
   State& s = state_;
   if (s.phase == LoadPhase::weighing) {
     if (alarm.state().held_alarm != Alarm::none && !s.failed) s.fails = true;
     return;
   }
   JointVector limit, contact;
-  const auto n = static_cast<std::size_t>(joints_);
-  usual_.step(t_ns, tau_ext, scale, doubt, near_stiction, trusted, std::span(limit).first(n), std::span(contact).first(n));
+  usual_.step(t_ns, tau_ext, scale, doubt, near_stiction, trusted, limit, contact);
   const Alarm left = alarm.state().held_alarm, usual = usual_.state().held_alarm;
   if (left == Alarm::collision) s.fails = true;
   if (usual > left) {

@@ -73,8 +73,8 @@ class ExpectedLoad {
   void explain(const Sample& sample, const Observed& observed, std::span<const double> tau_ext,
                std::span<const double> limit_nm, std::span<double> explained, std::span<double> raised) noexcept;
   // The same sample's alarm without any of that; alarm: how it went with what was left.
-  void follow(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
-              std::span<const double> doubt, std::uint32_t near_stiction, bool trusted, const AlarmStage& alarm) noexcept;
+  void follow(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
+              std::uint32_t near_stiction, bool trusted, const AlarmStage& alarm) noexcept;
 
   // What is to be done after a sample; once each.
   struct Decision {

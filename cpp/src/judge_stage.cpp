@@ -43,7 +43,7 @@ void JudgeStage::reset() noexcept {
   contact_errors_.reset();
   coverage_.reset();
   touch_.reset();
-  pending_ = {};
+  waits_ = false;
   const int joints = estimate_.joints;
   estimate_ = {};
   estimate_.joints = joints;
@@ -60,7 +60,7 @@ void JudgeStage::restore(const State& state) noexcept {
   contact_errors_.restore(state.contact_errors);
   coverage_.restore(state.coverage);
   touch_.restore(state.touch);
-  pending_ = state.pending;
+  waits_ = state.waits;
   estimate_ = state.estimate;
 }
 
@@ -80,14 +80,14 @@ void JudgeStage::report_alarm() noexcept {
                                                    : touch_.kind();
 }
 
-void JudgeStage::advance() noexcept {
-  if (!pending_.waits) return;
-  pending_.waits = false;
+void JudgeStage::advance(std::span<const double> q, std::span<const double> dq) noexcept {
+  if (!waits_) return;
+  waits_ = false;
   const auto n = static_cast<std::size_t>(estimate_.joints);
-  JointVector left{};
+  JointVector left;
   for (std::size_t j = 0; j < n; ++j) left[j] = estimate_.tau_ext[j] - estimate_.load_nm[j];
   const bool raised = estimate_.alarm != Alarm::none && estimate_.alarm_t_ns == estimate_.t_ns;
-  touch_.step({estimate_.t_ns, std::span(pending_.q).first(n), std::span(pending_.dq).first(n), std::span(left).first(n),
+  touch_.step({estimate_.t_ns, q, dq, std::span(left).first(n),
                std::span(estimate_.limit_nm).first(n), raised || estimate_.held_alarm != Alarm::none,
                estimate_.alarm != Alarm::none});
 }
@@ -99,7 +99,7 @@ void JudgeStage::blank(bool also_residual) noexcept {
     e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.contact_sigma_nm[j] = e.margin_nm[j] = nan;
     if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
   }
-  e.load_nm.fill(0.0);
+  forget_load_nm();
   if (also_residual) e.near_stiction = 0;
   e.detection = false;
 }
@@ -116,6 +116,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
       e.residual[j] = o.residual[j];
       e.prior[j] = o.prior[j];
       e.doubt[j] = o.doubt[j];
+      e.drift[j] = 0;
     }
     if (o.restarted) {
       drift_.restart();
@@ -125,8 +126,8 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
       coverage_.reset();
       touch_.restart();
     }
-    drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
-    factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
+    if (drift_.on()) drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
+    if (factors_.on()) factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
     judge(o, sample, network, expected);
   } else {  // the alarm stands as it did
     e.detection = false;
@@ -148,6 +149,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
 void JudgeStage::scale_limits(const Observed& o, const Sample& sample) noexcept {
   Estimate& e = estimate_;
   scale_.step(o.t_ns, sample.dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
+  if (!coverage_.on()) return;
   tell(coverage_.step(o.t_ns, sample.q, sample.dq));
   for (int j = 0; j < e.joints; ++j) e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
 }
@@ -163,7 +165,7 @@ void JudgeStage::tell(const Unfamiliar& unfamiliar) noexcept {
 void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network,
                        ExpectedLoad* expected) noexcept {
   Estimate& e = estimate_;
-  e.load_nm.fill(0.0);
+  forget_load_nm();
   scale_limits(o, sample);
   if (o.judged) {
     for (int j = 0; j < e.joints; ++j) {
@@ -176,7 +178,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   } else {
     blank(o.overflowed);
   }
-  JointVector raised{};
+  JointVector raised;  // as far as there are joints
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
@@ -184,27 +186,25 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   if (expects)
     hold_alarm(o, sample, raised, *expected);
   else
-    e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
-                              e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
+    e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
+                              e.contact_limit_nm);
   if (o.judged && scale_.on()) {
     contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
                          first_joints(e.sigma_nm), o.memory_gap, first_joints(e.contact_sigma_nm));
   } else {
-    e.contact_sigma_nm = e.sigma_nm;
+    std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
     contact_errors_.skip();
   }
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
   // Nor is it where the unit of a load is not known: such a joint learns as little as one that stands.
   const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
-  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
-  factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches);
+  if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
+  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
   report_alarm();
-  pending_.waits = true;
-  std::ranges::copy(sample.q, pending_.q.begin());
-  std::ranges::copy(sample.dq, pending_.dq.begin());
+  waits_ = true;
 }
 
 // The alarm of what no load explains; limits are higher by the share that a load's torques are usually wrong by.
@@ -218,11 +218,8 @@ void JudgeStage::hold_alarm(const Observed& o, const Sample& sample, const Joint
     left[j] = e.tau_ext[j] - e.load_nm[j];
     higher[j] += Load::kUsualError * std::fabs(e.load_nm[j]);
   }
-  e.detection = alarm_.step(o.t_ns, first_joints(left), first_joints(e.limit_scale), first_joints(higher), e.near_stiction,
-                            o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
-  JointVector usual = raised;
-  expected.follow(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(usual), e.near_stiction,
-                  o.judged, alarm_);
+  e.detection = alarm_.step(o.t_ns, left, e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm, e.contact_limit_nm);
+  expected.follow(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
 }
 
 }  // namespace tauext

@@ -1,5 +1,6 @@
 // A sample after the network has spoken: external torque and its standard error, drift, unfamiliar motion, limits, alarm.
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -34,8 +35,8 @@ class JudgeStage {
   const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network,
                        ExpectedLoad* expected = nullptr) noexcept;
 
-  // What need not be done before the answer is out: what kind of touch it is.
-  void advance() noexcept;
+  // What need not be done before the answer is out: what kind of touch it is. q, dq: of the last sample that entered.
+  void advance(std::span<const double> q, std::span<const double> dq) noexcept;
 
   // As AlarmStage's calls of these names.
   void acknowledge() noexcept;
@@ -72,11 +73,6 @@ class JudgeStage {
   // As newly made.
   void reset() noexcept;
 
-  // Of a sample that advance() has not looked at yet.
-  struct Pending {
-    bool waits = false;
-    JointVector q{}, dq{};
-  };
   struct State {
     AlarmStage::State alarm;
     LimitFactors factors;
@@ -86,13 +82,13 @@ class JudgeStage {
     ContactErrors::State contact_errors;
     Coverage::State coverage;
     TouchKind::State touch;
-    Pending pending;
+    bool waits;  // advance() has not looked at the last sample yet
     Estimate estimate;
   };
   // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
     return {alarm_.state(),          alarm_.factors(),  drift_.state(), factors_.state(), scale_.state(),
-            contact_errors_.state(), coverage_.state(), touch_.state(), pending_,         estimate_};
+            contact_errors_.state(), coverage_.state(), touch_.state(), waits_,           estimate_};
   }
   void restore(const State& state) noexcept;
 
@@ -103,6 +99,7 @@ class JudgeStage {
   void tell(const Unfamiliar& unfamiliar) noexcept;
   void blank(bool also_residual) noexcept;
   void report_alarm() noexcept;
+  void forget_load_nm() noexcept { std::fill_n(estimate_.load_nm.begin(), estimate_.joints, 0.0); }
   std::span<double> first_joints(JointVector& values) const noexcept {
     return std::span(values).first(static_cast<std::size_t>(estimate_.joints));
   }
@@ -117,7 +114,7 @@ class JudgeStage {
   ContactErrors contact_errors_;
   Coverage coverage_;
   TouchKind touch_;
-  Pending pending_;
+  bool waits_ = false;
   Estimate estimate_;
   JointVector widened_at_rest_nm_{}, widened_per_speed_{};
   bool drift_held_ = false;

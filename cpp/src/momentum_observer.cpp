@@ -41,8 +41,9 @@ bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum,
     start_ns_ = t_ns;
     residual_.fill(0.0);
   } else {
+    const auto step_ns = static_cast<std::int64_t>(elapsed_ns(t_ns, t_ns_));
     const double dt = 1e-9 * static_cast<double>(elapsed_ns(t_ns, t_ns_));
-    const double weight = -std::expm1(-gain_per_s_ * dt);  // 1 - a, exact for small steps
+    const double weight = share_.of(step_ns, -gain_per_s_ * dt);  // 1 - a
     for (int i = 0; i < joints_; ++i) {
       double mean_tau = tau_m_[i];  // held: the last command acted until now
       if (timing_ == TorqueTiming::instant) mean_tau = 0.5 * (tau_m_[i] + tau_m[i]);

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <span>
 
+#include "step_share.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {
@@ -52,6 +53,7 @@ class MomentumObserver {
   TorqueTiming timing_;
   bool started_ = false;
   std::int64_t start_ns_ = 0, t_ns_ = 0;
+  StepShare share_;
   JointVector momentum_{}, beta_{}, tau_m_{}, residual_{};
 };
 

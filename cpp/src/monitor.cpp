@@ -96,7 +96,6 @@ struct Monitor::Chain {
   std::optional<ExpectedLoad> expected;  // where loads can be
   std::optional<Weighing> weighing;      // where it is possible
   WrenchModel wrench;
-  JointVector q, dq;  // of the last sample that went on the chain; no part of the state
 
   Chain(const Bundle& bundle, NetworkRate rate);
 
@@ -112,10 +111,6 @@ struct Monitor::Chain {
     for (int j = 0; j < last.joints; ++j) left[j] = last.tau_ext[j] - last.load_nm[j];
     return left;
   }
-  void forget_q() noexcept {
-    q.fill(std::numeric_limits<double>::quiet_NaN());
-    dq = q;
-  }
   void predict(const Observed& observed) noexcept;
   void follow_expected() noexcept;
   void put_load(const Load& load, std::int64_t since_ns) noexcept;
@@ -129,7 +124,6 @@ Monitor::Chain::Chain(const Bundle& bundle, NetworkRate rate)
       observe(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
       judge(bundle),
       wrench(bundle) {
-  forget_q();
   for (int j = 0; j < bundle.joints(); ++j) {
     friction.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
     joint_names.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
@@ -155,7 +149,6 @@ Monitor& Monitor::operator=(Monitor&&) noexcept = default;
 Monitor::~Monitor() = default;
 
 void Monitor::reset() noexcept {
-  chain_->forget_q();
   chain_->observe.reset();
   if (chain_->network) chain_->network->restart();
   chain_->judge.reset();
@@ -249,8 +242,6 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   if (chain_->network && observed.passage == Passage::entered) chain_->predict(observed);
   if (observed.passage == Passage::entered) {
     chain_->refit_motion.push(sample);
-    std::copy(sample.q.begin(), sample.q.end(), chain_->q.begin());
-    std::copy(sample.dq.begin(), sample.dq.end(), chain_->dq.begin());
   }
   const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load());
   if (weighing()) chain_->weighing->look(sample, observed, answer);
@@ -266,7 +257,7 @@ void Monitor::Chain::predict(const Observed& observed) noexcept {
 
 void Monitor::advance() noexcept {
   chain_->observe.keep();
-  chain_->judge.advance();
+  chain_->judge.advance(chain_->observe.q(), chain_->observe.dq());
   if (chain_->observe.progress().started) chain_->judge.keep(chain_->observe.progress().t_ns);
   if (chain_->network) chain_->network->advance();
   if (weighing()) chain_->weighing->advance(chain_->observe.beta());
@@ -325,13 +316,13 @@ LoadFound Monitor::estimate_load() const noexcept { return can_weigh() ? chain_-
 
 Wrench Monitor::wrench(int frame, WrenchAxes axes) const noexcept {
   const Chain& c = *chain_;
-  return c.wrench.wrench(frame, c.of_joints(c.q), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
-                         c.of_joints(last().contact_sigma_nm), c.of_joints(c.dq));
+  return c.wrench.wrench(frame, c.observe.q(), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
+                         c.of_joints(last().contact_sigma_nm), c.observe.dq());
 }
 Wrench Monitor::force(int frame, const std::array<double, 3>& point, WrenchAxes axes) const noexcept {
   const Chain& c = *chain_;
-  return c.wrench.force(frame, point, c.of_joints(c.q), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
-                        c.of_joints(last().contact_sigma_nm), c.of_joints(c.dq));
+  return c.wrench.force(frame, point, c.observe.q(), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
+                        c.of_joints(last().contact_sigma_nm), c.observe.dq());
 }
 const WrenchModel& Monitor::wrench_model() const noexcept { return chain_->wrench; }
 
@@ -393,7 +384,6 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (chain_->network) chain_->network->restore(left);
   finish_refit();
   chain_->end_weighing();
-  chain_->forget_q();
   return true;
 }
 

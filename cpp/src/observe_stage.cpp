@@ -241,7 +241,7 @@ void ObserveStage::find_overflow(Findings& findings) noexcept {
   o.overflowed = false;
   for (int j = 0; j < joints_ && !o.overflowed; ++j)
     if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j]) ||
-        too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])) {
+        (tells_parts_ && (too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])))) {
       findings.add(kNotFinite, j);
       o.overflowed = true;
     }

@@ -74,6 +74,8 @@ class ObserveStage {
   const Load& load() const noexcept { return residual_.load(); }
   std::span<const double> beta() const noexcept { return residual_.beta(); }  // as ResidualStage
   void keep() noexcept { residual_.keep(); }
+  std::span<const double> q() const noexcept { return residual_.q(); }  // as ResidualStage
+  std::span<const double> dq() const noexcept { return residual_.dq(); }
   // As Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { residual_.follow_temperature(celsius); }
   // As newly made.

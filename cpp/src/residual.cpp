@@ -65,13 +65,13 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
     prior_.step(t_ns, q, dq, presliding(), momentum, beta, prior, doubt);
   else
     for (std::size_t i = 0; i < momentum.size(); ++i) prior[i] = doubt[i] = 0.0;
+  std::ranges::copy(q, carrying_.q.begin());
+  std::ranges::copy(dq, carrying_.dq.begin());
   if (!loads_) return tick;
   if (carrying_.follows)
     for (std::size_t i = 0; i < doubt.size(); ++i)
       doubt[i] += (carrying_.error_share + units_per_nm_[i]) * std::fabs(carrying_.torques.residual()[i]);
   carrying_.t_ns = t_ns;
-  std::ranges::copy(q, carrying_.q.begin());
-  std::ranges::copy(dq, carrying_.dq.begin());
   carrying_.seen = true;
   carrying_.kept = false;
   return tick;

@@ -96,6 +96,9 @@ class ResidualStage {
   const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
   std::span<const double> beta() const noexcept { return motion_.beta(); }  // of the estimated model, likewise
   bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
+  // Of the last sample; zeros before the first one.
+  std::span<const double> q() const noexcept { return {carrying_.q.data(), joints()}; }
+  std::span<const double> dq() const noexcept { return {carrying_.dq.data(), joints()}; }
   // As Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { prior_.follow_temperature(celsius); }
   void forget_temperature() noexcept { prior_.forget_temperature(); }
@@ -174,8 +177,6 @@ class ResidualStage {
                           std::span<const double> least) noexcept;
   void step_load_torques(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept;
   void forget_load_torques() noexcept;
-  std::span<const double> q() const noexcept { return {carrying_.q.data(), joints()}; }
-  std::span<const double> dq() const noexcept { return {carrying_.dq.data(), joints()}; }
   std::size_t joints() const noexcept { return static_cast<std::size_t>(motion_.tree().size()); }
 
   double gain_per_s_;

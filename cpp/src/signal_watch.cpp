@@ -34,7 +34,7 @@ Impossible SignalWatch::look(std::int64_t t_ns, std::span<const double> q, std::
   unsigned possible = 1;
   for (int j = 0; j < joints_; ++j)  // no branches
     possible &= within(q[j], kFarthest) & within(dq[j], speed_[j]) & within(tau[j], torque_[j]) &
-                within(q[j] - state_.q[j], speed_[j] * since_s + kEncoderRad);
+                within(q[j] - state_.joints[static_cast<std::size_t>(j)].q, speed_[j] * since_s + kEncoderRad);
   return possible ? Impossible{} : explain(t_ns, q, dq, tau, follows);
 }
 
@@ -47,10 +47,11 @@ Impossible SignalWatch::explain(std::int64_t t_ns, std::span<const double> q, st
     if (std::fabs(dq[j]) > speed_[j]) return found(kImpossibleVelocity);
     if (std::fabs(q[j]) > kFarthest) return found(kImpossiblePosition);
     if (!follows) continue;
-    const double held_ns = static_cast<double>(elapsed_ns(t_ns, state_.since_ns[static_cast<std::size_t>(j)]));
+    const State::Joint& last = state_.joints[static_cast<std::size_t>(j)];
+    const double held_ns = static_cast<double>(elapsed_ns(t_ns, last.since_ns));
     const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));
     const double time_ns = std::max(step_ns, std::min(held_ns, bridged_ns_)) + sample_period_ns_;
-    if (std::fabs(q[j] - state_.q[j]) > speed_[j] * (1e-9 * time_ns) + kEncoderRad) return found(kImpossiblePosition);
+    if (std::fabs(q[j] - last.q) > speed_[j] * (1e-9 * time_ns) + kEncoderRad) return found(kImpossiblePosition);
   }
   return {};
 }
@@ -79,20 +80,18 @@ SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::int64_t ticks, st
   for (int j = 0; j < joints_; ++j) {
     if (verdict.saturated_joint < 0 && std::fabs(tau[j]) >= kSaturated * ranges_.torque_limit_nm[j])
       verdict.saturated_joint = j;
-    if (anew || q[j] != state_.q[j]) {
-      state_.q[j] = q[j];
-      state_.since_ns[j] = t_ns;
-      state_.travel[j] = 0;
-      state_.tau_low[j] = state_.tau_high[j] = tau[j];
+    State::Joint& last = state_.joints[static_cast<std::size_t>(j)];
+    if (anew || q[j] != last.q) {
+      last = {q[j], t_ns, 0, tau[j], tau[j]};
       continue;
     }
-    state_.travel[j] += dq[j] * step_ns * 1e-9;
-    state_.tau_low[j] = std::min(state_.tau_low[j], tau[j]);
-    state_.tau_high[j] = std::max(state_.tau_high[j], tau[j]);
-    const bool still = static_cast<double>(elapsed_ns(t_ns, state_.since_ns[j])) >= kStillForS * 1e9;
+    last.travel += dq[j] * step_ns * 1e-9;
+    last.tau_low = std::min(last.tau_low, tau[j]);
+    last.tau_high = std::max(last.tau_high, tau[j]);
+    const bool still = static_cast<double>(elapsed_ns(t_ns, last.since_ns)) >= kStillForS * 1e9;
     if (still && verdict.still_joint < 0 &&
-        (std::fabs(state_.travel[j]) > kStillTravelRad ||
-         state_.tau_high[j] - state_.tau_low[j] > still_share_ * ranges_.largest_torque_nm[j]))
+        (std::fabs(last.travel) > kStillTravelRad ||
+         last.tau_high - last.tau_low > still_share_ * ranges_.largest_torque_nm[j]))
       verdict.still_joint = j;
   }
   state_.started = true;

@@ -38,9 +38,12 @@ class SignalWatch {
     bool started = false;
     std::int64_t t_ns = 0;
     double steps = 1.0;  // mean step in sample periods
-    JointVector q{};                        // position since ...
-    std::array<std::int64_t, kMaxJoints> since_ns{};  // ... then,
-    JointVector travel{}, tau_low{}, tau_high{};      // and what dq and tau_m did meanwhile
+    struct Joint {
+      double q = 0;               // position since ...
+      std::int64_t since_ns = 0;  // ... then,
+      double travel = 0, tau_low = 0, tau_high = 0;  // and what dq and tau_m did meanwhile
+    };
+    std::array<Joint, kMaxJoints> joints{};
   };
 
   // behind_gear: encoders count whole steps of the joints themselves, as a servo's does: one that something blocks stands

@@ -89,9 +89,10 @@ bool TouchKind::follow(const Seen& seen) noexcept {
   State& s = state_;
   for (std::size_t j = 0; j < joints_; ++j)
     if (!std::isfinite(seen.tau_ext[j]) || !(seen.limit_nm[j] > 0)) return false;
+  const std::int64_t step_ns = s.timed ? seen.t_ns - s.t_ns : 0;
   const double dt_s = s.timed ? seconds(seen.t_ns, s.t_ns) : 0;
   if (dt_s > kGap_s) restart();
-  const double share = s.timed ? -std::expm1(-gain_per_s_ * dt_s) : 1;
+  const double share = s.timed ? s.share.of(step_ns, -gain_per_s_ * dt_s) : 1;
   for (std::size_t j = 0; j < joints_; ++j) {
     s.speed[j] += share * (seen.dq[j] - s.speed[j]);
     s.place[j] += s.speed[j] * dt_s;

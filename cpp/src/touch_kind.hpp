@@ -7,6 +7,7 @@
 
 #include "load_change.hpp"
 #include "load_columns.hpp"
+#include "step_share.hpp"
 #include "tauext/estimate.hpp"
 #include "tauext/types.hpp"
 
@@ -89,6 +90,7 @@ class TouchKind {
     int strongest = -1;
     std::int64_t t_ns = 0, begin_ns = 0, alarm_ns = 0, peak_ns = 0, over_ns = 0, says_ns = 0;
     double dt_s = 0;
+    StepShare share;
     double base = 0, size = 0, peak = 0, way = 0, came = 0;  // came: dx/dt until the alarm
     double fastest = 0, steepest = 0, yields = 0, decided_size = 0;  // most dS/dt, dS/dx, -dx/dt
     JointVector speed{}, place{};  // behind the observer's filter; place since it began

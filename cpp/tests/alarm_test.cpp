@@ -27,12 +27,12 @@ struct Stage {
     limits.after_contact_factor = after_contact_factor;
     alarm = AlarmStage(2, 0, limits);
   }
-  double limit_nm[2], contact_limit_nm[2], doubt[2] = {0, 0}, scale[2] = {1, 1};
+  JointVector limit_nm{}, contact_limit_nm{}, doubt{}, scale{1, 1};
   std::uint32_t near_stiction = 0;
   bool detection = false;
 
   const AlarmStage::State& step(std::int64_t t_ms, double tau_1, double tau_2, bool trusted = true, double dq = 1.0) {
-    const double tau[] = {tau_1, tau_2};
+    const JointVector tau{tau_1, tau_2};
     near_stiction = make_limits().near_stiction(dq, 0) ? 1 : 0;
     detection = alarm.step(t_ms * kMs, tau, scale, doubt, near_stiction, trusted, limit_nm, contact_limit_nm);
     return alarm.state();

@@ -276,7 +276,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 
         patch.setattr(_core, "lstm_gradient", interrupted)
         code, _, err = run_command(capsys, *options)
-    assert code == 130 and "goes on from there" in err
+    assert code == 130 and "continues from there" in err
     assert (tmp_path / "none.checkpoint.npz").exists() and not out.exists()
     assert run_command(capsys, *options)[0] == 0
     assert out.read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()

@@ -152,7 +152,7 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     code, out, err = run(capsys, workplace)
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     for words in (
-        "out: 2 faults, which `tauext train` refuses",
+        "out: 1 fault, which `tauext train` refuses",
         "effort-external (joints shoulder, elbow)",
         "tauext check",
     ):

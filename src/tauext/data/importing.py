@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import time
@@ -235,12 +236,20 @@ def recordings_of(
 
 
 def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
-    """Raise ConfigError where contacts are given of what is no source: they would be trained on as free motion."""
+    """Raise ConfigError where contacts are given of a mistyped source: they would be trained on as free motion.
+
+    A file of that name beside the sources or the description is another recording of the arm, not imported now.
+    """
     known = dict.fromkeys(name for raw in raws for name in (raw.path.name, raw.name))
+    folders = [arm.path.parent, *dict.fromkeys(raw.path.parent for raw in raws)]
     for name in arm.contact.intervals:
-        if name not in known:
+        if name not in known and not any((folder / name).exists() for folder in folders):
             files = dict.fromkeys(raw.path.name for raw in raws)
-            raise ConfigError(f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}")
+            near = difflib.get_close_matches(name, known, 1)
+            meant = f"; did you mean '{near[0]}'?" if near else "; add the file to --source, or remove this entry"
+            raise ConfigError(
+                f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}{meant}"
+            )
 
 
 def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:

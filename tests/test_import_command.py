@@ -315,6 +315,17 @@ def test_a_contact_that_is_in_no_recording_is_refused_and_nothing_is_left(fault,
     assert not [p for p in workplace.iterdir() if p.name.startswith("out")]
 
 
+def test_contacts_of_a_recording_that_is_not_imported_now_are_left_alone(workplace, capsys):
+    """One arm.toml serves for later imports; only a mistyped name is refused."""
+    contacts = '[contact.intervals]\n"three.bag" = [[2, 2.5]]'
+    assert run(capsys, workplace, contacts, sources=("one", "two"))[0] == 0
+
+
+def test_a_mistyped_recording_gets_a_suggestion(workplace, capsys):
+    code, _, err = run(capsys, workplace, '[contact.intervals]\n"tow.bag" = [[5, 6]]')
+    assert code == 2 and "did you mean 'two.bag'?" in err
+
+
 def test_a_contact_may_end_a_little_after_its_recording(workplace, capsys):
     assert run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[28, 30.5]]')[0] == 0
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import pytest
+from made_arms import six_axis, six_axis_tree, urdf
 from made_bundles import pushed, watching_bundle
+from made_recordings import Drive, made_motion
 
 from tauext.cli import main
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
+from tauext.data.servo import AMPERES
 
 
 @pytest.fixture
@@ -77,6 +81,41 @@ def test_one_line_names_what_is_there_and_the_next_command(place, capsys, argume
     for word in words:
         assert word in err
     assert "Error parsing" not in err and "<class" not in err
+
+
+def test_the_help_begins_with_usage_and_commands(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("usage: tauext COMMAND") and text.index("  train ") < text.index("Order of work")
+    assert len(text.partition("Order of work")[2].splitlines()) <= 6
+
+
+def test_a_current_is_in_amperes_and_warnings_are_counted_as_they_are_shown(capsys, tmp_path):
+    drive = Drive(nm_per_a=(12.0, 9.0, 9.0, 4.5, 4.5, 4.5))
+    (recording,) = made_motion(six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1, drive=drive).recordings
+    recording = replace(recording, name="run", provenance={"torque": AMPERES})
+    save_recording(recording, tmp_path / "run.parquet")
+    main(["check", "--data", str(tmp_path / "run.parquet")])
+    text = capsys.readouterr().out
+    head = next(line for line in text.splitlines() if line.startswith("joint "))
+    assert "torque A" in head and "unexplained A" in head and "Nm" not in head
+    for severity in ("fault", "warning", "note"):
+        shown = sum(line.startswith(f"{severity}: ") for line in text.splitlines())
+        assert f"{shown} {severity}{'s' * (shown != 1)}" in text.splitlines()[-1]
+    assert main(["show", str(tmp_path / "run.parquet")]) == 0
+    assert "largest tau [A]" in capsys.readouterr().out
+
+
+def test_training_prints_its_phases(capsys, tmp_path):
+    (recording,) = made_motion(six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1).recordings
+    save_recording(replace(recording, name="run"), tmp_path / "run.parquet")
+    save_split(Split(("run.parquet",), (), ()), tmp_path)
+    (tmp_path / "robot.urdf").write_text(urdf(six_axis()))
+    main(["train", "--data", str(tmp_path), "--recipe", "friction", "--out", str(tmp_path / "a.tauext")])
+    err = capsys.readouterr().err
+    phases = ("checking the data", "observing the motion", "fitting friction and model", "finding the limits")
+    places = [err.find(phase) for phase in phases]
+    assert -1 not in places and places == sorted(places), err
 
 
 def test_the_commands_that_a_message_names_are_the_ones_that_help(place, capsys):

@@ -205,7 +205,7 @@ def monitor(
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
         as_json: print JSON lines, an object an event.
-        status_hz: with --json, print the estimates so many times per second; 0: events only.
+        status_hz: how often --json also prints the estimates, per second; 0: events only.
     """
     if new_reactions is not None or new_profiles is not None or new_bus is not None:
         write_templates(new_reactions, new_profiles, new_bus, bundle is not None or source is not None)

@@ -81,7 +81,7 @@ def run(
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
-        status_hz: with --json, print the estimates so many times per second of the recording; 0: events only.
+        status_hz: how often --json also prints the estimates, per second of the recording; 0: events only.
     """
     require(speed is None or 1e-6 <= speed <= 1e6, "speed", speed, "> 0: 1e-6 to 1e6")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")

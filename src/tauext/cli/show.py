@@ -368,7 +368,7 @@ def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:
     """Fitted parameters in the units of a data sheet.
 
     Args:
-        units: of each joint's torque.
+        units: unit of each joint's torque.
     """
     rows: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():

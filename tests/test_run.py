@@ -563,7 +563,7 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
 
 def test_a_latched_collision_is_said_to_hide_what_follows(place, capsys):
     _, out, _ = run(capsys, place / "watching.tauext", place / "pushed.parquet")
-    assert re.search(r"the collision alarm stood from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
+    assert re.search(r"the collision alarm lasted from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
     assert out.count("COLLISION") == 1
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import JsonArg, PlaceArg, expect_another, write_another
+from tauext.cli.place_argument import BundleArg, JsonArg, PlaceArg, RecordingsArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.places import Place
@@ -104,8 +104,8 @@ def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -
 
 
 def load(
-    bundle: tyro.conf.Positional[PlaceArg],
-    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
+    bundle: BundleArg,
+    recordings: RecordingsArg,
     from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     frame: str | None = None,

@@ -94,7 +94,7 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
         speed = options.speed or 1.0
         if speed < 1:  # by the clock, every sample would be missing
             raise ConfigError(
-                f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones"
+                f"speed = {speed:g} must be >= 1: at a lower speed a live loop counts late samples as missing"
             )
         return ReplaySource(place_of(target), speed)
     if kind == "ur":
@@ -249,7 +249,7 @@ def quiet_library(source: str) -> AbstractContextManager[None]:
 
 
 def require_positive(**values: float | None) -> None:
-    """Raise ConfigError where an option is given that is no number > 0 of a use."""
+    """Raise ConfigError where an option is given that is no number of a usable size."""
     for name, value in values.items():
         require(value is None or 1e-6 <= value <= 1e9, name, value, "> 0: 1e-6 to 1e9")
 
@@ -262,9 +262,7 @@ def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | N
     from tauext.sources.servo_bus_file import TEMPLATE as BUS
 
     if also_run:
-        raise ConfigError(
-            "--new-reactions, --new-profiles and --new-bus write a template and watch nothing: leave the rest out"
-        )
+        raise ConfigError("--new-reactions, --new-profiles and --new-bus only write a template: omit the other options")
     for path, text in ((reactions, REACTIONS), (profiles, PROFILES), (bus, BUS)):
         if path is not None:
             write_template(path, text)

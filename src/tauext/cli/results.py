@@ -14,6 +14,7 @@ from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
+from tauext.files.kind import why_no_bundle
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
@@ -78,7 +79,7 @@ def evaluate(
     expect_folder(out)
     for path in bundles:
         if not path.is_file():  # before baselines are trained for minutes
-            raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
+            raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
     if methods and not baselines:
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
@@ -161,7 +162,7 @@ def report(
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
-            f"{missing} is missing: give --results and --data (a report of results), or --flight (of one)"
+            f"{missing} is missing: give --results and --data for a report of results, or --flight for one flight"
         )
 
 

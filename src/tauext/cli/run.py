@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import BundleArg, PlaceArg, RecordingsArg
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import added
@@ -40,8 +40,8 @@ class RunSettings:
 
 
 def run(
-    bundle: tyro.conf.Positional[PlaceArg],
-    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
+    bundle: BundleArg,
+    recordings: RecordingsArg,
     real_time: bool = False,
     speed: float | None = None,
     own_rate: bool = False,

@@ -199,7 +199,7 @@ class TextLines(PrintContext):
             return
         count = collisions_text(self._behind) if self._behind else "what came after it"
         self.print_line(
-            f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid {count}; "
+            f"  the collision alarm lasted from {self._latched_s:.3f} s to the end and hid {count}; "
             "--acknowledge-after-s 1 ends each alarm after a second and shows all"
         )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, expect_another, print_replaced
+from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, PlaceArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
@@ -158,7 +158,7 @@ def calibrate(
 
 
 def refit(
-    bundle: tyro.conf.Positional[PlaceArg],
+    bundle: BundleArg,
     data: PlaceArg,
     out: PlaceArg,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,

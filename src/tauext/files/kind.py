@@ -52,8 +52,8 @@ def why_no_recording(path: Place) -> str:
     """What the path holds instead of a recording, and the next command; empty where a file holds nothing known."""
     if path.is_dir():
         if first(path, ".parquet"):
-            kind = "dataset folder" if (path / SPLIT).is_file() else "folder"
-            return f"is a {kind}, not a recording; give its recordings: {path}/*.parquet"
+            folder = "dataset folder" if (path / SPLIT).is_file() else "folder"
+            return f"is a {folder}, not a recording; give its recordings: {path}/*.parquet"
         if log := first_log(path):
             return f"is a folder, not a recording; {import_first(log)}"
         return "is a folder, not a recording (*.parquet)"

@@ -318,7 +318,8 @@ def test_a_contact_that_is_in_no_recording_is_refused_and_nothing_is_left(fault,
 def test_contacts_of_a_recording_that_is_not_imported_now_are_left_alone(workplace, capsys):
     """One arm.toml serves for later imports; only a mistyped name is refused."""
     contacts = '[contact.intervals]\n"three.bag" = [[2, 2.5]]'
-    assert run(capsys, workplace, contacts, sources=("one", "two"))[0] == 0
+    code, out, _ = run(capsys, workplace, contacts, sources=("one", "two"))
+    assert code == 0 and "contacts of three.bag are not used: it is not among the sources" in out
 
 
 def test_a_mistyped_recording_gets_a_suggestion(workplace, capsys):

@@ -235,17 +235,22 @@ def recordings_of(
             expect_within(arm, raw, end_s)
 
 
+def not_imported(arm: Arm, raws: Sequence[RawRecording]) -> list[str]:
+    """Names in [contact.intervals] that are none of these recordings."""
+    known = {name for raw in raws for name in (raw.path.name, raw.name)}
+    return [name for name in arm.contact.intervals if name not in known]
+
+
 def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
     """Raise ConfigError where contacts are given of a mistyped source: they would be trained on as free motion.
 
     A file of that name beside the sources or the description is another recording of the arm, not imported now.
     """
-    known = dict.fromkeys(name for raw in raws for name in (raw.path.name, raw.name))
     folders = [arm.path.parent, *dict.fromkeys(raw.path.parent for raw in raws)]
-    for name in arm.contact.intervals:
-        if name not in known and not any((folder / name).exists() for folder in folders):
+    for name in not_imported(arm, raws):
+        if not any((folder / name).exists() for folder in folders):
             files = dict.fromkeys(raw.path.name for raw in raws)
-            near = difflib.get_close_matches(name, known, 1)
+            near = difflib.get_close_matches(name, files, 1)
             meant = f"; did you mean '{near[0]}'?" if near else "; add the file to --source, or remove this entry"
             raise ConfigError(
                 f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}{meant}"
@@ -368,6 +373,9 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     expect_empty(out)
     expect_folder(out)
     sources = [source for path in paths for source in open_raw(path, arm.topics)]
+    expect_sources(arm, sources)
+    for name in not_imported(arm, sources):
+        say(f"contacts of {name} are not used: it is not among the sources")
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
     with new_folder(out) as part:

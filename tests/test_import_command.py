@@ -152,7 +152,7 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     code, out, err = run(capsys, workplace)
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     for words in (
-        "out: 2 faults, which `tauext train` refuses",
+        "out: 1 fault, which `tauext train` refuses",
         "effort-external (joints shoulder, elbow)",
         "tauext check",
     ):
@@ -313,6 +313,18 @@ def test_a_contact_that_is_in_no_recording_is_refused_and_nothing_is_left(fault,
     code, _, err = run(capsys, workplace, f"[contact.intervals]\n{interval}")
     assert code == 2 and words in err and len(err.splitlines()) == 1
     assert not [p for p in workplace.iterdir() if p.name.startswith("out")]
+
+
+def test_contacts_of_a_recording_that_is_not_imported_now_are_left_alone(workplace, capsys):
+    """One arm.toml serves for later imports; only a mistyped name is refused."""
+    contacts = '[contact.intervals]\n"three.bag" = [[2, 2.5]]'
+    code, out, _ = run(capsys, workplace, contacts, sources=("one", "two"))
+    assert code == 0 and "contacts of three.bag are not used: it is not among the sources" in out
+
+
+def test_a_mistyped_recording_gets_a_suggestion(workplace, capsys):
+    code, _, err = run(capsys, workplace, '[contact.intervals]\n"tow.bag" = [[5, 6]]')
+    assert code == 2 and "did you mean 'two.bag'?" in err
 
 
 def test_a_contact_may_end_a_little_after_its_recording(workplace, capsys):

@@ -281,7 +281,7 @@ def test_show_force_draws_a_picture(kept, tmp_path, capsys):
         (("{kept}", "--force", "--data", "gone.parquet"), "gone.parquet: there is no such recording"),
         (("{kept}", "--force", "--picture", "force.jpg"), "ends in .png"),
         (("{kept}", "--frame", "elbow"), "belong to --force"),
-        (("{recording}", "--force"), "--force is of a bundle"),
+        (("{recording}", "--force"), "--force needs a bundle"),
     ],
 )
 def test_what_tells_no_force_is_refused_in_one_line(arguments, words, kept, arm_bundle, tmp_path, capsys):

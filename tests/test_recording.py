@@ -372,5 +372,5 @@ def test_a_damaged_file_is_refused_by_name_and_left_as_it_was(fault, tmp_path):
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(RecordingError, match="there is no such recording"):
         load_recording(tmp_path / "one.parquet")
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="is a folder, not a recording"):
         load_recording(tmp_path)

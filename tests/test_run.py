@@ -563,7 +563,7 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
 
 def test_a_latched_collision_is_said_to_hide_what_follows(place, capsys):
     _, out, _ = run(capsys, place / "watching.tauext", place / "pushed.parquet")
-    assert re.search(r"the collision alarm stood from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
+    assert re.search(r"the collision alarm lasted from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
     assert out.count("COLLISION") == 1
 
 
@@ -663,7 +663,7 @@ def test_ctrl_c_keeps_the_flights_and_sums_up_what_was_done(place, capsys, monke
     options = ("--flights", place / "flights", "--after-s", 0.5, "--json")
     code, out, err = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)
     events = [json.loads(line) for line in out.splitlines()]
-    assert code == 130 and err.startswith("tauext: interrupted; the summary is of what was replayed")
+    assert code == 130 and err.startswith("tauext: interrupted; the summary covers the motion replayed")
     assert events[-1]["interrupted"] and events[-1]["samples"] == 4000 and events[-1]["recordings"] == 0
     assert events[-2]["event"] == "end" and not events[-2]["complete"]
     assert len(list((place / "flights").glob("*.txt"))) == 1 == events[-1]["flights"]["written"]

@@ -371,7 +371,7 @@ def test_the_command_writes_a_bundle_by_a_known_weight(tmp_path, arm, loaded_mot
     command = saved(tmp_path, wrong_constants(arm, free_motion, 1.12), loaded_motion)
     out = tmp_path / "right.tauext"
     assert main([*command, "--known-kg", str(MASS), "--out", str(out)]) == 0
-    assert "torques are to be multiplied by 1.12" in capsys.readouterr().out
+    assert "multiply the torques of all joints by 1.12" in capsys.readouterr().out
     right = load_bundle(out)
     assert right.observer.nm_per_unit == pytest.approx([1.0] * 6, abs=0.01)
     assert json.loads(right.provenance)["known_weight"]["mass_kg"] == MASS
@@ -398,7 +398,7 @@ def test_a_known_weight_skips_a_joint_without_a_constant_and_names_it(
     command = [*saved(tmp_path, bundle, recordings[1]), "--known-kg", str(1.12 * MASS), "--out", str(out)]
     assert main(command) == 0
     said = capsys.readouterr().out
-    assert "torques are to be multiplied by 1.12" in said and "skipped: joint6, whose" in said
+    assert "multiply the torques of all joints by 1.12" in said and "skipped: joint6, whose" in said
     right = load_bundle(out)
     assert right.estimate_units[:5] == ["N m"] * 5 and right.estimate_units[5].startswith("A / 1.1")
     assert right.in_newtons == [True] * 5 + [False]

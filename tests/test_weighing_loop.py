@@ -127,7 +127,7 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     assert abs(told[2].found.mass_kg - MASS) < 0.05 and told[2].found.reach_m == 0.25
     assert not loop.monitor.weighing
     sentences = [weigh_words(change) for change in told]
-    assert sentences[0] == ["weighs what the arm carries beside nothing, by a line"]
+    assert sentences[0] == ["weighing the payload, by a line"]
     assert sentences[1] == ["0.00 s of healthy motion are too little to weigh a load"]
     assert sentences[2][0].startswith("load 1.6")
     facts = found_facts(told[2])

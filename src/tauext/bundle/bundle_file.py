@@ -9,6 +9,7 @@ from tauext import _core
 from tauext.errors import BundleError, ConfigError
 from tauext.files.atomic_write import atomic_files
 from tauext.files.copies import local_file, written_as
+from tauext.files.kind import why_no_bundle
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import json_of
 from tauext.files.provenance import json_text
@@ -24,6 +25,8 @@ def load_bundle(path: Place | str) -> _core.Bundle:
         CoreError: damaged, or of another format.
     """
     path = place_of(path)
+    if path.suffix != ".tauext" and (reason := why_no_bundle(path)):
+        raise BundleError(f"{path}: {reason}")
     if not path.is_file():
         raise BundleError(f"{path}: there is no such bundle; `tauext train` makes one")
     try:

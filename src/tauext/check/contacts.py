@@ -24,6 +24,7 @@ from tauext.check.fit import (
 from tauext.check.motion import MOVING_RAD_S, POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording, runs_of
+from tauext.data.servo import torque_unit
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
@@ -176,4 +177,4 @@ def _described(
     since = rows.time_s[peak] - sum(r.duration_s for r in recordings[:recording])
     r = recordings[recording]
     where = f"'{r.joints[joint]}' at {since:.1f} s of '{r.name}'"
-    return f"{errors[peak, joint]:.3g} Nm at {where}, {times:.0f} times the usual error"
+    return f"{errors[peak, joint]:.3g} {torque_unit(recordings)} at {where}, {times:.0f} times the usual error"

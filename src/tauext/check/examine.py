@@ -59,9 +59,10 @@ from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
-from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque
+from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque, torque_unit
 from tauext.errors import ConfigError
 from tauext.files.copies import local_robot
+from tauext.files.kind import first_log, import_first
 from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT
 from tauext.progress import SILENT, Reporter
@@ -180,6 +181,8 @@ class Diagnosis:
     """Of a servo arm one a joint: its effort at rest."""
     plays: list[Play] = field(default_factory=list)
     """One a joint: play, estimated from its turns."""
+    torque_unit: str = "Nm"
+    """Of the recordings' tau."""
 
     @property
     def faulty(self) -> bool:
@@ -274,7 +277,9 @@ def _examine(
     found += play_findings(joints, plays)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     facts = facts_of(recorded, efforts, plays, velocities, rows, fits, lags)
-    return Diagnosis(joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays)
+    return Diagnosis(
+        joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays, torque_unit(recorded)
+    )
 
 
 def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -415,12 +420,14 @@ def _scale(
 # --- The diagnosis as text for a terminal and as plain data for a script.
 
 
+TORQUE = "unit of tau"
+"""Unit of columns that have the unit of the recordings' torque."""
 COLUMNS = (
     ("torque_is", "tau is", "", ""),
     ("range_rad", "range", "rad", ".2f"),
     ("speed_rad_s", "speed", "rad/s", ".2f"),
-    ("torque_nm", "torque", "Nm", ".3g"),
-    ("torque_noise_nm", "noise", "Nm", ".2g"),
+    ("torque_nm", "torque", TORQUE, ".3g"),
+    ("torque_noise_nm", "noise", TORQUE, ".2g"),
     ("torque_step_nm", "tau step", "", ".3g"),
     ("position_step_rad", "q step", "rad", ".3g"),
     ("velocity_step_rad_s", "dq step", "rad/s", ".2g"),
@@ -429,7 +436,7 @@ COLUMNS = (
     ("velocity_delay_ms", "dq late", "ms", ".1f"),
     ("torque_delay_ms", "tau late", "ms", ".1f"),
     ("gravity_factor", "tau by g", "", ".3f"),
-    ("error_nm", "unexplained", "Nm", ".2g"),
+    ("error_nm", "unexplained", TORQUE, ".2g"),
 )
 """What was measured of a joint: name of the fact, its heading, unit and format."""
 
@@ -437,14 +444,15 @@ COLUMNS = (
 def as_text(diagnosis: Diagnosis) -> str:
     """Findings, those of one code, evidence and advice together; then a table of what was measured."""
     lines = []
-    for finding, joints in grouped(diagnosis.findings):
+    shown = grouped(diagnosis.findings)
+    for finding, joints in shown:
         where = f" ({', '.join(joints)})" if joints else ""
         lines += [f"{finding.severity}: {finding.code}{where}"]
         for one in diagnosis.findings:
             if (one.code, one.severity) == (finding.code, finding.severity):
                 lines.append(f"    {one.joint + ': ' if one.joint else ''}{one.evidence}")
         lines.append(f"    -> {finding.advice}")
-    counts = [sum(f.severity == severity for f in diagnosis.findings) for severity in SEVERITIES]
+    counts = [sum(finding.severity == severity for finding, _ in shown) for severity in SEVERITIES]
     summary = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
     return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", summary])
 
@@ -485,7 +493,8 @@ def as_data(diagnosis: Diagnosis) -> dict:
 
 def _table(diagnosis: Diagnosis) -> list[str]:
     shown = [c for c in COLUMNS if any(c[0] in fact for fact in diagnosis.facts)]
-    head = ["joint", *(f"{title} {unit}".strip() for _, title, unit, _ in shown)]
+    units = {TORQUE: diagnosis.torque_unit}
+    head = ["joint", *(f"{title} {units.get(unit, unit)}".strip() for _, title, unit, _ in shown)]
     rows = [
         [joint, *(format(fact[key], form) if key in fact else "-" for key, _, _, form in shown)]
         for joint, fact in zip(diagnosis.joints, diagnosis.facts, strict=True)
@@ -532,7 +541,9 @@ def gather(
     if robot_file is not None and is_placeholder(robot_file):
         robot_file = None
     if not files:
-        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
+        log = next((log for path in data if path.is_dir() and (log := first_log(path))), None)
+        remedy = f"; {import_first(log)}" if log is not None else ""
+        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check{remedy}")
     return _evenly(files, report), free, robot_file
 
 

@@ -276,11 +276,11 @@ def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: 
     findings = [finding for look in looks.values() for finding in look.findings]
     refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
     if refused:
-        plural = "" if len(refused) == 1 else "s"
+        count = len(by_code(refused))
         lines = [
-            f"{where}: {len(refused)} fault{plural}, so nothing is learned from it",
+            f"{where}: {count} fault{'' if count == 1 else 's'}, so these data are refused",
             *finding_lines(refused),
-            "  `tauext check` draws it. To learn from it as it is, on your word, which the bundle keeps:",
+            "  `tauext check --out DIR` draws them. To use them as they are, accept the faults; the bundle records it:",
             f"      --accept {' '.join(accepting(refused))}",
         ]
         raise FaultyDataError("\n".join(lines), refused)

@@ -14,7 +14,7 @@ from tauext.check.motion import MOVING_RAD_S, repeated_rows
 from tauext.config import ObserverConfig
 from tauext.data.drive_signal import MOST_VALUES, position_step, step_of
 from tauext.data.recording import Recording, runs_of
-from tauext.data.servo import derives_velocity, makes_torque
+from tauext.data.servo import derives_velocity, makes_torque, torque_unit
 
 # --- Signals as such: stuck at an extreme value, standing still, in coarse steps, or cleaner than a measurement.
 
@@ -51,7 +51,7 @@ def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
 def _saturated(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
     """Torque and velocity alone: a position that rests at its extreme is a pose."""
     moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~repeated_rows(r) for r in recordings]
-    for signal, unit in (("tau", "Nm"), ("dq", "rad/s")):
+    for signal, unit in (("tau", torque_unit(recordings)), ("dq", "rad/s")):
         x = np.concatenate([getattr(r, signal)[m, j] for r, m in zip(recordings, moving, strict=True)])
         if len(x) < 100 or np.ptp(x) == 0:
             continue
@@ -165,7 +165,8 @@ def _coarse(recordings: Sequence[Recording], j: int, joint: str) -> Finding | No
     step = torque_step_nm(recordings, j)
     if step is None or not moves or not _is_coarse(recordings, j):
         return None
-    evidence = f"whole multiples of {step:.4g} Nm, where the torque's spread is {spread:.4g} Nm"
+    unit = torque_unit(recordings)
+    evidence = f"whole multiples of {step:.4g} {unit}, where the torque's spread is {spread:.4g} {unit}"
     advice = "pushes below a step or two cannot be seen; is there a finer signal, a current for instance?"
     return Finding("quantised", "warning", joint, evidence, advice)
 
@@ -190,8 +191,8 @@ def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
     if not clean.any():
         return []
     evidence = (
-        f"noise of the torque {noise[clean].min():.2g} to {noise[clean].max():.2g} Nm on {int(clean.sum())} of "
-        f"{len(clean)} joints, {np.max(noise[clean] / spread[clean]):.1g} of its spread; "
+        f"noise of the torque {noise[clean].min():.2g} to {noise[clean].max():.2g} {torque_unit(recordings)} on "
+        f"{int(clean.sum())} of {len(clean)} joints, {np.max(noise[clean] / spread[clean]):.1g} of its spread; "
         f"a measurement has 0.01 or more. Nothing above {_empty_above(recordings, clean):.0f} Hz"
     )
     advice = (
@@ -468,7 +469,8 @@ def spike_findings(recording: Recording, spikes: Sequence[Spikes], normal: dict[
 
 
 def _described(recording: Recording, spikes: Spikes, normal: Normal) -> str:
-    x, j, unit = getattr(recording, spikes.signal), spikes.joint, UNITS[spikes.signal]
+    x, j = getattr(recording, spikes.signal), spikes.joint
+    unit = torque_unit([recording]) if spikes.signal == "tau" else UNITS[spikes.signal]
     order = np.argsort(-np.abs(x[spikes.rows, j] - spikes.before))[:LISTED]
     parts = [
         f"{x[spikes.rows[k], j]:.4g} {unit} at {recording.time_s[spikes.rows[k]]:.3f} s beside {spikes.before[k]:.4g}"

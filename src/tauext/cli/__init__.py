@@ -8,7 +8,6 @@ import functools
 import importlib
 import os
 import sys
-import textwrap
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stderr, suppress
@@ -20,73 +19,58 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # MuJoCo draws nothing here. Its import would search for a window system in a subprocess, and lose a Ctrl-C.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
+from tauext.cli.parser_message import in_one_line
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 
-RULE = (
-    "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
-    "and a line on stderr names them at the start; datasets and descriptions are refused; flights and recordings get "
-    "another name."
-)
-KILLED = (
-    "Whatever ends a process (Ctrl-C, kill -9, a power cut) leaves whole files, and costs at most the last 30 s of "
-    "simulated, trained, calibrated or evaluated motion: the same command goes on there. What is fitted in between "
-    "(a prior, the gate) is done again; so is an import, a check and a report."
-)
 GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Recordings": {
-        "import": ("recordings.import_data", "recordings of a real arm become a dataset; --new writes arm.toml"),
-        "simulate": ("recordings.simulate", "a dataset of the paper's two-axis rig"),
-        "check": ("recordings.check", "find wrong units, signs, order and timing before anyone trains"),
-        "label": ("recordings.label", "add contact and collision to a LeRobot dataset"),
+        "import": ("recordings.import_data", "make a dataset from recordings of a real arm; --new writes arm.toml"),
+        "simulate": ("recordings.simulate", "make a dataset of the paper's two-axis rig"),
+        "check": ("recordings.check", "find wrong units, signs, joint order and timing"),
+        "label": ("recordings.label", "add contact and collision labels to a LeRobot dataset"),
     },
     "Bundles": {
-        "train": ("train.train", "a bundle from a dataset's free motion"),
-        "calibrate": ("train.calibrate", "other limits for a trained bundle"),
-        "refit": ("train.refit", "bring a bundle's friction up to date with a minute of today's motion"),
-        "show": ("show.show", "print what is in a bundle, a recording or a fleet prior"),
+        "train": ("train.train", "train a bundle on a dataset's free motion"),
+        "calibrate": ("train.calibrate", "set other limits in a trained bundle"),
+        "refit": ("train.refit", "update a bundle's friction with a minute of today's motion"),
+        "show": ("show.show", "print the contents of a bundle, a recording or a fleet prior"),
     },
     "Monitor": {
-        "run": ("run.run", "monitor recordings"),
-        "monitor": ("monitor.monitor", "monitor a live arm"),
-        "load": ("load.load", "mass and centre of mass of a payload; torque constants from a known weight"),
+        "run": ("run.run", "run the monitor on recordings"),
+        "monitor": ("monitor.monitor", "run the monitor on a live arm"),
+        "load": ("load.load", "weigh a payload, or find torque constants from a known weight"),
         "demo": ("demo.demo", "push a simulated arm in the browser"),
     },
     "Results": {
-        "evaluate": ("results.evaluate", "errors, false alarms and delays of bundles on a dataset"),
-        "report": ("results.report", "an HTML page of results, or of one flight"),
-        "reproduce": ("reproduce.reproduce", "simulate, train, evaluate and report: the paper's experiment"),
+        "evaluate": ("results.evaluate", "measure errors, false alarms and delays of bundles on a dataset"),
+        "report": ("results.report", "draw an HTML page of results, or of one flight"),
+        "reproduce": ("reproduce.reproduce", "repeat the paper's experiment: simulate, train, evaluate and report"),
     },
     "Many arms": {
-        "fleet": ("fleet", "run: all stages of every arm; prior, report, example"),
+        "fleet": ("fleet", "run all stages for many arms; fleet priors and reports"),
     },
 }
 """Commands: module and function in this package, and a line of help."""
 COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
 FLEET = {
     "run": "import, check, train, calibrate and evaluate every arm",
-    "example": "print a FLEET.toml to begin with",
-    "prior": "learn from arms of one type what the next one can start with",
-    "report": "one page of all arms",
+    "example": "print an example of FLEET.toml",
+    "prior": "fit a prior for the next arm of a type from several arms",
+    "report": "draw one page of all arms",
 }
 """Functions of the module fleet, and a line of help."""
-DESCRIPTION = f"""\
-External joint torque and collision detection for robot arms, from encoders and motor torque alone.
-
-import (or simulate) -> train -> run or monitor; evaluate -> report.
-Where a path may stand, a URL of an object store may: s3://, gs://, abfs://.
-
-{textwrap.fill(RULE, 100)}
-
-{textwrap.fill(KILLED, 100)}"""
+SUMMARY = "External joint torque and collision detection for robot arms, from encoders and motor torque alone."
+NOTES = """\
+Order of work: import (or simulate), check, train, then run or monitor; evaluate and report show how good a bundle is.
+Paths may be URLs of an object store: s3://, gs://, abfs://.
+Existing output: bundles, results and reports are replaced, and named on stderr first; datasets and descriptions are
+refused; flights and recordings get another name.
+After an interruption, run the same command again: at most 30 s of simulating, training a network, calibrating or
+evaluating are lost. Files are always whole."""
 HELP_CONFIG = """\
 # Settings for `tauext train --config FILE.toml`: help, default and type of every key. A key without a default follows
 # from the recipe or the recordings. `tauext calibrate --config` takes the table [alarm].
 """
-PARSER_INDENT = 8
-"""The parser's box indents the help of an option by so many blanks, and the option by fewer."""
-LEFT_OUT = ("Argument helptext", "For full helptext")
-"""Sections of the parser's box that a line has no room for: the line names the help instead."""
-
 
 LONGEST_ERROR = 1500
 """Letters of an error: what a hostile file holds is quoted no further."""
@@ -142,9 +126,8 @@ def overview(argv: Sequence[str]) -> str | None:
         lists = {title: listed({name: row[1] for name, row in group.items()}) for title, group in GROUPS.items()}
         groups = "\n\n".join(f"{title}:\n{commands}" for title, commands in lists.items())
         return (
-            f"usage: tauext COMMAND [OPTIONS]\n\n{DESCRIPTION}\n\n{groups}\n\n"
-            "`tauext COMMAND --help` lists the options of a command; `tauext --version` prints the versions of\n"
-            "package, core and bundles."
+            "usage: tauext COMMAND [OPTIONS]\n       tauext COMMAND --help\n       tauext --version\n\n"
+            f"{SUMMARY}\n\n{groups}\n\n{NOTES}"
         )
     if argv[:1] == ["fleet"] and argv[1:2] and argv[1] in help_options:
         return f"usage: tauext fleet COMMAND [OPTIONS]\n\nMany arms on many cores.\n\n{listed(FLEET)}"
@@ -186,19 +169,6 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     return call
 
 
-def in_one_line(box: str) -> str:
-    """The content of a box of the parser, without its frame, help texts and advice."""
-    sections: list[list[str]] = [[]]
-    for line in box.splitlines():
-        inside = line.strip("│|")
-        if not inside.strip(" ─-") or line.startswith(("╭", "╰", "+")):
-            sections.append([])
-        elif len(inside) - len(inside.lstrip()) < PARSER_INDENT:
-            sections[-1].append(inside.strip())
-    messages = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
-    return "; ".join(messages) or "the options are invalid"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status.
 
@@ -232,7 +202,7 @@ def main(argv: list[str] | None = None) -> int:
     except TauextError as error:
         return refused(str(error))
     except KeyboardInterrupt as stop:
-        kept = str(stop) or "what was finished is kept, and the same command goes on from there"
+        kept = str(stop) or "finished work is kept; the same command continues from there"
         print_error(f"tauext: interrupted; {kept}")
         return 130
     except BrokenPipeError:  # `tauext run --json | head`: the reader is gone

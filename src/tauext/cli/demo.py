@@ -1,4 +1,4 @@
-"""`tauext demo`: push a simulated arm in the browser and see what the monitor makes of it."""
+"""`tauext demo`: push a simulated arm in the browser and see the monitor's estimates."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ def demo(
 ) -> None:
     """Push a simulated arm with the mouse; three methods estimate the push, and the arm reacts.
 
-    Bundles are trained on first use, within two minutes or so, and kept in $XDG_CACHE_HOME/tauext/demo. The page needs
-    the extra tauext[live], and no other host.
+    Bundles are trained on first use, in about two minutes, and kept in $XDG_CACHE_HOME/tauext/demo. The page needs the
+    extra tauext[live]; it loads nothing from the network.
 
     Args:
         arm: the paper's two-axis rig, or an arm of seven axes; the page can change it.
-        port: port of the page; the next free one where it is in use.
+        port: port of the page; if it is in use, the next free one.
         host: address to listen on. 0.0.0.0: everyone in the network may push.
         seed: seed of motion, noise and training.
         open: open the page in a browser.
-        headless_seconds: show no page, simulate so many seconds with scripted pushes, then a weight in the hand of the
-            seven-axis arm, and print what was found.
+        headless_seconds: show no page; simulate so many seconds with scripted pushes, then a weight in the hand of the
+            seven-axis arm, and print the results.
     """
     from tauext.page.bundles import cache_folder
 

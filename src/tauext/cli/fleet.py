@@ -27,16 +27,16 @@ def prior(
     threads: int = 0,
     accept: AcceptArg = (),
 ) -> None:
-    """Learn from arms of one type what the next one can start with: `tauext train --like` takes it, and a minute.
+    """Fit a prior for the next arm of a type; `tauext train --like` needs only a minute of that arm's motion.
 
-    Printed is each arm's friction by the fleet's, a row an arm; * marks what is not like the others and counts for
-    less. An arm that `tauext train` would refuse is left out, with the reason.
+    The command prints each arm's friction relative to the fleet's, a row an arm. * marks values that differ from the
+    other arms and count for less. An arm that `tauext train` would refuse is left out, with the reason.
 
     Args:
-        arms: three arms or more, each a dataset folder, or BUNDLE.tauext:DATA with the bundle that was trained on it,
-            whose terms are taken over instead of being searched for again.
+        arms: three arms or more, each a dataset folder, or BUNDLE.tauext:DATA with the bundle trained on it, whose
+            terms are used instead of a new search.
         out: file to write, NAME.prior.json.
-        threads: how many to work in; 0: one a core. The result does not depend on it.
+        threads: number of threads; 0: one a core. The result does not depend on it.
         accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
@@ -66,9 +66,9 @@ def report(
 ) -> None:
     """Draw one page of all arms: friction, ripple, limits, errors and promises, and which arm or joint stands out.
 
-    Each arm is held against its own first date and against the other arms of its type: which joint is wearing, which
-    arm has another tool or torque constant, with the probability that it is so. Dates are those of FLEET.toml (date,
-    serial), or of the recordings' clocks, or the order of the folders.
+    Each arm is compared with its own first date and with the other arms of its type. The page names joints that wear,
+    and arms with another tool or torque constant, with the probability of each. Dates come from FLEET.toml (date,
+    serial), from the recordings' clocks, or from the order of the folders.
 
     Args:
         fleets: folders that `tauext fleet run` made, one or several: monday tuesday.
@@ -137,22 +137,23 @@ def run(
     dry_run: bool = False,
     as_json: JsonArg = False,
 ) -> int:
-    """Import, check, train, calibrate and evaluate every arm of a fleet; what is done is not done again.
+    """Import, check, train, calibrate and evaluate every arm of a fleet; finished tasks are not repeated.
 
-    Each stage of each arm is a task of one thread, known by the hash of its inputs: contents of files, settings,
-    version. An arm that fails does so alone, with its reason. Ctrl-C, a killed worker or a lost node cost the tasks
-    that ran; the same command goes on with what is left, and a changed setting or file does again what depends on it.
-    The same command writes the same bytes for any number of workers, wall times apart.
+    Each stage of each arm is a task of one thread, identified by the hash of its inputs: file contents, settings,
+    version. An arm that fails does not stop the others; its reason is reported. After Ctrl-C, a killed worker or a lost
+    node, run the same command again: only the running tasks are repeated. A changed setting or file repeats the tasks
+    that depend on it. The output has the same bytes for any number of workers, except wall times.
 
     Exit status: 0 all arms are done, 1 an arm failed, 2 bad input.
 
     Args:
         fleet: FLEET.toml: arms, files, settings; `tauext fleet example` prints one.
-        out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all. Workers on other machines must find
-            it, and what FLEET.toml names, under the same paths, or URLs with the same keys in their environment.
+        out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all tasks. Workers on other machines
+            need the same paths for this folder and for the files of FLEET.toml, or URLs with the same keys in their
+            environment.
         config: workers of the tasks.
-        dry_run: print what would be done, and why, and do nothing.
-        as_json: print JSON lines, an object a task that begins or ends.
+        dry_run: print the tasks and their reasons without running them.
+        as_json: print JSON lines, an object for each start and end of a task.
     """
     from tauext.cli.fleet_output import open_watcher, print_plan
     from tauext.fleet.book import plan_fleet
@@ -167,18 +168,16 @@ def run(
         try:
             end = run_fleet(read, out, config, watcher)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                "tasks that had ended are kept, and the same command goes on with the rest"
-            ) from None
+            raise KeyboardInterrupt("finished tasks are kept; the same command continues with the rest") from None
     watcher.finish(end)
     return 1 if end.book.failures() else 0
 
 
 def example(out: Path | None = None) -> None:
-    """Print a FLEET.toml with comments, to begin with.
+    """Print a commented FLEET.toml.
 
     Args:
-        out: file to write it to instead; one that is there is left as it is, and that is an error.
+        out: write it to this file instead; an existing file is refused.
     """
     from tauext.fleet.fleet_file import EXAMPLE
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import JsonArg, PlaceArg, expect_another, write_another
+from tauext.cli.place_argument import BundleArg, JsonArg, PlaceArg, RecordingsArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.places import Place
@@ -59,11 +59,11 @@ def set_constants(
 def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:
     """The factors in words, and what to do where one for all joints is not enough."""
     lines = [
-        f"with {mass_kg:g} kg known, torques are to be multiplied by {known.common:.3f} ± {known.common_error:.3f}, "
-        "all joints together"
+        f"with {mass_kg:g} kg known, multiply the torques of all joints by {known.common:.3f} "
+        f"± {known.common_error:.3f}"
     ]
     own = [
-        f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} as all"
+        f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} same as all"
         for joint, factor, error, shows, skipped in zip(
             joints, known.factors, known.errors, known.shows, known.skipped, strict=True
         )
@@ -73,14 +73,14 @@ def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, const
     left_out = [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped]
     if left_out:
         lines.append(
-            f"skipped: {', '.join(left_out)}, whose torque constants are not known and stay so; a new bundle has their "
-            "numbers times the common factor, so that their limits hold"
+            f"skipped: {', '.join(left_out)}, whose torque constants remain unknown; a new bundle multiplies their "
+            "numbers by the common factor, so that their limits hold"
         )
     if not known.one_factor and not left_out:
         given = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
-            "joints differ by more than their errors, which leave out how far the bundle's own arm was fitted with "
-            f"wrong constants; a bundle takes one factor. A new training takes all: --torque-constants {given}"
+            "the factors differ by more than their standard errors, which leave out that the bundle was trained with "
+            f"wrong constants; a bundle takes one factor. To correct each joint, train with --torque-constants {given}"
         )
     return lines
 
@@ -104,8 +104,8 @@ def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -
 
 
 def load(
-    bundle: tyro.conf.Positional[PlaceArg],
-    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
+    bundle: BundleArg,
+    recordings: RecordingsArg,
     from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     frame: str | None = None,
@@ -115,22 +115,22 @@ def load(
     out: PlaceArg | None = None,
     as_json: JsonArg = False,
 ) -> None:
-    """Weigh what the arm carries: mass and centre of mass, from seconds of ordinary motion or some standing poses.
+    """Weigh the arm's payload: mass and centre of mass, from seconds of ordinary motion or several standing poses.
 
-    The bundle must have been trained without this load, and nothing may touch the arm. What the motion does not
-    determine is named, and so is a torque that turns unlike gravity: a contact. With --known-kg the known weight sets
-    the torque constants instead.
+    The bundle must have been trained without this payload, and nothing may touch the arm. The command reports which
+    parameters the motion does not determine. It also reports a torque that does not turn as gravity does: a contact.
+    With --known-kg, the known weight sets the torque constants instead.
 
     Args:
         bundle: bundle (*.tauext) of the arm.
-        recordings: recordings (*.parquet) of the arm with one and the same load.
-        from_s: seconds from the start of each recording that are left out. None: none.
-        to_s: seconds from the start of each recording at which it ends. None: with its last sample.
-        frame: joint whose link carries the load. None: the bundle's load frame, on the last link.
-        reach_m: how far from that frame's origin the centre of mass can be at most, [m].
-        known_kg: what the load weighs, [kg]: find torque constants instead of a mass. None: it is not known.
+        recordings: recordings (*.parquet) of the arm, all with the same payload.
+        from_s: seconds to skip at the start of each recording. None: none.
+        to_s: seconds from the start of each recording at which it ends. None: the last sample.
+        frame: joint whose link carries the payload. None: the bundle's load frame, on the last link.
+        reach_m: largest distance of the centre of mass from that frame's origin, [m].
+        known_kg: known mass of the payload, [kg]; torque constants are found instead. None: unknown.
         known_com_m: centre of mass of the known weight in that frame, [m]. None: it is found.
-        out: bundle (*.tauext) to write with the torque constants that a known weight gives. None: none is written.
+        out: bundle (*.tauext) to write with the torque constants from a known weight. None: no bundle.
         as_json: print one JSON object for scripts.
     """
     require(1e-3 <= reach_m <= 100, "reach_m", reach_m, "0.001 to 100")

@@ -94,7 +94,7 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
         speed = options.speed or 1.0
         if speed < 1:  # by the clock, every sample would be missing
             raise ConfigError(
-                f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones"
+                f"speed = {speed:g} must be >= 1: at a lower speed a live loop counts late samples as missing"
             )
         return ReplaySource(place_of(target), speed)
     if kind == "ur":
@@ -107,7 +107,7 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
         return FrankaSource(target)
     if options.bus is None:
         named = f"{kind}:{KINDS[kind].target}"
-        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
+        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
     if kind == "damiao":
         from tauext.sources.damiao import DamiaoSource, load_can_bus
 
@@ -167,44 +167,45 @@ def monitor(
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
-    """Watch a live arm: torque, contact and collision as they happen, and the reactions to them.
+    """Monitor a live arm: external torque, contacts, collisions, and the reactions to them.
 
-    Ctrl-C ends it with a summary. Docs: docs/live.md.
+    Ctrl-C ends the monitor with a summary. Guide: docs/running.md.
 
     Args:
         bundle: bundle (*.tauext) to run.
-        source: where samples come from: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN,
+        source: source of the samples: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN or
             ros2.
-        speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
+        speed: factor on the recorded speed of a replay, at least 1. None: 1.
         torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
             current.
-        bus: file (TOML) of --source feetech, dynamixel or damiao: which servo is which joint, where its zero is and
-            which way it turns; for serial servos LeRobot's calibration file (*.json) will do, too.
-        new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
-        ros2: topics and quality of service of --source ros2; docs/ros2.md.
-        reactions: file (TOML) of reactions to a collision, contact or fault, and to its end.
-        new_reactions: file to write a commented example of reactions to; nothing is watched then.
-        profiles: file (TOML) of named factors on the limits, switched while the monitor runs.
-        new_profiles: file to write a commented example of profiles to; nothing is watched then.
-        control: socket to listen on for lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
+        bus: TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint.
+            LeRobot's calibration file (*.json) also works for serial servos.
+        new_bus: write a commented example of a bus of serial servos to this file; nothing is monitored.
+        ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
+        reactions: TOML file of reactions to a collision, contact or fault, and to its end.
+        new_reactions: write a commented example of reactions to this file; nothing is monitored.
+        profiles: TOML file of named factors on the limits, switched while the monitor runs.
+        new_profiles: write a commented example of profiles to this file; nothing is monitored.
+        control: socket that accepts the lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         missing_after_ms: time after the last sample when the next one counts as missing, [ms]. None: two periods, or
-            a period and 2 ms where that is more.
+            a period and 2 ms if that is longer.
         acknowledge_after_s: seconds after which a collision is acknowledged. None: only on request.
-        duration_s: time after which watching ends, [s]. None: with the source, or on request.
-        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault;
-            files that are there are never overwritten. None: no flights.
-        before_s: seconds that a flight keeps from before its event.
-        after_s: seconds that a flight keeps from after its event.
-        contacts: write flights of contacts, too.
-        record: folder for recordings of all samples that came, to train with again.
-        segment_s: length of each of the recordings, [s]: what a killed process loses at most.
-        core: processor core that the loop and what receives samples are pinned to. None: any.
-        priority: real-time priority of the loop and what receives samples, SCHED_FIFO, 1 to 99. None: an ordinary one.
-        wrench: frame of the bundle at which the force of every touch is reported, too, with its uncertainty and
-            direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
+        duration_s: time after which the monitor ends, [s]. None: with the source, or on request.
+        flights: folder for flights: recording, estimates and a written explanation around every collision and fault.
+            Existing files are never overwritten. None: no flights.
+        before_s: seconds before the event that a flight keeps.
+        after_s: seconds after the event that a flight keeps.
+        contacts: also write flights of contacts.
+        record: folder for recordings of all received samples, for a later training.
+        segment_s: length of each recording, [s]; a killed process loses at most this much.
+        core: processor core of the loop and the receiver of samples. None: any.
+        priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
+            scheduling.
+        wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
+            also reported, with uncertainty and direction. An unknown name prints the available frames.
         as_json: print JSON lines, an object an event.
-        status_hz: with --json, how many times per second the estimates are printed, too; 0: events only.
+        status_hz: how often --json also prints the estimates, per second; 0: events only.
     """
     if new_reactions is not None or new_profiles is not None or new_bus is not None:
         write_templates(new_reactions, new_profiles, new_bus, bundle is not None or source is not None)
@@ -248,7 +249,7 @@ def quiet_library(source: str) -> AbstractContextManager[None]:
 
 
 def require_positive(**values: float | None) -> None:
-    """Raise ConfigError where an option is given that is no number > 0 of a use."""
+    """Raise ConfigError where an option is given that is no number of a usable size."""
     for name, value in values.items():
         require(value is None or 1e-6 <= value <= 1e9, name, value, "> 0: 1e-6 to 1e9")
 
@@ -261,9 +262,7 @@ def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | N
     from tauext.sources.servo_bus_file import TEMPLATE as BUS
 
     if also_run:
-        raise ConfigError(
-            "--new-reactions, --new-profiles and --new-bus write a template and watch nothing: leave the rest out"
-        )
+        raise ConfigError("--new-reactions, --new-profiles and --new-bus only write a template: omit the other options")
     for path, text in ((reactions, REACTIONS), (profiles, PROFILES), (bus, BUS)):
         if path is not None:
             write_template(path, text)

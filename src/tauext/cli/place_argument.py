@@ -30,6 +30,9 @@ SPEC: PrimitiveConstructorSpec[Place] = PrimitiveConstructorSpec(
 )
 PlaceArg = Annotated[Place, SPEC]
 """In the help PATH|URL."""
+BundleArg = Annotated[PlaceArg, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")]
+"""The bundle of a command that takes one before its recordings."""
+RecordingsArg = Annotated[tuple[PlaceArg, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING ...")]
 
 
 def local(words: list[str]) -> Path:

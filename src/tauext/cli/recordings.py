@@ -32,27 +32,27 @@ def import_data(
     robot: PlaceArg | None = None,
     format: Literal["tauext", "lerobot"] = "tauext",
 ) -> None:
-    """Bring recordings of a real arm to rad, rad/s and Nm, and write a dataset folder that `tauext train` takes.
+    """Convert recordings of a real arm to rad, rad/s and Nm, and write a dataset folder for `tauext train`.
 
-    First `tauext import --new arm.toml --source FILE --robot FILE` writes a description to fill in, then
-    `tauext import --source FILE ... --arm arm.toml --out DIR` imports. All that was done to the numbers is printed and
-    kept in the recordings. At the end all training data is checked: faults, which train will refuse, and
-    warnings are printed; the dataset stays, so that `tauext check` can draw it.
+    First run `tauext import --new arm.toml --source FILE --robot FILE`, which writes a description to complete. Then
+    `tauext import --source FILE ... --arm arm.toml --out DIR` imports. Every conversion is printed and stored in the
+    recordings. The training data are checked at the end. Faults, which `tauext train` refuses, and warnings are
+    printed; the dataset is written in any case, so that `tauext check` can draw it.
 
     Args:
         source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
             v3.0 and v2.1.
         arm: description of robot and recordings, arm.toml.
-        out: folder to write, which must be empty or not there.
-        new: file to write a commented description to instead of importing, filled in from the names in the source and
+        out: folder to write; it must be empty or missing.
+        new: write a commented description to this file instead of importing, with the names found in the source and
             the robot file.
-        robot: URDF or MJCF of the arm, named in the description that --new writes.
-        format: what is written. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3
-            dataset, an episode a recording.
+        robot: URDF or MJCF of the arm, for the description that --new writes.
+        format: output format. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3 dataset, an episode a
+            recording.
     """
     if new is not None:
         if arm is not None or out is not None:
-            raise ConfigError("--new writes a description and imports nothing: leave --arm and --out out")
+            raise ConfigError("--new writes a description and imports nothing: omit --arm and --out")
         write_template(new, tuple(map(local_folder, source)), local_robot(robot) if robot is not None else None)
         return
     if robot is not None:
@@ -108,7 +108,7 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
 
 def print_findings(out: Path) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
-    from tauext.check.preflight import entries, finding_lines, sentence
+    from tauext.check.preflight import by_code, entries, finding_lines, sentence
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
@@ -127,9 +127,12 @@ def print_findings(out: Path) -> None:
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]
     if faults:
-        plural = "" if len(faults) == 1 else "s"
-        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; correct arm.toml, and import again"
-        terminal.say("\n".join([words, *finding_lines(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
+        count = len(by_code(faults))
+        plural = "" if count == 1 else "s"
+        words = f"{out}: {count} fault{plural}, which `tauext train` refuses; correct arm.toml, and import again"
+        terminal.say(
+            "\n".join([words, *finding_lines(faults), f"  `tauext check --data {out} --out DIR` draws the data"])
+        )
 
 
 # --- `tauext simulate`: a dataset from the virtual rig.
@@ -149,13 +152,13 @@ def simulate(
 
     Args:
         out: dataset folder to write: recordings, robot.xml, split.json.
-        minutes: minutes of free motion in all, cut in recordings of at most 90 s, at least 20 of them.
+        minutes: minutes of free motion in all, cut into at least 20 recordings of at most 90 s.
         collision_recordings: number of recordings with about ten collisions each.
         seed: seed of motions, noise and collisions.
-        calibration_hours: hours of free motion beside the minutes, for limits alone; 24 support a promise of 1 false
-            alarm in 8 hours.
-        test_hours: hours of free motion beside the minutes, to test on.
-        encoder_bits: resolution of the joints' encoders, counts in one turn as a power of two.
+        calibration_hours: additional hours of free motion, for limits alone; 24 support a promise of 1 false alarm in 8
+            hours.
+        test_hours: additional hours of free motion, to test on.
+        encoder_bits: resolution of the joint encoders, as a power of two: counts in one turn.
         friction: factor on Coulomb, static and viscous friction of every joint.
     """
     from tauext.sim.collect import simulate_dataset
@@ -192,17 +195,17 @@ def check(
     gravity: tuple[float, float, float] | None = None,
     as_json: JsonArg = False,
 ) -> int:
-    """Detect mistakes of units, signs, order and timing in recordings, and in the robot file.
+    """Find wrong units, signs, joint order and timing in recordings, and errors in the robot file.
 
-    Prints each finding with its evidence and what to do. Exit status: 0 no fault (there may be warnings), 1 a fault,
+    Prints each finding with its evidence and the remedy. Exit status: 0 no fault (warnings are possible), 1 a fault,
     2 bad input.
 
     Args:
         data: a dataset folder, a folder of recordings, or recordings (*.parquet), of free motion.
-        robot: URDF or MJCF of the arm; default: the dataset's own. Without any, checks that need a model are left out.
-        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures; existing
-            ones are replaced, and named on stderr.
-        gravity: acceleration of free fall in the base frame, m/s^2; default: the robot file's.
+        robot: URDF or MJCF of the arm; default: the dataset's own. Without one, checks that need a model are skipped.
+        out: folder to write: check.txt, check.json, and pictures of measured and predicted torque; existing ones are
+            replaced, and named on stderr.
+        gravity: gravitational acceleration in the base frame, m/s^2; default: the robot file's.
         as_json: print the findings as JSON for scripts.
     """
     from tauext.check.examine import as_files, examine, gather
@@ -238,24 +241,24 @@ def label(
 ) -> None:
     """Add external torque, contact and collision to every frame of a LeRobot dataset that has state and action only.
 
-    Reads and writes datasets of v3.0 (lerobot 0.4 and later) and v2.1 (0.3), without LeRobot. The torque comes from
-    the goal (the action of the frame before) minus the state. Every episode begins with a new monitor:
-    for about a second contact and collision are -1, unknown. The dataset itself is only read; what is written
-    appears whole or not at all, with features and statistics brought up to date, and videos linked or copied as they
-    are. The bundle comes from the same kind of data: `tauext import --source DATASET --arm arm.toml --out DIR`, then
+    Reads and writes datasets of v3.0 (lerobot 0.4 and later) and v2.1 (0.3); LeRobot itself is not needed. The torque
+    follows from the goal (the action of the frame before) minus the state. Each episode starts a new monitor: while it
+    warms up, for about a second, contact and collision are -1 (unknown). The input dataset is only read. The output
+    appears complete or not at all; features and statistics are updated, videos linked or copied. Train the bundle on
+    the same kind of data: `tauext import --source DATASET --arm arm.toml --out DIR`, then
     `tauext train --data DIR --out arm.tauext`.
 
     Args:
         dataset: folder of the LeRobot dataset, with meta/info.json in it.
         bundle: bundle (*.tauext) of this arm, trained on recordings of the same rate, with [servo] in its arm.toml.
-        arm: arm.toml that the bundle's recordings were imported with: which elements of the state are joints, and in
-            which unit.
-        out: folder to write, which must be empty or not there.
-        calibration: LeRobot's calibration file of the arm (*.json), for states from -100 to 100; instead of the one
+        arm: arm.toml with which the bundle's recordings were imported; it names the joints in the state, and their
+            units.
+        out: folder to write; it must be empty or missing.
+        calibration: LeRobot's calibration file of the arm (*.json), for states from -100 to 100; it replaces the one
             that arm.toml names.
-        into: where labels go. state: elements of observation.state, as a robot wrapped by lerobot_robot_tauext records
-            them; features: observation.tau_ext, observation.contact and observation.collision, which leaves the state
-            as it was when policies were trained on it.
+        into: place of the labels. state: elements of observation.state, as a robot wrapped by lerobot_robot_tauext
+            records them. features: observation.tau_ext, observation.contact and observation.collision; the state stays
+            as policies were trained on it.
         as_json: print the counts as one JSON object.
     """
     from tauext.bundle.bundle_file import load_bundle
@@ -270,9 +273,9 @@ def label(
         print(json.dumps({"out": str(out), **asdict(report)}))
         return
     known = report.frames - report.unknown
-    share = f"{report.contact / known:.1%} of them in contact" if known else "none: every episode is over too soon"
+    share = f"{report.contact / known:.1%} of them in contact" if known else "every episode is shorter than the warm-up"
     print(f"{report.episodes} episodes, {report.frames} frames; {known} with an estimate, {share}")
     print(f"{report.collisions} collisions")
     if report.held:
-        print(f"{report.equal} of {report.held} frames held these very values before")
+        print(f"{report.equal} of {report.held} frames had the same values before")
     print(out)

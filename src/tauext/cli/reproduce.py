@@ -128,19 +128,19 @@ def reproduce(
     cases: tuple[CaseName, ...] = ("exact", "mass", "com", "mass+com", "none"),
     seed: int = 0,
 ) -> None:
-    """Simulate, train five models, evaluate and report: the whole paper in one command.
+    """Simulate, train five models, evaluate and report: the paper's experiment in one command.
 
-    What is finished is kept: the same command goes on where it was interrupted. Existing results and an
-    existing report are replaced, and named on stderr.
+    After an interruption, the same command continues; finished steps are kept. Existing results and an existing report
+    are replaced, and named on stderr.
 
     Args:
         out: folder for data, bundles, results and report.
-        scale: how much is done. smoke: seconds, numbers mean nothing. quick: two minutes on two cores; every model case
-            by 10,000 steps of the dense recipe, the exact model by tauext's own from 10 minutes of the motion. full:
-            every model case by the whole dense recipe (5 minutes), then by the paper's whole recipe too (15
+        scale: amount of data and training. smoke: seconds; the numbers have no meaning. quick: two minutes on two
+            cores; every model case with 10,000 steps of recipe dense, the exact model also with recipe tauext from 10
+            minutes of motion. full: every model case with recipe dense (5 minutes), then with recipe paper (15
             minutes each on two idle cores, one after another).
         cases: model cases to train.
-        seed: seed of everything that is drawn.
+        seed: seed of all random numbers.
     """
     require_seed(seed)
     expect_folder(out)

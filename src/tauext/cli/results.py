@@ -14,6 +14,7 @@ from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
+from tauext.files.kind import why_no_bundle
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
@@ -32,7 +33,7 @@ def command_line() -> str:
 # --- `tauext evaluate`: bundles on test free motion and on collisions.
 
 
-METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
+METHODS = f"methods of --baselines to train and compare; default all: {', '.join(known_baselines())}."
 
 
 def evaluate(
@@ -50,24 +51,24 @@ def evaluate(
     inject: bool = False,
     events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:
-    """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
+    """Measure bundles on a dataset: errors and false alarms in free motion, detected collisions and delays.
 
     Args:
         data: dataset folder; its test and collision recordings are used.
         out: results folder to write: results.json and estimates/; existing results are replaced, and named on stderr.
-        bundles: bundles (*.tauext) to compare, named in the results by their file names.
-        baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
-            compare them, beside trivial detectors; existing ones are used again.
+        bundles: bundles (*.tauext) to compare; the results name them by their file names.
+        baselines: also train every known method on the dataset into OUT/bundles, with limits for the same budget of
+            false alarms, and compare them and trivial detectors; existing bundles are used again.
         case: model case of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
         seed: seed of the baselines' training and of the choice of the ten collisions.
         threads: threads that train and estimate; 0: one a core. The result does not depend on it.
-        keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
+        keep_free_estimates: number of free test recordings, from the first one, whose estimates are written for
             figures.
-        accept: codes of faults in the training data of the baselines to accept, as of train.
-        inject: add simulated hits, ramps and presses to the free test motion, at the end of each link and in random
-            directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
-        events: how alarms are held against labels.
+        accept: codes of faults to accept in the training data of the baselines, as in train.
+        inject: add simulated hits, ramps and presses to the free test motion, at the end of each link in random
+            directions, and count how many are detected; useful where no contacts were recorded.
+        events: rules that match alarms with labels.
     """
     from tauext.data.dataset import load_dataset
     from tauext.evaluate.results_folder import evaluate_bundles
@@ -78,7 +79,7 @@ def evaluate(
     expect_folder(out)
     for path in bundles:
         if not path.is_file():  # before baselines are trained for minutes
-            raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
+            raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
     if methods and not baselines:
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
@@ -124,18 +125,19 @@ def report(
     page_mb: float = 9.5,
     trace_methods: tuple[str, ...] = (),
 ) -> None:
-    """Draw Table I and the paper's figures from results, or what happened in one flight: an HTML page and PNG figures.
+    """Draw Table I and the paper's figures from results, or one flight: an HTML page and PNG figures.
 
-    Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
+    Give --results and --data, or --flight. The page holds traces that can be zoomed; it is one file and needs no
+    network.
 
     Args:
         out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
-        results: results folder to draw (`tauext evaluate` makes one).
+        results: results folder to draw, made by `tauext evaluate`.
         data: dataset folder that was evaluated.
         flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
             the newest is drawn.
-        page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: no traces.
-        trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
+        page_mb: largest size of the page, [MB]; traces take the space that is left. 0: no traces.
+        trace_methods: names of the bundles whose traces the page holds; default: the best five.
     """
     from tauext.data.dataset import load_dataset
     from tauext.report.flight import write_flight_report
@@ -160,7 +162,7 @@ def report(
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
-            f"{missing} is missing: give --results and --data (a report of results), or --flight (of one)"
+            f"{missing} is missing: give --results and --data for a report of results, or --flight for one flight"
         )
 
 

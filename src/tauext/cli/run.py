@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import BundleArg, PlaceArg, RecordingsArg
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import added
@@ -40,8 +40,8 @@ class RunSettings:
 
 
 def run(
-    bundle: tyro.conf.Positional[PlaceArg],
-    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
+    bundle: BundleArg,
+    recordings: RecordingsArg,
     real_time: bool = False,
     speed: float | None = None,
     own_rate: bool = False,
@@ -58,31 +58,30 @@ def run(
 ) -> None:
     """Replay recordings through the monitor: alarms, health and their causes as a control loop would see them.
 
-    The same core runs in the loop, so both give the same estimates, sample by sample, however fast the replay. Every
-    recording begins with a new monitor: it warms up for about a second. On a terminal a live view is
-    shown; elsewhere a line an event, and a summary at the end.
+    A control loop runs the same core, so replay and loop give the same estimates, sample by sample, at any speed of the
+    replay. Each recording starts a new monitor, which warms up for 0.1 to 1 s. A terminal shows a live view. Elsewhere
+    the command prints a line an event and a summary.
 
     Args:
         bundle: bundle (*.tauext) to run.
         recordings: recordings (*.parquet) of the bundle's robot, rate and torque timing.
-        real_time: replay as fast as was recorded, by the time stamps: the same as --speed 1.
-        speed: factor on the speed of the replay, 1 as it was recorded. None: as fast as possible.
+        real_time: replay at the recorded speed, by the time stamps: the same as --speed 1.
+        speed: factor on the recorded speed. None: as fast as possible.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
-        acknowledge_after_s: seconds after which a collision is acknowledged. None: never; then the first collision of
-            a recording stays and hides those after it.
-        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault;
-            files that are there are never overwritten. None: no flights.
-        before_s: seconds that a flight keeps from before its event.
-        after_s: seconds that a flight keeps from after its event.
-        contacts: write flights of contacts, too.
-        load: what the arm carries all the time, in the bundle's load frame: "mass=2.8, com=0 0 0.05", with
-            inertia=XX YY ZZ XY XZ YZ and error=SHARE if they are known; in kg, m, kg m^2.
-        loads: file (TOML) of what it carries from when on; docs/monitor.md.
-        wrench: frame of the bundle at which the force of every touch is reported, too, with its uncertainty and
-            direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
+        acknowledge_after_s: seconds after which a collision is acknowledged. None: never. The first collision of a
+            recording then stays and hides later ones.
+        flights: folder for flights: recording, estimates and a written explanation around every collision and fault.
+            Existing files are never overwritten. None: no flights.
+        before_s: seconds before the event that a flight keeps.
+        after_s: seconds after the event that a flight keeps.
+        contacts: also write flights of contacts.
+        load: constant payload in the bundle's load frame, such as "mass=2.8 com=0,0,0.05"; optional
+            inertia=XX,YY,ZZ,XY,XZ,YZ and error=SHARE. Units: kg, m, kg m^2.
+        loads: TOML file of payloads with the times at which they change; docs/loads.md.
+        wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
+            also reported, with uncertainty and direction. An unknown name prints the available frames.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
-        status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
-            only.
+        status_hz: how often --json also prints the estimates, per second of the recording; 0: events only.
     """
     require(speed is None or 1e-6 <= speed <= 1e6, "speed", speed, "> 0: 1e-6 to 1e6")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")
@@ -151,7 +150,7 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
     from tauext.data.recording_file import describe
 
     if not recordings:
-        raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) behind the bundle")
+        raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) after the bundle")
     bundle = load_bundle(path)
     for recording in recordings:
         expect_fit(bundle, describe(recording))
@@ -182,7 +181,7 @@ def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSetti
         stopped = error
     output.total(total, flights, done, interrupted=stopped is not None)
     if isinstance(stopped, KeyboardInterrupt):
-        raise KeyboardInterrupt("the summary is of what was replayed until then, and its flights are kept")
+        raise KeyboardInterrupt("the summary covers the motion replayed until then; its flights are kept")
     if stopped is not None:
         raise stopped
     flights.expect_all_written()

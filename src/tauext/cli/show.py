@@ -11,6 +11,7 @@ import tyro
 
 from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
+from tauext.files.kind import LOGS, import_first
 from tauext.files.places import Place
 
 if TYPE_CHECKING:
@@ -31,9 +32,10 @@ UNITS = {
     "_kg_m2": "kg m2",
     "_kg": "kg",
     "_m": "m",
+    "_a": "A",
 }
 """Units by the end of an identifier; the first that fits."""
-ESTIMATED = ("limits", "contact_limits", "drift")
+ESTIMATED = ("limits", "contact_limits", "drift", "largest_torque_in_training", "drive_torque_limits")
 """Beginnings of identifiers whose values have the unit of the estimate, which is not Nm for every bundle."""
 IN_WORDS = ("provenance", "situations", "table")
 """Content that text shows otherwise."""
@@ -60,6 +62,8 @@ def show(
         frame: frames at which --force gives the force, too.
         picture: PNG that --force draws.
     """
+    if (file / "split.json").is_file():
+        raise ConfigError(f"{file}: is a dataset folder; `tauext check --data {file}` shows its data. Or give {SHOWN}")
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give {SHOWN}")
     if force:
@@ -82,7 +86,8 @@ def show(
         content = describe_fleet_prior(file)
         text = [*content["table"], *lines(content)]
     else:
-        raise ConfigError(f"{file}: its name must end as that of {SHOWN}")
+        remedy = f"; {import_first(file)}" if file.suffix in LOGS else ""
+        raise ConfigError(f"{file}: its name must end as that of {SHOWN}{remedy}")
     print(json.dumps(content, indent=1) if as_json else "\n".join(text))
 
 
@@ -316,12 +321,13 @@ def situation_lines(content: Content) -> list[str]:
 def words_of_provenance(content: Content) -> dict[str, str]:
     """Facts of the training in words: fits, accepted findings, warnings, promises."""
     from tauext.bundle.bundle_file import changed_since_training
-    from tauext.bundle.units import sentences
+    from tauext.bundle.units import sentences, short
 
     facts: Content = content["provenance"]
     made = {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")}
     rows: dict[str, str] = {"made by": in_text({key: value for key, value in made.items() if value is not None})}
-    rows |= prior_words(facts.get("prior", {}))
+    units = {joint: short(unit) for joint, unit in content["answers_in"].items()}
+    rows |= prior_words(facts.get("prior", {}), units)
     rows |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
     rows |= changed_since_training(facts)
     for recordings, looked in facts.get("look", {}).items():
@@ -342,8 +348,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         rows["gain was chosen"] = facts["gain"]["reason"]
     for moment in limits.get("one_moment", []):
         rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
-            f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} Nm "
-            f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} Nm"
+            f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "
+            f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
     if "sentence" in limits:
         rows["limits promise"] = limits["sentence"]
@@ -358,15 +364,20 @@ LOOKED = {"accepted": "accepted", "warnings": "warning"}
 """Words for the findings of the checks before training, by their names in the provenance."""
 
 
-def prior_words(fitted: Content) -> dict[str, str]:
-    """Fitted parameters in the units of a data sheet."""
+def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:
+    """Fitted parameters in the units of a data sheet.
+
+    Args:
+        units: unit of each joint's torque.
+    """
     rows: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():
+        unit = units[joint]
         words = [
-            f"Coulomb {friction['coulomb_nm']:.3g} Nm",
-            f"viscous {friction['viscous_nm_s_rad']:.3g} Nm s/rad",
-            f"constant {friction['constant_nm']:.2g} Nm",
-            *(f"ripple {r['amplitude_nm']:.2g} Nm, {r['cycles_a_turn']} cycles a turn" for r in friction["ripple"]),
+            f"Coulomb {friction['coulomb_nm']:.3g} {unit}",
+            f"viscous {friction['viscous_nm_s_rad']:.3g} {unit} s/rad",
+            f"constant {friction['constant_nm']:.2g} {unit}",
+            *(f"ripple {r['amplitude_nm']:.2g} {unit}, {r['cycles_a_turn']} cycles a turn" for r in friction["ripple"]),
         ]
         if friction["not_supported"]:
             words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
@@ -392,6 +403,7 @@ def describe_recording(file: Place) -> Content:
     """Content of a recording."""
     from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
     from tauext.data.recording_file import load_recording
+    from tauext.data.servo import torque_unit
 
     recording = load_recording(file)
     joints, contact = recording.joints, recording.contact
@@ -410,7 +422,7 @@ def describe_recording(file: Place) -> Content:
         "share_in_contact": None if contact is None else float((contact == 1).mean()),
         "largest_q_rad": largest(recording.q),
         "largest_dq_rad_s": largest(recording.dq),
-        "largest_tau_nm": largest(recording.tau),
+        f"largest_tau_{torque_unit([recording]).lower()}": largest(recording.tau),
         "source": recording.source,
     }
 

@@ -22,7 +22,7 @@ BLIND = "blind"
 def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequence[str], picture: Place | None) -> None:
     """Print what force on a link a bundle notices, and draw it if `picture` is given."""
     if file.suffix != ".tauext":
-        raise ConfigError(f"{file}: --force is of a bundle (*.tauext)")
+        raise ConfigError(f"{file}: --force needs a bundle (*.tauext)")
     expect_picture(picture)
     conditions, found = describe_force(file, data, frames)
     if picture is not None:

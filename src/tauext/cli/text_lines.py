@@ -199,7 +199,7 @@ class TextLines(PrintContext):
             return
         count = collisions_text(self._behind) if self._behind else "what came after it"
         self.print_line(
-            f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid {count}; "
+            f"  the collision alarm lasted from {self._latched_s:.3f} s to the end and hid {count}; "
             "--acknowledge-after-s 1 ends each alarm after a second and shows all"
         )
 
@@ -307,7 +307,7 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | Non
         lines.append(f"unfamiliar    {unfamiliar_text(tally)}")
     if folder is not None:
         lost = f", {flights.failed} could not be written" if flights.failed else ""
-        missed = f", {flights.missed} missed: they came too fast one after the other" if flights.missed else ""
+        missed = f", {flights.missed} missed: too many in a short time" if flights.missed else ""
         lines.append(f"flights       {flights.written} written to {folder}{lost}{missed}")
     return lines
 
@@ -317,11 +317,13 @@ def unfamiliar_text(tally: Tally) -> str:
     most = tally.unfamiliar.most_common(MOST_UNFAMILIAR)
     words = [f"{unseen_words(unseen, tally.joints)} {count / tally.samples:.2%}" for unseen, count in most]
     more = len(tally.unfamiliar) - len(most)
-    text = f"{tally.unfamiliar_share:.2%} of the motion is none that training saw: {', '.join(words)}"
+    text = f"{tally.unfamiliar_share:.2%} of the motion was not in the training data: {', '.join(words)}"
     text += f" and {more} more" if more else ""
     if tally.unfamiliar_share < WARNS_FROM:
         return text
-    return f"{text}. WARNING: estimates may be wrong there, and limits are up to half higher; train with such motion"
+    return (
+        f"{text}. WARNING: estimates may be wrong there, and limits are up to 1.5 times as high; train with such motion"
+    )
 
 
 def load_change_words(change: LoadChange) -> str:
@@ -329,13 +331,13 @@ def load_change_words(change: LoadChange) -> str:
     words = f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
     if not change.left_out or change.load.mass == 0:
         return words
-    return f"{words}; limits of {', '.join(change.left_out)}, not in Nm, are higher by all that it may show there"
+    return f"{words}; limits of {', '.join(change.left_out)}, not in Nm, are higher by its largest torque there"
 
 
 def found_load_words(change: FoundLoad) -> str:
     if change.mass_kg == 0:
-        return "the load that was expected to go is gone: carries nothing"
-    return f"the load that was expected: carries {change.mass_kg:.2f} ± {max(change.error_kg, 0.005):.2f} kg"
+        return "the expected load was put down: carries nothing"
+    return f"the expected load was picked up: carries {change.mass_kg:.2f} ± {max(change.error_kg, 0.005):.2f} kg"
 
 
 def weigh_words(change: WeighChange) -> list[str]:
@@ -343,7 +345,8 @@ def weigh_words(change: WeighChange) -> list[str]:
     from tauext.monitor.weighing import load_sentences
 
     if change.found is None:
-        return [f"weighs what the arm carries beside {load_words(change.beside)}, by {change.by}"]
+        beside = f" besides {load_words(change.beside)}" if change.beside.mass > 0 else ""
+        return [f"weighing the payload{beside}, by {change.by}"]
     sentences = load_sentences(change.found, change.frame, "N m")
     if change.beside.mass > 0 and change.found.verdict == "load":
         sentences.append(f"with the {change.beside.mass:.4g} kg that are set: {load_words(change.found.load)}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, expect_another, print_replaced
+from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, PlaceArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
@@ -70,7 +70,7 @@ def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
 
 
 def promise(values: Mapping[str, Any], given: Mapping[str, Any]) -> AlarmConfig:
-    """The alarm of these settings, with what is given."""
+    """The alarm settings, with the given options."""
     return replace(values.get("alarm", AlarmConfig()), **{name: given[name] for name in ALARM if name in given})
 
 
@@ -87,24 +87,24 @@ def train(
     accept: AcceptArg = (),
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
-    """Train on a dataset's free motion, find the limits on its validation recordings, write one bundle.
+    """Train on a dataset's free motion, set the limits, and write one bundle.
 
-    First all data is checked, as by `tauext check`; a second training of the same data skips the checks. A fault
-    stops the training, unless it is accepted; warnings are printed, and kept in the bundle.
+    The data are checked first, as by `tauext check`; a second training on the same data skips the checks. A fault
+    refuses the training unless it is accepted. Warnings are printed and stored in the bundle.
 
     Args:
-        data: dataset folder (`tauext simulate` makes one).
-        out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr. While its network is
-            trained, a checkpoint beside it is written every 20 s, and kept until the bundle is: after Ctrl-C, or
-            whatever ends the process, the same command goes on from there. What comes before the network is done again.
-        config: FILE.toml with further settings; `tauext train --help-config` lists its keys. An option of the command
-            line replaces its key.
-        case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
-            all (none). Left out: exact, or none where the dataset was imported without a model.
+        data: dataset folder, made by `tauext import` or `tauext simulate`.
+        out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr. While a network is
+            trained, a checkpoint beside it is written every 20 s: after an interruption, the same command continues
+            from there. Earlier steps are repeated.
+        config: FILE.toml with further settings; `tauext train --help-config` lists its keys. Options of the command
+            line override it.
+        case: estimated model: the robot file as it is (exact), with halved mass or centre of mass (mass, com,
+            mass+com), or no model (none). Default: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
-        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a minute of this one is enough.
-            None: the arm is by itself.
-        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
+        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`); one minute of this arm's motion
+            is then enough. None: no fleet prior.
+        accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         options: settings that are often changed.
     """
     from tauext.data.dataset import load_dataset
@@ -130,28 +130,27 @@ def calibrate(
     refit_error_scale: bool = False,
     accept: AcceptArg = (),
 ) -> None:
-    """Set the limits and hold times of a bundle for another promise or on other recordings; nothing is trained.
+    """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
 
-    First every calibration recording is looked at, by those checks of `tauext check` that are cheap: a fault refuses.
+    Nothing is trained. The quick checks of `tauext check` run on every calibration recording first; a fault refuses it.
 
     Args:
-        bundle: bundle (*.tauext) to begin with; it stays as it is.
+        bundle: bundle (*.tauext) to start from; it stays as it is.
         data: dataset folder; its calibration recordings are used.
         out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
-        config: FILE.toml of `tauext train`, whose table [alarm] holds further settings. An option of the command line
-            replaces its key.
-        options: what is promised.
+        config: FILE.toml of `tauext train`; only its table [alarm] is used. Options of the command line override it.
+        options: budget of false alarms.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
-        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
     """
     from tauext.data.dataset import load_dataset
     from tauext.train.calibrate import recalibrate
 
     require_threads(threads)
     alarm = alarm_settings(config, options)
-    expect_another(out, bundle, "begin with")
+    expect_another(out, bundle, "start from")
     print_replaced(out)
     promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)
     print(promised.sentence())
@@ -159,7 +158,7 @@ def calibrate(
 
 
 def refit(
-    bundle: tyro.conf.Positional[PlaceArg],
+    bundle: BundleArg,
     data: PlaceArg,
     out: PlaceArg,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
@@ -169,12 +168,12 @@ def refit(
     accept: AcceptArg = (),
     as_json: JsonArg = False,
 ) -> None:
-    """Bring the friction of a bundle up to date with 30 to 60 s of the arm's ordinary motion today.
+    """Update the friction of a bundle with 30 to 60 s of the arm's ordinary motion.
 
-    Friction of a joint moves by a common factor first, then apart as the motion supports it; gravity and inertia stay.
-    Limits grow where today's error is larger, and never shrink. Printed is what changed, a row a joint, and whether the
-    promise of false alarms still stands. First the recordings are looked at, by those checks of `tauext check` that are
-    cheap: a fault refuses. Labelled contacts are left out; so is what no friction explains; it is reported.
+    All friction terms of a joint change by a common factor, and separately where the motion supports it. Gravity and
+    inertia stay. Limits grow where today's error is larger, and never shrink. The command prints the changes, a row a
+    joint, and whether the promise of false alarms still holds. The quick checks of `tauext check` run first; a fault
+    refuses the recordings. Labelled contacts are left out. So is motion that no friction explains; it is reported.
 
     Args:
         bundle: bundle (*.tauext) with a prior, of recipe tauext or prior; it stays as it is.
@@ -183,9 +182,9 @@ def refit(
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
-            those that did, as far as the fleet's arms showed it from one recording to the next.
+            the others as far as the fleet's joints changed together between recordings.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
-        accept: codes of faults to accept, at all joints or at one; they are kept in the bundle.
+        accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.files.provenance import json_text
@@ -193,7 +192,7 @@ def refit(
     from tauext.train.refit import Span, refit_bundle
 
     require_threads(threads)
-    expect_another(out, bundle, "begin with")
+    expect_another(out, bundle, "start from")
     known = None if like is None else load_fleet_prior(like)
     print_replaced(out)
     span = Span(from_s, to_s)

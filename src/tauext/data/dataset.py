@@ -16,6 +16,7 @@ from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import local_robot
+from tauext.files.kind import why_no_dataset
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT, expect_format, read_json
 
@@ -254,6 +255,6 @@ def load_dataset(folder: Place | str) -> Dataset:
         ConfigError: there is no such folder, or its split.json cannot be used.
     """
     folder = place_of(folder)
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
+    if not (folder / FILE_NAME).is_file() and (reason := why_no_dataset(folder)):
+        raise ConfigError(f"{folder}: {reason}")
     return Dataset(folder, load_split(folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import time
@@ -234,13 +235,26 @@ def recordings_of(
             expect_within(arm, raw, end_s)
 
 
+def not_imported(arm: Arm, raws: Sequence[RawRecording]) -> list[str]:
+    """Names in [contact.intervals] that are none of these recordings."""
+    known = {name for raw in raws for name in (raw.path.name, raw.name)}
+    return [name for name in arm.contact.intervals if name not in known]
+
+
 def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
-    """Raise ConfigError where contacts are given of what is no source: they would be trained on as free motion."""
-    known = dict.fromkeys(name for raw in raws for name in (raw.path.name, raw.name))
-    for name in arm.contact.intervals:
-        if name not in known:
+    """Raise ConfigError where contacts are given of a mistyped source: they would be trained on as free motion.
+
+    A file of that name beside the sources or the description is another recording of the arm, not imported now.
+    """
+    folders = [arm.path.parent, *dict.fromkeys(raw.path.parent for raw in raws)]
+    for name in not_imported(arm, raws):
+        if not any((folder / name).exists() for folder in folders):
             files = dict.fromkeys(raw.path.name for raw in raws)
-            raise ConfigError(f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}")
+            near = difflib.get_close_matches(name, files, 1)
+            meant = f"; did you mean '{near[0]}'?" if near else "; add the file to --source, or remove this entry"
+            raise ConfigError(
+                f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}{meant}"
+            )
 
 
 def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
@@ -359,6 +373,9 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     expect_empty(out)
     expect_folder(out)
     sources = [source for path in paths for source in open_raw(path, arm.topics)]
+    expect_sources(arm, sources)
+    for name in not_imported(arm, sources):
+        say(f"contacts of {name} are not used: it is not among the sources")
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
     with new_folder(out) as part:

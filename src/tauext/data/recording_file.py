@@ -17,6 +17,7 @@ from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, c
 from tauext.errors import RecordingError, StoreError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import reading
+from tauext.files.kind import why_no_recording
 from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 
@@ -213,6 +214,8 @@ def opened(path: Place) -> Iterator[pq.ParquetFile]:
     try:
         with reading(path) as source:
             if not is_stored(path):  # a pipe is not to be waited for
+                if path.is_dir():
+                    raise RecordingError(f"{path}: {why_no_recording(path)}")
                 expect_file(path)
             try:
                 parquet = pq.ParquetFile(source, page_checksum_verification=True, pre_buffer=is_stored(path))
@@ -236,6 +239,8 @@ def expect_whole(path: Place) -> None:
         raw.seek(max(0, raw.tell() - 4))
         ends = raw.read(4) == MAGIC
     if not begins:
+        if reason := why_no_recording(path):
+            raise RecordingError(f"{path}: {reason}")
         raise RecordingError(f"{path}: not a Parquet file: it begins otherwise; recordings are Parquet files")
     if not ends:
         raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")

@@ -31,6 +31,11 @@ def from_amperes(recordings: Sequence[Recording]) -> bool:
     return _unscaled(recordings, FROM_AMPERES)
 
 
+def torque_unit(recordings: Sequence[Recording]) -> str:
+    """Unit of their tau, for messages: `A` where it is a motor current whose torque constant is unknown."""
+    return "A" if in_amperes(recordings) else "Nm"
+
+
 # Flights of tauext 0.1 hold torques that were multiplied already, as their provenance states.
 def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
     return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)

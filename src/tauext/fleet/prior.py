@@ -169,7 +169,7 @@ def make_fleet_prior(
     Args:
         out: NAME.prior.json.
         config: of the trainings whose terms are taken over.
-        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint.
+        accept: codes of faults to accept, CODE or CODE:joint.
 
     Raises:
         ConfigError: too few arms, arms of several types, or a file that cannot be written.

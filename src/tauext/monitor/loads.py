@@ -82,7 +82,9 @@ def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Lo
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
     first = head.strip(" ,\t")
     if first not in ("", "none"):
-        raise ConfigError(f"{where} cannot be read; a load is {USAGE}")
+        bare = re.fullmatch(r"([0-9.eE+-]+)\s*(?:kg)?", first)
+        meant = f"; did you mean 'mass={bare[1]}'?" if bare and not rest else ""
+        raise ConfigError(f"{where} cannot be read{meant}; a load is {USAGE}")
     table: dict[str, Any] = {}
     for key, value in zip(rest[::2], rest[1::2], strict=True):
         if key not in (*KEYS, *extra) or key in table:

@@ -25,6 +25,7 @@ def check_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Seq
     """
     expect_codes(accept, given.training[0].joints)
     _ = given.tree  # a robot file that lacks a joint is refused before all checks
+    report.say("checking the data")
     looks = view_dataset(dataset, given, config, report)
     return judge(looks, str(dataset.folder), accept, report)
 

@@ -174,13 +174,17 @@ def train_on_recordings(
     job = prepare(given, config, out, report, like)
     if looked is not None:
         job.facts["look"] = looked
+    job.say("observing the motion")
     setup = observe(job)
     if like is not None:
         expect_like(job, setup)
         job.facts["like"] = like_facts(like)
         job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
+    if config.row.fit is not None:
+        job.say("fitting friction and model")
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
     if config.resolved().observer.gain_per_s == "auto" and fit is not None:
+        job.say("choosing the observer gain")
         setup, fit = choose_gain(job, setup, fit)
     # Before a network is trained for hours: what a monitor rejects does not depend on it.
     rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
@@ -196,5 +200,6 @@ def train_on_recordings(
     put_load(job, bundle, given.robot, with_fit(setup, fit), fit)
     put_wrench(job, bundle, given.robot)
     note_recordings(job)
+    job.say("finding the limits")
     calibrate(job, bundle, setup, fit)
     write(job, bundle, network)

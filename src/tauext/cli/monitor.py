@@ -169,7 +169,7 @@ def monitor(
 ) -> None:
     """Watch a live arm: torque, contact and collision as they happen, and the reactions to them.
 
-    Ctrl-C ends it with a summary. Docs: docs/live.md.
+    Ctrl-C ends it with a summary. Docs: docs/running.md.
 
     Args:
         bundle: bundle (*.tauext) to run.

@@ -77,7 +77,7 @@ def run(
         contacts: write flights of contacts, too.
         load: what the arm carries all the time, in the bundle's load frame: "mass=2.8, com=0 0 0.05", with
             inertia=XX YY ZZ XY XZ YZ and error=SHARE if they are known; in kg, m, kg m^2.
-        loads: file (TOML) of what it carries from when on; docs/monitor.md.
+        loads: file (TOML) of what it carries from when on; docs/loads.md.
         wrench: frame of the bundle at which the force of every touch is reported, too, with its uncertainty and
             direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.

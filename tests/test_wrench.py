@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
-from made_bundles import SEVEN_AXIS, seven_axis_bundle
+from made_bundles import SEVEN_AXIS, pushed, seven_axis_bundle, watching_bundle
 from scipy.stats import chi2
 
 from tauext import _core
@@ -391,3 +392,25 @@ def test_a_joint_without_newton_metres_notices_no_force():
         for way in ("every_way", "x", "y", "z", "worst_way"):
             for name, value in one_point[way].items():
                 assert value == (other[way][name] and pytest.approx(other[way][name], rel=1e-6)), (way, name)
+
+
+def test_a_wrench_prints_its_frame_its_values_with_standard_errors_and_their_units():
+    monitor = _core.Monitor(watching_bundle())
+    assert repr(monitor.wrench("elbow")) == "<Wrench at elbow, axes of the base: unknown>"
+    recording = pushed("made")
+    monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    full = monitor.wrench("elbow", _core.WrenchAxes.frame)
+    text = repr(full)
+    assert text.startswith("<Wrench at elbow, axes of the frame: force (")
+    assert text.endswith(f"{len(full.blind)} blind directions>")
+    number = r"(-?\d+\.?\d*) ± (\d+\.?\d*)"
+    forces, moments = re.search(r"force \((.*)\) N, moment \((.*)\) N m", text).groups()
+    printed = [[float(one) for one in pair] for part in (forces, moments) for pair in re.findall(number, part)]
+    errors = np.sqrt(np.diag(full.covariance))
+    assert len(printed) == 6
+    for (value, error), true, sigma in zip(printed, [*full.force, *full.moment], errors, strict=True):
+        assert abs(value - true) <= 0.05 * sigma and abs(error - sigma) <= 0.05 * sigma  # two digits of the error
+    alone = monitor.force("elbow", [0.0, 0.0, 0.1])
+    assert repr(alone).startswith("<Wrench at elbow (0, 0, 0.1) m, axes of the base: force (")
+    assert "moment" not in repr(alone)
+    assert (alone.frame, alone.axes, alone.point) == ("elbow", BASE, [0.0, 0.0, 0.1]) and full.point is None

@@ -90,10 +90,10 @@ class Monitor {
 
   // Announces that the gripper closes or opens: for `seconds` (at most 60) from the next sample on, the arm may come to
   // carry up to at_most_kg in all. A torque step that fits such a load raises no alarm; the load is weighed, set and
-  // reported (Estimate's load_phase, load_found_ns, load_error_kg). A step that does not fit raises the usual alarm. If
-  // a held-back step settles without being a load, the alarm is up to about half a second late. Meanwhile drift does
-  // not learn, and a sample takes about two microseconds longer. set_load(), clear_load() and reset() end the
-  // expectation. Returns false and changes nothing if why_not_expected() returns a reason.
+  // reported (Estimate's load_phase, load_found_ns, load_error_kg). A step that does not fit raises the usual alarm. A
+  // held-back step that does not become a load raises the alarm about half a second after it has settled. Meanwhile
+  // drift does not learn, and a sample takes about two microseconds longer. set_load(), clear_load() and reset() end
+  // the expectation. Returns false and changes nothing if why_not_expected() returns a reason.
   bool expect_load(double seconds, double at_most_kg) noexcept;
   // Reason for which expect_load() would refuse; empty: none. Allocates: not for the loop.
   std::string why_not_expected(double seconds, double at_most_kg) const;

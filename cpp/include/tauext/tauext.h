@@ -33,7 +33,8 @@ typedef enum tauext_status {
   TAUEXT_BAD_LOAD = 5      /* tauext_monitor_why_no_load returns the reason */
 } tauext_status;
 
-/* How often the network is evaluated: at every sample, or, for slow processors, once per network period (about 10 ms). */
+/* How often the network is evaluated: at every sample, or, for slow processors, once per network period (about 10
+ * ms). */
 typedef enum tauext_network_rate { TAUEXT_EVERY_SAMPLE = 0, TAUEXT_NETWORK_PERIOD = 1 } tauext_network_rate;
 
 /* Whether the torques of an estimate can be trusted. */
@@ -82,18 +83,6 @@ typedef enum tauext_touch {
   TAUEXT_LOAD_TOUCH = 5     /* a weight at the load frame */
 } tauext_touch;
 
-/* The monitor's estimate at one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
- * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
-/* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
- * TAUEXT_NO_ALARM) means "no collision". */
-/* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
- * TAUEXT_NO_ALARM) means "no collision". */
-/* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
- * TAUEXT_NO_ALARM) means "no collision". */
-/* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
- * TAUEXT_NO_ALARM) means "no collision". */
-/* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
- * TAUEXT_NO_ALARM) means "no collision". */
 /* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
  * TAUEXT_NO_ALARM) means "no collision". */
 typedef struct tauext_estimate {
@@ -114,10 +103,10 @@ typedef struct tauext_estimate {
   double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision limit of |tau_ext| */
   double margin_nm[TAUEXT_MAX_JOINTS];   /* [N m], limit_nm - |tau_ext - load_nm| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], slow changes since training; part of uncertainty */
-  uint32_t drift_saturated;  /* a bit per joint: drift has reached its bound, retrain; health is unchanged */
+  uint32_t drift_saturated; /* a bit per joint: drift has reached its bound, retrain; health is unchanged */
   uint32_t unused;                       /* 0 */
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext in free motion; NaN: unknown */
-  double unfamiliar;  /* distance of the motion from the training motion, 0 to 1; report from 0.5 on */
+  double unfamiliar; /* distance of the motion from the training motion, 0 to 1; report from 0.5 on */
   double load_kg;                        /* mass that the model carries; 0: none */
   int32_t load_phase;                    /* tauext_load_phase */
   int32_t touch;                         /* tauext_touch: kind of touch behind the alarm */
@@ -148,18 +137,8 @@ typedef enum tauext_load_verdict {
   TAUEXT_LOAD_UNCLEAR = 5         /* no hypothesis explains the torques */
 } tauext_load_verdict;
 
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of the
- * load frame. */
+/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of
+ * the load frame. */
 typedef struct tauext_load_found {
   size_t size;               /* set by the caller: sizeof(tauext_load_found); no more is written */
   int32_t verdict;           /* tauext_load_verdict */
@@ -214,20 +193,8 @@ const char* tauext_touch_name(int32_t touch);
 /* Name of a single bit. */
 const char* tauext_cause_name(uint32_t cause);
 
-/* Reads the bundle, checks it and makes a monitor. On any status but TAUEXT_OK *monitor is NULL and message, unless NULL,
- * holds the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
-/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message, unless
- * NULL, contains the reason, cut to message_size. */
+/* Reads and checks a bundle and creates a monitor. On any status but TAUEXT_OK, *monitor is NULL and message,
+ * unless NULL, contains the reason, cut to message_size. */
 tauext_status tauext_monitor_open(const char* bundle_path, tauext_network_rate rate, tauext_monitor** monitor,
                                   char* message, size_t message_size);
 /* The same for a bundle in memory, which may be freed afterwards. */
@@ -240,43 +207,13 @@ void tauext_monitor_close(tauext_monitor* monitor);
 int32_t tauext_monitor_joints(const tauext_monitor* monitor);
 /* Joint name, in the order of q, dq and tau; NULL: no such joint. Strings live as long as the monitor. */
 const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint);
-/* Unit of the tau that is to be given of a joint, and of the torques in the answers: "N m", "N", "A", "recorded unit",
- * "units of JOINT", "W". NULL: no such joint. Query them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
-/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of JOINT",
- * "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
+/* Units of the input tau and of the estimated torques of a joint: "N m", "N", "A", "recorded unit", "units of
+ * JOINT", "W". NULL: no such joint. Check them once: a bundle that was trained on currents takes amperes. */
 const char* tauext_monitor_torque_unit(const tauext_monitor* monitor, int32_t joint);
 const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t joint);
 /* Sample period of the bundle, [ns]; 0 for NULL. */
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
 
-/* One sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in the unit that
- * tauext_monitor_torque_unit names, one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
- * answered in estimate->health. */
-/* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
- * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
- * estimate->health. */
-/* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
- * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
- * estimate->health. */
-/* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
- * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
- * estimate->health. */
-/* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
- * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
- * estimate->health. */
-/* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
- * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
- * estimate->health. */
 /* Processes one sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in tauext_monitor_torque_unit, one
  * value per joint. estimate may be NULL. A faulty signal is not an error of the call; it is reported in
  * estimate->health. */
@@ -286,106 +223,29 @@ tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const d
 tauext_status tauext_monitor_estimate(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
                                       const double* tau, tauext_estimate* estimate);
 tauext_status tauext_monitor_advance(tauext_monitor* monitor);
-/* The loop ran and no sample came: stale for as long as missing samples are bridged (a network period, or three samples below 300 Hz),
- * then a fault. */
-/* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
- * samples), then a fault. */
-/* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
- * samples), then a fault. */
-/* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
- * samples), then a fault. */
-/* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
- * samples), then a fault. */
-/* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
- * samples), then a fault. */
 /* Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
  * samples), then a fault. */
 tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
 /* Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again. */
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
-/* The same where nothing touches the arm any more and it is to move on: the static friction of joints near stiction is
- * unknown again, and with a prior raises their limits until they have slid. */
-/* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
-/* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
-/* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
-/* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
-/* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
 /* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
  * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
 tauext_status tauext_monitor_resume(tauext_monitor* monitor);
-/* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
- * nothing is changed. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes nothing
- * for other values. */
+/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes
+ * nothing for other values. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
-/* Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; what was known before holds. Call
- * it as often as there are new ones: friction follows them where training found that it does. */
-/* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
- * Call it for each new value. Used if training found that friction follows them. */
-/* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
- * Call it for each new value. Used if training found that friction follows them. */
-/* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
- * Call it for each new value. Used if training found that friction follows them. */
-/* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
- * Call it for each new value. Used if training found that friction follows them. */
-/* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
- * Call it for each new value. Used if training found that friction follows them. */
 /* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
  * Call it for each new value. Used if training found that friction follows them. */
 tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const double* celsius);
-/* What the arm carries from the next sample on or, since_ns being a time of the samples, as if it had been set then
- * (see monitor.hpp). Else TAUEXT_BAD_LOAD, and nothing is changed. */
-/* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
-/* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
-/* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
-/* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
-/* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
 /* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
  * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
 tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);
 /* Removes the load. */
 tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns);
-/* The gripper closes or opens: for so many seconds (60 at most) what the arm carries may become anything up to at_most_kg
- * in all. What fits that is weighed, set and reported (load_phase, load_found_ns); what does not is the usual alarm, at most
- * about half a second late. TAUEXT_BAD_LOAD where tauext_monitor_why_not_expected writes a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
-/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to at_most_kg
- * in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step raises the usual
- * alarm, at most about half a second late. Returns TAUEXT_BAD_LOAD if tauext_monitor_why_not_expected gives a reason. */
+/* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to
+ * at_most_kg in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step
+ * raises the usual alarm, late if it first resembled a load. Returns TAUEXT_BAD_LOAD if
+ * tauext_monitor_why_not_expected gives a reason. */
 tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg);
 /* Writes the reason for a refusal, cut to message_size; "": none. Allocates: not for the loop. */
 tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, double seconds, double at_most_kg,
@@ -394,46 +254,13 @@ tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, dou
 tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load);
 /* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
  * loop. */
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
- * loop. */
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
- * loop. */
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
- * loop. */
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
- * loop. */
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
- * loop. */
 tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
                                          char* message, size_t message_size);
 const char* tauext_monitor_load_frame(const tauext_monitor* monitor);  /* "": no load can be set */
-/* What is it carrying? Weighs it beside the load that is set, from the next sample on (see monitor.hpp); the centre of
- * mass is within reach_m > 0 of the load frame, TAUEXT_USUAL_REACH_M where no better bound is known. TAUEXT_BAD_LOAD: this
- * bundle cannot; TAUEXT_BAD_ARGUMENT: no such reach; nothing is changed then. What was found stays after stop. */
 /* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
  * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
- * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
- * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
- * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
- * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
- * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
- * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains after
- * stop. */
+ * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains
+ * after stop. */
 tauext_status tauext_monitor_start_weighing(tauext_monitor* monitor, double reach_m);
 tauext_status tauext_monitor_stop_weighing(tauext_monitor* monitor);
 int32_t tauext_monitor_weighing(const tauext_monitor* monitor); /* 1 while it runs */
@@ -443,18 +270,6 @@ tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext
 int32_t tauext_monitor_find_frame(const tauext_monitor* monitor, const char* name);
 /* Reason for which the bundle has no wrench; "": none. The string lives as long as the monitor. */
 const char* tauext_monitor_why_no_wrench(const tauext_monitor* monitor);
-/* At the last sample, of a frame by its number; microseconds, and nothing is allocated or changed. TAUEXT_BAD_ARGUMENT: no
- * such frame or axes. `force` is of a force alone that acts at point, 3 numbers along the frame's own axes, [m]. */
-/* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
- * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
-/* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
- * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
-/* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
- * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
-/* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
- * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
-/* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
- * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
 /* Estimate the wrench at a frame for the last sample, or only a force that acts at `point`, 3 coordinates along the
  * frame's own axes, [m]. Microseconds; allocate and change nothing. TAUEXT_BAD_ARGUMENT: unknown frame or axes. */
 tauext_status tauext_monitor_wrench(const tauext_monitor* monitor, int32_t frame, tauext_axes axes, tauext_wrench* wrench);
@@ -463,75 +278,22 @@ tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame,
 /* Returns to the state of a new monitor. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
-/* A refit's morning routine. reserve allocates, outside the loop: memory for so many seconds, above 0 and at most 600.
- * From start on motion is kept and limits are higher by a share of the joint's friction, 0 to 2 (0.4 is usual), until
- * finish; TAUEXT_BAD_ARGUMENT without memory, or where the bundle's prior has no friction. full: 1 once as much is kept. start,
- * full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
-/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before the
- * loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction, 0 to 2
- * (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1 if the
- * memory is full. start, full and finish do not allocate, lock, log or call the system. */
+/* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before
+ * the loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction,
+ * 0 to 2 (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1
+ * if the memory is full. start, full and finish do not allocate, lock, log or call the system. */
 tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double seconds);
 tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double friction_share);
 int32_t tauext_monitor_refit_full(const tauext_monitor* monitor);
 tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor);
-/* After finish, and in any thread while the loop continues: the bundle whose friction is that of the motion kept. Takes
- * seconds. On any status but TAUEXT_OK nothing is written, and message, unless NULL, holds the reason. */
 /* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
-/* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
-/* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
-/* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
-/* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
-/* Writes a bundle with the friction of the stored motion. Call it after finish, in any thread while the loop
- * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains the
- * reason. */
+ * continues; it takes seconds. On any status but TAUEXT_OK no file is written, and message, unless NULL, contains
+ * the reason. */
 tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monitor, const char* out_path, char* message,
                            size_t message_size);
 
-/* The whole state, of so many bytes, to go on in another monitor of the same bundle, rate, build and kind of processor.
- * A wrong size to save is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
-/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size in
- * save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
+/* The whole state, for another monitor of the same bundle, network rate, build and type of processor. A wrong size
+ * in save_state is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
 size_t tauext_monitor_state_bytes(const tauext_monitor* monitor);
 tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size);
 tauext_status tauext_monitor_restore_state(tauext_monitor* monitor, const void* state, size_t size);

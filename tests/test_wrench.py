@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
-from made_bundles import SEVEN_AXIS, pushed, seven_axis_bundle, watching_bundle
+from made_bundles import SEVEN_AXIS, seven_axis_bundle
 from scipy.stats import chi2
 
 from tauext import _core
@@ -395,10 +395,12 @@ def test_a_joint_without_newton_metres_notices_no_force():
 
 
 def test_a_wrench_prints_its_frame_its_values_with_standard_errors_and_their_units():
-    monitor = _core.Monitor(watching_bundle())
+    monitor = _core.Monitor(_core.Bundle.load(str(GOLDEN)))
     assert repr(monitor.wrench("elbow")) == "<Wrench at elbow, axes of the base: unknown>"
-    recording = pushed("made")
-    monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    t_ns = np.arange(0, int(2e9), monitor.sample_period_ns)
+    speed = np.array([0.5, 0.9])
+    angle = np.outer(t_ns * 1e-9, speed)
+    monitor.run(t_ns, np.sin(angle), speed * np.cos(angle), 2.0 + np.cos(angle))
     full = monitor.wrench("elbow", _core.WrenchAxes.frame)
     text = repr(full)
     assert text.startswith("<Wrench at elbow, axes of the frame: force (")

@@ -17,12 +17,12 @@
 namespace tauext::bindings {
 namespace {
 
-nb::ndarray<nb::numpy, double> covariance(const Wrench& w) {
+nb::ndarray<nb::numpy, double> covariance(const FrameWrench& w) {
   const auto m = static_cast<std::size_t>(w.unknowns);
   return to_numpy(std::vector(w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m)), {m, m});
 }
 
-nb::ndarray<nb::numpy, double> blind(const Wrench& w) {
+nb::ndarray<nb::numpy, double> blind(const FrameWrench& w) {
   const auto m = static_cast<std::size_t>(w.unknowns), rows = static_cast<std::size_t>(w.blind);
   std::vector<double> out;
   for (std::size_t k = 0; k < rows; ++k)
@@ -182,9 +182,11 @@ void bind_wrench(nb::module_& m) {
       .def_ro("force", &Wrench::force, "Force, [N].")
       .def_ro("moment", &Wrench::moment,
            "Moment about the frame's origin, [N m]; with 3 unknowns the moment of the force.")
-      .def_prop_ro("covariance", &covariance, "Covariance (6, 6) of force and moment, or (3, 3) of a force.")
+      .def_prop_ro("covariance", &covariance, "Covariance (6, 6) of force and moment, or (3, 3) of a force.",
+                   nb::rv_policy::move)
       .def_prop_ro("blind", &blind,
-                   "Directions that this pose cannot show, (count, 6 or 3): unit vectors of N and of N m / 0.1 m.")
+                   "Directions that this pose cannot show, (count, 6 or 3): unit vectors of N and of N m / 0.1 m.",
+                   nb::rv_policy::move)
       .def_ro("chi_square", &Wrench::chi_square, "Chi-square of the part of tau_ext that the wrench does not explain.")
       .def_ro("freedom", &Wrench::freedom,
            "Degrees of freedom of chi_square; 0: some wrench at this frame explains any torques.")

@@ -57,7 +57,8 @@ def markdown(comment: list[str]) -> list[str]:
     """A comment as Markdown: indented lines are equations and stay as they are, the others are paragraphs."""
     lines: list[str] = []
     for equation, group in groupby((line for line in comment if line), lambda line: line.startswith("  ")):
-        lines += ["```text", *group, "```", ""] if equation else [prose(" ".join(group)), ""]
+        text = list(group)
+        lines += ["```text", *text, "```", ""] if equation else [prose(" ".join(text)), ""]
     return lines
 
 

@@ -66,7 +66,7 @@ void bind_coverage(nb::module_& m) {
           "see",
           [](CoverageSettings& s, const Array<double, 2>& q) {
             const std::size_t n = expect_joints(s, q);
-            if (s.empty()) throw Error("coverage: give speeds and cells before what was seen");
+            if (s.empty()) throw Error("coverage: set speeds and cells before see()");
             nb::gil_scoped_release released;
             for (std::size_t k = 0; k < q.shape(0); ++k) s.see({q.data() + k * n, n});
           },

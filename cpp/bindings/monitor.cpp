@@ -433,7 +433,7 @@ void bind_monitor(nb::module_& m) {
           "set_temperature",
           [](Monitor& self, Signal celsius) {
             if (!self.set_temperature(span_of(celsius)))
-              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one a joint");
+              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one per joint");
           },
           nb::arg("celsius"),
                "Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value "

@@ -21,7 +21,7 @@ struct Found {
 
 void check(const PlaceModel& model, const std::vector<double>& q, const std::vector<double>& tau_ext,
            const std::vector<double>& sigma_nm) {
-  if (!model.refused().empty()) throw Error("no place of a touch: " + model.refused());
+  if (!model.refused().empty()) throw Error("no contact places: " + model.refused());
   const auto n = static_cast<std::size_t>(model.joints());
   for (const auto* one : {&q, &tau_ext, &sigma_nm})
     if (one->size() != n) throw Error("q, tau_ext and sigma_nm must hold " + std::to_string(n) + " values");

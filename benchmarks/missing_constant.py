@@ -6,7 +6,7 @@ DATA: folder of `models` and `ur3_aspectum` as benchmarks/real_arms.py takes the
 simulated, its motor currents are imported without constants. The UR3 is real: one recorded trajectory to train on, the
 other one with added loads, whose torques follow from the model and which its currents would show. Each is trained
 twice: training is told the constants of all joints, or of all but the last. OUT/missing_constant.json and the table of
-docs/load.md are of this command. What is there is used again.
+docs/results/loads/missing-constant.md are of this command. What is there is used again.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def forces(maker: Maker, arm: TrueArm, bundle: Bundle, options: argparse.Namespa
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
-    """The table of docs/load.md."""
+    """The table of docs/results/loads/missing-constant.md."""
     lines = head(" | ".join(["-", *(f"{one['arm']}: {one['constants']}" for one in rows)]))
     lines[0] = lines[0].replace("| - |", "| |", 1)
 
@@ -209,8 +209,8 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     line("within two of its errors", lambda r: f"{r['mass_within_two']:.0%} of {r['windows']}")
     line("centre of mass off by, median, mm", lambda r: f"{1e3 * r['centre_off_m']:.0f}")
     line("tau_ext without a load, RMS, Nm", lambda r: f"{r['rms_free_nm']:.2f}")
-    line("with a load, not told / told", lambda r: f"{r['rms_not_told_nm']:.2f} / {r['rms_told_nm']:.2f}")
-    line("false collisions with it told", lambda r: f"{r['false_collisions']} in {r['minutes']:.1f} min")
+    line("with a load, not set / set", lambda r: f"{r['rms_not_told_nm']:.2f} / {r['rms_told_nm']:.2f}")
+    line("false collisions with it set", lambda r: f"{r['false_collisions']} in {r['minutes']:.1f} min")
     line(
         "limit of the last joint, times",
         lambda r: f"{r['last_limit_times'][1]:.2f} ({r['last_limit_times'][0]:.2f} to {r['last_limit_times'][2]:.2f})",

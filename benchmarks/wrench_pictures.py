@@ -1,4 +1,4 @@
-"""The pictures of docs/wrench.md: a push and its signs, link-shapes.png with the shapes of links.
+"""The pictures of docs/forces.md: a push and its signs, link-shapes.png with the shapes of links.
 
 python benchmarks/wrench_pictures.py --out docs/pictures
 """

@@ -257,5 +257,5 @@ def test_settings_that_do_not_fit_are_refused(watching):
         broken.to_bytes()
     with pytest.raises(Exception, match="dq must have the shape"):
         bundle.coverage.look(np.zeros((3, 2)), np.zeros((2, 2)))
-    with pytest.raises(Exception, match="give speeds and cells"):
+    with pytest.raises(Exception, match="set speeds and cells"):
         _core.CoverageSettings().see(np.zeros((3, 2)))

@@ -258,5 +258,5 @@ def test_what_is_not_known_and_what_does_not_fit(bundle, model):
     bare.links = bundle.links
     refused = _core.PlaceModel(bare)
     assert "error scale" in refused.refused
-    with pytest.raises(_core.CoreError, match="no place of a touch: .*error scale"):
+    with pytest.raises(_core.CoreError, match="no contact places: .*error scale"):
         refused.find([0.0] * 7, tau, tau)

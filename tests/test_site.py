@@ -104,6 +104,8 @@ def test_pages_of_headers_show_every_public_name_and_nothing_private():
     page = "\n".join(cpp_pages.page(cpp_pages.HEADERS / "monitor.hpp"))
     assert "## Monitor" in page and "set_limit_factors(" in page and "}  // namespace" not in page
     assert "private:" not in page and "observe_;" not in page
+    wrench = "\n".join(cpp_pages.page(cpp_pages.HEADERS / "wrench.hpp"))
+    assert "```text\n  tau_ext = J^T w + e," in wrench
     bundle = "\n".join(cpp_pages.page(cpp_pages.HEADERS / "bundle.hpp"))
     for name in re.findall(
         r"^(?:struct|class|enum class) (\w+)[^;]*$", (cpp_pages.HEADERS / "bundle.hpp").read_text(), re.M

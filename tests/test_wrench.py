@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -393,3 +394,27 @@ def test_a_joint_without_newton_metres_notices_no_force():
             for name, value in asdict(getattr(one_point, way)).items():
                 expected = getattr(getattr(other, way), name)
                 assert value == (expected and pytest.approx(expected, rel=1e-6)), (way, name)
+
+
+def test_a_wrench_prints_its_frame_its_values_with_standard_errors_and_their_units():
+    monitor = _core.Monitor(_core.Bundle.load(str(GOLDEN)))
+    assert repr(monitor.wrench("elbow")) == "<Wrench at elbow, axes of the base: unknown>"
+    t_ns = np.arange(0, int(2e9), monitor.sample_period_ns)
+    speed = np.array([0.5, 0.9])
+    angle = np.outer(t_ns * 1e-9, speed)
+    monitor.run(t_ns, np.sin(angle), speed * np.cos(angle), 2.0 + np.cos(angle))
+    full = monitor.wrench("elbow", _core.WrenchAxes.frame)
+    text = repr(full)
+    assert text.startswith("<Wrench at elbow, axes of the frame: force (")
+    assert text.endswith(f"{len(full.blind)} blind directions>")
+    number = r"(-?\d+\.?\d*) ± (\d+\.?\d*)"
+    forces, moments = re.search(r"force \((.*)\) N, moment \((.*)\) N m", text).groups()
+    printed = [[float(one) for one in pair] for part in (forces, moments) for pair in re.findall(number, part)]
+    errors = np.sqrt(np.diag(full.covariance))
+    assert len(printed) == 6
+    for (value, error), true, sigma in zip(printed, [*full.force, *full.moment], errors, strict=True):
+        assert abs(value - true) <= 0.05 * sigma and abs(error - sigma) <= 0.05 * sigma  # two digits of the error
+    alone = monitor.force("elbow", [0.0, 0.0, 0.1])
+    assert repr(alone).startswith("<Wrench at elbow (0, 0, 0.1) m, axes of the base: force (")
+    assert "moment" not in repr(alone)
+    assert (alone.frame, alone.axes, alone.point) == ("elbow", BASE, [0.0, 0.0, 0.1]) and full.point is None

@@ -1,9 +1,10 @@
-// NumPy arrays in and out of the core.
+// Conversion between NumPy arrays and the core.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
+#include <array>
 #include <optional>
 #include <span>
 #include <string>
@@ -16,7 +17,7 @@ namespace tauext::bindings {
 
 namespace nb = nanobind;
 
-struct AnyArray {};  // in signatures: an array of whatever type
+struct AnyArray {};  // in signatures: an array of any type
 using ArrayDict = nb::typed<nb::dict, nb::str, AnyArray>;
 
 template <class T, int Dim>
@@ -27,7 +28,7 @@ std::span<const T> span_of(const Array<T, 1>& a) {
   return {a.data(), a.shape(0)};
 }
 
-// Hands a vector over to NumPy without a copy.
+// Moves a vector to NumPy without a copy.
 template <class T>
 nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
   auto* owned = new std::vector<T>(std::move(values));
@@ -45,7 +46,7 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
   return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
 }
 
-// The same with temperatures of the joints, [degC], where there are any.
+// The same with the joint temperatures, [degC]; None: not measured.
 using Temperatures = std::optional<Array<double, 2>>;
 inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
                    const Array<double, 2>& tau, const Temperatures& temperature) {
@@ -57,6 +58,13 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
   return out;
 }
 
+// Python's Wrench: with the frame, the axes and, of a force without a moment, the point that it was estimated for.
+struct FrameWrench : Wrench {
+  std::string frame;
+  WrenchAxes axes = WrenchAxes::base;
+  std::optional<std::array<double, 3>> point;
+};
+
 void bind_coverage(nb::module_& m);
 void bind_load(nb::module_& m);
 void bind_load_found(nb::module_& m);
@@ -65,7 +73,7 @@ void bind_refit(nb::module_& m);
 void bind_places(nb::module_& m);
 void bind_servo(nb::module_& m);
 void bind_wrench(nb::module_& m);
-// Throws Error where the bundle has no wrench, or no such frame.
+// Number of the frame. Throws Error if the bundle has no wrench, or no such frame.
 int frame_of(const WrenchModel& model, const std::string& name);
 
 }  // namespace tauext::bindings

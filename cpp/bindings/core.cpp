@@ -19,7 +19,7 @@ using namespace tauext::bindings;
 
 namespace {
 
-// The rows from which windows are read; `inputs` is kept alive beside them.
+// Rows of the windows, with the inputs that they refer to.
 struct PythonWindows {
   std::vector<LstmInput> inputs;
   WindowRows rows;
@@ -50,12 +50,12 @@ void bind_list(nb::class_<Bundle>& cls, const char* name, std::vector<T> Bundle:
       [member](Bundle& b, std::vector<T> values) { b.*member = std::move(values); }, doc);
 }
 
-// sliding_limit_nm, near_stiction_limit_nm and hold_s of the collision, and the same with contact_ before them.
+// sliding_limit_nm, near_stiction_limit_nm and hold_s of the collision; the same with the prefix contact_.
 void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits::*level) {
   const std::string what = prefix.empty() ? "collision" : "contact";
   const auto limit = [&what](const std::string& where) {
-    return "|tau_ext| that each joint must exceed for a " + what + " " + where +
-           ", [N m]; in usual motion where there is an error scale.";
+    return "Limit of |tau_ext| per joint for a " + what + " " + where +
+           ", [N m]; in usual motion if there is an error scale.";
   };
   cls.def_prop_rw(
          (prefix + "sliding_limit_nm").c_str(), [level](const Bundle& b) { return (b.limits.*level).sliding_nm; },
@@ -69,27 +69,30 @@ void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits
       .def_prop_rw(
           (prefix + "hold_s").c_str(), [level](const Bundle& b) { return (b.limits.*level).hold_s; },
           [level](Bundle& b, double v) { (b.limits.*level).hold_s = v; },
-          ("Time over its limit before a joint raises a " + what + ", [s]; 0: the first sample does.").c_str());
+          ("Time above its limit after which a joint raises a " + what + ", [s]; 0: at the first sample.").c_str());
 }
 
 void bind_tree(nb::module_& m) {
-  nb::enum_<JointType>(m, "JointType").value("revolute", JointType::revolute).value("prismatic", JointType::prismatic);
-  nb::class_<Link>(m, "Link", "One moving link and the joint that carries it; the joint axis is the link frame's +z.")
+  nb::enum_<JointType>(m, "JointType", "Whether a joint rotates or translates its link.")
+      .value("revolute", JointType::revolute)
+      .value("prismatic", JointType::prismatic);
+  nb::class_<Link>(m, "Link",
+      "A moving link and the joint that carries it; the joint axis is the link frame's +z axis.")
       .def(nb::init<>())
-      .def_rw("joint_name", &Link::joint_name)
-      .def_rw("parent", &Link::parent)
-      .def_rw("type", &Link::type)
-      .def_rw("rotation", &Link::rotation)
-      .def_rw("translation", &Link::translation)
-      .def_rw("mass", &Link::mass)
-      .def_rw("com", &Link::com)
-      .def_rw("inertia", &Link::inertia)
-      .def_rw("rotor_inertia", &Link::rotor_inertia);
+      .def_rw("joint_name", &Link::joint_name, "Name of the joint in the robot file.")
+      .def_rw("parent", &Link::parent, "Index of the parent link; -1: the base.")
+      .def_rw("type", &Link::type, "Type of the joint.")
+      .def_rw("rotation", &Link::rotation, "Parent from link at q = 0, row-major.")
+      .def_rw("translation", &Link::translation, "Joint origin in the parent's frame, [m].")
+      .def_rw("mass", &Link::mass, "[kg].")
+      .def_rw("com", &Link::com, "Centre of mass in the link frame, [m].")
+      .def_rw("inertia", &Link::inertia, "About the centre of mass, link axes: xx, yy, zz, xy, xz, yz, [kg m^2].")
+      .def_rw("rotor_inertia", &Link::rotor_inertia, "Motor inertia times gear ratio squared, [kg m^2] or [kg].");
   nb::class_<Tree>(m, "Tree", "Kinematic tree of 1 to 32 moving joints, in any order.")
       .def(nb::init<std::vector<Link>, std::array<double, 3>>(), nb::arg("links"), nb::arg("gravity"))
-      .def_prop_ro("size", &Tree::size)
-      .def_prop_ro("links", [](const Tree& t) { return t.links(); })
-      .def_prop_ro("gravity", &Tree::gravity)
+      .def_prop_ro("size", &Tree::size, "Number of joints.")
+      .def_prop_ro("links", [](const Tree& t) { return t.links(); }, "Links, as passed to the constructor.")
+      .def_prop_ro("gravity", &Tree::gravity, "Acceleration of free fall in the base frame, [m/s^2].")
       .def(
           "momentum",
           [](const Tree& tree, const Array<double, 2>& q, const Array<double, 2>& dq) {
@@ -110,19 +113,18 @@ void bind_tree(nb::module_& m) {
 }
 
 void bind_observer(nb::module_& m) {
-  nb::enum_<TorqueTiming>(m, "TorqueTiming")
-      .value("held", TorqueTiming::held)
-      .value("instant", TorqueTiming::instant)
-      .value("averaged", TorqueTiming::averaged);
-  nb::enum_<ResidualMethod>(m, "ResidualMethod", "What r is; see comparison_residuals.hpp.")
+  nb::enum_<TorqueTiming>(m, "TorqueTiming", "Meaning of a torque sample.")
+      .value("held", TorqueTiming::held, "Acts from its time stamp to the next one: a commanded torque.")
+      .value("instant", TorqueTiming::instant, "Measured at its time stamp.")
+      .value("averaged", TorqueTiming::averaged, "Mean over the step that ends at its time stamp.");
+  nb::enum_<ResidualMethod>(m, "ResidualMethod", "Definition of r; see comparison_residuals.hpp.")
       .value("momentum", ResidualMethod::momentum)
       .value("direct", ResidualMethod::direct)
       .value("velocity", ResidualMethod::velocity)
       .value("energy", ResidualMethod::energy);
   nb::class_<ObserverSettings>(m, "ObserverSettings",
-                               "Gain K0 [1/s], torque timing, sample period, network stride; method of the residual "
-                               "and the rates of its filters [1/s], 0: none; torque constants that tau is multiplied by, "
-                               "empty: none.")
+                               "Gain K0 [1/s], torque timing, sample period [ns], network stride; residual method and the rates "
+                               "of its filters [1/s], 0: none; torque constants, factors on tau, empty: none.")
       .def(
           "__init__",
           [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
@@ -142,7 +144,7 @@ void bind_observer(nb::module_& m) {
       .def_ro("high_pass_per_s", &ObserverSettings::high_pass_per_s)
       .def_ro("low_pass_per_s", &ObserverSettings::low_pass_per_s)
       .def_ro("nm_per_unit", &ObserverSettings::nm_per_unit);
-  nb::enum_<TermKind>(m, "TermKind")
+  nb::enum_<TermKind>(m, "TermKind", "Regressors of the prior; see settings.hpp.")
       .value("constant", TermKind::constant)
       .value("viscous", TermKind::viscous)
       .value("coulomb", TermKind::coulomb)
@@ -155,7 +157,7 @@ void bind_observer(nb::module_& m) {
       .value("momentum", TermKind::momentum)
       .value("backlash", TermKind::backlash)
       .value("local_memory", TermKind::local_memory);
-  nb::class_<Term>(m, "Term", "A regressor of the prior; see settings.hpp for what a, b, c, form and speed mean to a kind.")
+  nb::class_<Term>(m, "Term", "A regressor of the prior; settings.hpp defines a, b, c, form and speed for each kind.")
       .def(
           "__init__",
           [](Term* t, TermKind kind, int a, int b, int c, int form, double speed) {
@@ -169,13 +171,15 @@ void bind_observer(nb::module_& m) {
       .def_ro("c", &Term::c)
       .def_ro("form", &Term::form)
       .def_ro("speed", &Term::speed);
-  nb::class_<FrictionTemperature>(m, "FrictionTemperature", "How friction follows the joints' temperatures; see settings.hpp.")
+  nb::class_<FrictionTemperature>(m, "FrictionTemperature",
+      "Friction as a function of the joint temperatures; see settings.hpp.")
       .def(nb::init<>())
       .def_rw("reference_c", &FrictionTemperature::reference_c)
       .def_rw("reach_k", &FrictionTemperature::reach_k)
       .def_rw("coulomb_per_10k", &FrictionTemperature::coulomb_per_10k)
       .def_rw("viscous_per_10k", &FrictionTemperature::viscous_per_10k);
-  nb::class_<PriorSettings>(m, "PriorSettings", "Presliding widths [rad], terms with weights (joints, terms), corrected links.")
+  nb::class_<PriorSettings>(m, "PriorSettings",
+      "Presliding widths [rad], terms with weights (joints, terms), corrected links; see settings.hpp.")
       .def(nb::init<>())
       .def_rw("widths_rad", &PriorSettings::widths_rad)
       .def_rw("branches", &PriorSettings::branches)
@@ -184,7 +188,8 @@ void bind_observer(nb::module_& m) {
       .def_rw("corrected_links", &PriorSettings::corrected_links)
       .def_rw("most_load_nm", &PriorSettings::most_load_nm)
       .def_rw("temperature", &PriorSettings::temperature);
-  nb::class_<Observation>(m, "Observation", "Residuals of a recording and where its samples stand on the regular clock.")
+  nb::class_<Observation>(m, "Observation",
+      "Residuals of a recording, and the place of its samples on the regular clock.")
       .def_ro("row_count", &Observation::row_count)
       .def_ro("held_rows", &Observation::held_rows)
       .def_ro("restarts", &Observation::restarts)
@@ -232,7 +237,8 @@ void bind_observer(nb::module_& m) {
         return observe(tree, settings, prior, recording);
       },
       nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
-      nb::arg("prior") = PriorSettings(), nb::arg("temperature") = nb::none(), "The residual of every sample of a recording, before any network.");
+      nb::arg("prior") = PriorSettings(), nb::arg("temperature") = nb::none(),
+           "Residual of every sample of a recording, without the network.");
   m.def(
       "prior_regressors",
       [](const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
@@ -247,7 +253,7 @@ void bind_observer(nb::module_& m) {
         return to_numpy(std::move(out), {samples.shape(0), prior.terms.size()});
       },
       nb::arg("tree"), nb::arg("settings"), nb::arg("prior"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
-      nb::arg("tau"), nb::arg("samples"), "The prior's terms, each filtered as the observer filters: (samples, terms).");
+      nb::arg("tau"), nb::arg("samples"), "Terms of the prior, each filtered like the observer: (samples, terms).");
   m.def(
       "presliding_states",
       [](const Array<double, 2>& q, const std::vector<double>& widths) {
@@ -265,7 +271,8 @@ void bind_observer(nb::module_& m) {
         return to_numpy(std::move(out), {q.shape(0), n, widths.size()});
       },
       nb::arg("q"), nb::arg("widths"),
-      "Stop operators on finite positions (samples, joints), widths rising: states in -1 to 1, (samples, joints, widths).");
+      "Stop operators on finite positions (samples, joints), widths in rising order: states from -1 to 1, (samples, "
+      "joints, widths).");
   m.def(
       "impossible_samples",
       [](const ObserverSettings& settings, const std::vector<double>& torque_nm, const std::vector<double>& speed_rad_s,
@@ -275,7 +282,7 @@ void bind_observer(nb::module_& m) {
         std::vector<ImpossibleSample> found;
         {
           nb::gil_scoped_release released;
-          // Drives at their limit and encoders that stand still are possible.
+          // Saturated drives and frozen encoders are possible.
           const std::vector<double> any(q.shape(1), std::numeric_limits<double>::infinity());
           const std::vector<double> least(q.shape(1), std::numeric_limits<double>::min());
           found = impossible_samples(settings, {any, least, torque_nm, speed_rad_s}, recording);
@@ -294,16 +301,18 @@ void bind_observer(nb::module_& m) {
         out["joint"] = to_numpy(std::move(joints), {found.size()});
         return out;
       },
-      nb::arg("settings"), nb::arg("possible_torque_nm"), nb::arg("possible_speed_rad_s"), nb::arg("t_ns"), nb::arg("q"),
+      nb::arg("settings"), nb::arg("possible_torque_nm"), nb::arg("possible_speed_rad_s"), nb::arg("t_ns"), nb::arg(
+           "q"),
       nb::arg("dq"), nb::arg("tau"),
-      "Samples that a monitor refuses whose bundle has these ranges: sample, cause (a bit) and the first joint that shows it.");
+      "Samples that are faults with these ranges: sample, cause (a bit) and the first joint concerned.");
   m.def(
       "mean_steps",
       [](std::int64_t sample_period_ns, int network_stride, const Array<std::int64_t, 1>& t_ns) {
         return to_numpy(mean_steps(sample_period_ns, network_stride, span_of(t_ns)), {t_ns.shape(0)});
       },
       nb::arg("sample_period_ns"), nb::arg("network_stride"), nb::arg("t_ns"),
-      "Mean step of an exponential second at each sample, in sample periods, as a monitor compares it with 1: (samples,).");
+      "Exponential mean of the step over a second at each sample, in sample periods, (samples,); the monitor compares it "
+      "with 1.");
   m.attr("RATE_TOLERANCE_RANGE") =
       nb::make_tuple(SignalRanges::kLeastRateTolerance, SignalRanges::kMostRateTolerance);
   m.def(
@@ -316,11 +325,12 @@ void bind_observer(nb::module_& m) {
                         {static_cast<std::size_t>(observation.row_count), factors.shape(0)});
       },
       nb::arg("observation"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("factors"),
-      "What the network reads, a row each of its period: (rows, features), each times its factor.");
+      "Inputs of the network, one row per network period, each times its factor: (rows, features).");
 }
 
 void bind_lstm(nb::module_& m) {
-  nb::class_<LstmShape>(m, "LstmShape", "Sizes of the network; parameters are W_x, W_h, b, W_head, b_head, gates i f g o.")
+  nb::class_<LstmShape>(m, "LstmShape",
+      "Sizes of the network; parameters are W_x, W_h, b, W_head, b_head, with gates in the order i, f, g, o.")
       .def(
           "__init__",
           [](LstmShape* s, int inputs, int hidden, int outputs) {
@@ -378,15 +388,15 @@ void bind_lstm(nb::module_& m) {
       nb::arg("x"), "sigmoid(x) and tanh(x) as the network computes them.");
   m.def("simd_in_use", &simd_in_use,
         "Instruction set of the network's kernels: the widest of this machine, or that of the environment variable "
-        "TAUEXT_SIMD. Raises CoreError where this machine has none of that name.");
+        "TAUEXT_SIMD. Raises CoreError if this machine lacks it.");
 }
 
 void bind_bundle(nb::module_& m) {
-  nb::enum_<TorqueUnit>(m, "TorqueUnit", "What a number of tau stands for.")
+  nb::enum_<TorqueUnit>(m, "TorqueUnit", "Unit of tau.")
       .value("newton_metre", TorqueUnit::newton_metre)
       .value("ampere", TorqueUnit::ampere)
       .value("recorded", TorqueUnit::recorded);
-  nb::class_<TorqueUnits>(m, "TorqueUnits", "What tau and the answers are given in; see bundle.hpp.")
+  nb::class_<TorqueUnits>(m, "TorqueUnits", "Units of the input tau and of the estimates; see bundle.hpp.")
       .def(
           "__init__",
           [](TorqueUnits* u, TorqueUnit given, int relative_to, std::vector<std::uint8_t> unknown) {
@@ -397,7 +407,8 @@ void bind_bundle(nb::module_& m) {
       .def_ro("given", &TorqueUnits::given)
       .def_ro("relative_to", &TorqueUnits::relative_to)
       .def_ro("unknown", &TorqueUnits::unknown);
-  nb::class_<DriftSettings>(m, "DriftSettings", "Tracker of slow changes; see drift.hpp. time_constant_s = 0: there is none.")
+  nb::class_<DriftSettings>(m, "DriftSettings",
+      "Settings of the tracker of slow changes; see settings.hpp. time_constant_s = 0: no tracker.")
       .def(nb::init<>())
       .def_rw("time_constant_s", &DriftSettings::time_constant_s)
       .def_rw("size_nm", &DriftSettings::size_nm)
@@ -406,7 +417,7 @@ void bind_bundle(nb::module_& m) {
       .def_rw("freeze_s", &DriftSettings::freeze_s)
       .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm)
       .def_rw("friction_share", &DriftSettings::friction_share);
-  nb::enum_<MotionFeature>(m, "MotionFeature", "Features of the motion that errors grow with; see settings.hpp.")
+  nb::enum_<MotionFeature>(m, "MotionFeature", "Features of the motion with which errors grow; see settings.hpp.")
       .value("constant", MotionFeature::constant)
       .value("speed", MotionFeature::speed)
       .value("acceleration", MotionFeature::acceleration)
@@ -415,7 +426,8 @@ void bind_bundle(nb::module_& m) {
       .value("arm_speed", MotionFeature::arm_speed)
       .value("arm_acceleration", MotionFeature::arm_acceleration)
       .value("arm_jerk", MotionFeature::arm_jerk);
-  nb::class_<ErrorScaleSettings>(m, "ErrorScaleSettings", "How errors grow with the motion; no features: limits are constants.")
+  nb::class_<ErrorScaleSettings>(m, "ErrorScaleSettings",
+      "How limits and standard error grow with the motion; no features: constant limits.")
       .def(nb::init<>())
       .def_rw("features", &ErrorScaleSettings::features)
       .def_rw("limit_weights", &ErrorScaleSettings::limit_weights)
@@ -423,56 +435,56 @@ void bind_bundle(nb::module_& m) {
       .def_rw("sigma_weights", &ErrorScaleSettings::sigma_weights)
       .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
       .def_rw("largest_sigma", &ErrorScaleSettings::largest_sigma)
-      .def_prop_ro("on", &ErrorScaleSettings::on, "There is a standard error.")
-      .def_prop_ro("follows", &ErrorScaleSettings::follows, "Limits and standard error follow the motion.");
-  nb::class_<Load>(m, "Load", "What the arm carries, in the axes of a load frame; mass 0: nothing.")
+      .def_prop_ro("on", &ErrorScaleSettings::on, "Whether there is a standard error.")
+      .def_prop_ro("follows", &ErrorScaleSettings::follows, "Whether limits and standard error follow the motion.");
+  nb::class_<Load>(m, "Load", "A rigid body in the axes of the load frame; mass 0: no load.")
       .def(
           "__init__",
           [](Load* load, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
              double error_share) { new (load) Load{mass, com, inertia, error_share}; },
           nb::arg("mass") = 0.0, nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
           nb::arg("error_share") = Load::kUsualError,
-          "Mass [kg], centre of mass [m], inertia about it xx, yy, zz, xy, xz, yz [kg m^2], share of its torques that\n"
-          "may be wrong.")
-      .def_ro("mass", &Load::mass, "[kg].")
+          "Mass [kg], centre of mass [m], inertia about it xx, yy, zz, xy, xz, yz [kg m^2], relative error of its\n"
+          "torques (0 to 1).")
+      .def_ro("mass", &Load::mass, "Mass, [kg].")
       .def_ro("com", &Load::com, "Centre of mass, [m].")
-      .def_ro("inertia", &Load::inertia, "About the centre of mass, xx, yy, zz, xy, xz, yz, [kg m^2].")
-      .def_ro("error_share", &Load::error_share, "Share of its torques that may be wrong.")
+      .def_ro("inertia", &Load::inertia, "Inertia about the centre of mass, xx, yy, zz, xy, xz, yz, [kg m^2].")
+      .def_ro("error_share", &Load::error_share, "Relative error of its torques: limits rise by this share of them.")
       .def("__eq__", [](const Load& a, const Load& b) { return a == b; }, nb::is_operator(),
            nb::sig("def __eq__(self, other: object, /) -> bool"));
-  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and bounds on loads; see load.hpp.")
+  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and which loads are accepted; see load.hpp.")
       .def(nb::init<>())
-      .def_rw("frame", &LoadSettings::frame, "Name of the frame that loads are given in.")
-      .def_rw("link", &LoadSettings::link, "Index of the link that it is fixed to; -1: none.")
-      .def_rw("rotation", &LoadSettings::rotation, "Link from load frame, row-major.")
-      .def_rw("translation", &LoadSettings::translation, "The frame's origin in the link's frame, [m].")
-      .def_rw("largest_mass_kg", &LoadSettings::largest_mass_kg, "A heavier load is refused.")
-      .def_rw("largest_reach_m", &LoadSettings::largest_reach_m, "From the frame's origin to the centre of mass; a farther one is refused.")
-      .def_rw("refused", &LoadSettings::refused, "Why none can be set; empty: it can.")
+      .def_rw("frame", &LoadSettings::frame, "Name of the load frame.")
+      .def_rw("link", &LoadSettings::link, "Index of the link that the frame is fixed to; -1: none.")
+      .def_rw("rotation", &LoadSettings::rotation, "Rotation link from load frame, row-major.")
+      .def_rw("translation", &LoadSettings::translation, "Origin of the frame in the link's frame, [m].")
+      .def_rw("largest_mass_kg", &LoadSettings::largest_mass_kg, "Largest accepted mass, [kg].")
+      .def_rw("largest_reach_m", &LoadSettings::largest_reach_m,
+           "Largest accepted distance of the centre of mass from the frame's origin, [m].")
+      .def_rw("refused", &LoadSettings::refused, "Reason for which no load can be set; empty: loads are accepted.")
       .def_prop_ro("settable", &LoadSettings::settable, "Whether a load can be set at all.")
       .def("why_not", [](const LoadSettings& s, const Load& load) { return s.words(s.fault(load), load); },
-           nb::arg("load"), "Why such a load is refused; empty: it is not.")
+           nb::arg("load"), "Reason for which this load is refused; empty: accepted.")
       .def("merged", [](const LoadSettings& s, const Load& load, const Link& link) { return s.merged(load, link); },
-           nb::arg("load"), nb::arg("link"), "The link with the load as a part of it.");
-  nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
+           nb::arg("load"), nb::arg("link"), "The link and the load as one body.");
+  nb::class_<Bundle> bundle(m, "Bundle", "A bundle: all settings and weights of the chain, in one file.");
   bundle.def(nb::init<>())
-      .def_rw("name", &Bundle::name, "What it calls itself; its file may have another name.")
+      .def_rw("name", &Bundle::name, "Name of the bundle; its file may have another name.")
       .def_rw("provenance", &Bundle::provenance,
-              "JSON text of what made it: command, versions, settings, recordings and what was found. The chain does not "
-              "read it.")
-      .def_rw("gravity", &Bundle::gravity, "Acceleration of gravity in the frame of the base, [m/s2].")
+              "JSON text: command, versions, settings, recordings and results of the training. The core does not read it.")
+      .def_rw("gravity", &Bundle::gravity, "Acceleration of free fall in the base frame, [m/s^2].")
       .def_rw("observer", &Bundle::observer,
               "Gain K0 [1/s], torque timing, sample period [ns], rate of the network; torque constants.")
       .def_rw("window_steps", &Bundle::window_steps, "Network steps in a window.")
-      .def_rw("shape", &Bundle::shape, "Inputs, hidden units and outputs of the network; hidden = 0: there is none.")
-      .def_prop_ro("joints", &Bundle::joints, "How many joints it is for.")
-      .def_prop_ro("has_network", &Bundle::has_network, "False: the observer alone, or with a prior.")
+      .def_rw("shape", &Bundle::shape, "Inputs, hidden units and outputs of the network; hidden = 0: no network.")
+      .def_prop_ro("joints", &Bundle::joints, "Number of joints.")
+      .def_prop_ro("has_network", &Bundle::has_network, "Whether there is a network; False: observer and prior only.")
       .def_rw("units", &Bundle::units,
-              "Units of tau and of the answers; torque_units and estimate_units are their names.")
-      .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and bounds on loads.")
-      .def_rw("wrench_settings", &Bundle::wrench, "What forces and moments at frames are worth.")
-      .def_rw("capsules", &Bundle::capsules, "Shapes of links, from the robot file; empty: it has none.")
-      .def_rw("servo", &Bundle::servo, "What makes dq and tau of a servo's signals, ahead of the chain; may be off.")
+              "Units of the input tau and of the estimates; torque_units and estimate_units are their names.")
+      .def_rw("load_settings", &Bundle::load, "Load frame, and bounds on loads.")
+      .def_rw("wrench_settings", &Bundle::wrench, "Error model of forces and moments at frames.")
+      .def_rw("capsules", &Bundle::capsules, "Shapes of the links, from the robot file; empty: none.")
+      .def_rw("servo", &Bundle::servo, "Computation of dq and tau from servo signals, before the chain; may be off.")
       .def_prop_ro(
           "in_newtons",
           [](const Bundle& b) {
@@ -480,16 +492,16 @@ void bind_bundle(nb::module_& m) {
             for (int j = 0; j < b.joints(); ++j) out.push_back(b.in_newtons(j));
             return out;
           },
-          "A joint: whether it answers in N m, N or W; loads and forces are estimated from those alone.")
+          "Per joint: whether its estimates are in N m, N or W. Only these joints are used for loads and forces.")
       .def("too_few_in_newtons", &Bundle::too_few_in_newtons, nb::arg("why"),
-           "Empty where enough joints answer in N m; else a sentence that ends in `why`.")
+           "Empty if enough joints are in N m; else a sentence that ends with `why`.")
       .def_prop_ro("most_units_per_nm", &Bundle::most_units_per_nm,
-                   "A joint: so many of its own units a load makes of a newton metre at most; 0 where it answers in N m.")
+                   "Per joint: bound on the change of its estimate, in its own unit, per N m of a load; 0 for joints in N m.")
       .def("assume_load", &Bundle::assume_load, "Sets the default load settings; see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
-                   "Unit of the tau that is to be given, a joint.")
+                   "Unit of the input tau, per joint.")
       .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },
-                   "Unit of the torques that are answered, a joint.")
+                   "Unit of the estimated torques, per joint.")
       .def_prop_rw(
           "inputs", [](const Bundle& b) { return input_pairs(b.inputs); },
           [](Bundle& b, const std::vector<std::pair<int, int>>& pairs) {
@@ -500,19 +512,19 @@ void bind_bundle(nb::module_& m) {
       .def_prop_rw(
           "contact_release_s", [](const Bundle& b) { return b.limits.contact_release_s; },
           [](Bundle& b, double v) { b.limits.contact_release_s = v; },
-          "A contact ends once every joint has been under its contact limit for so long, [s].")
+          "A contact ends when every joint has been below its contact limit for this time, [s].")
       .def_prop_rw(
           "near_memory_s", [](const Bundle& b) { return b.limits.near_memory_s; },
           [](Bundle& b, double v) { b.limits.near_memory_s = v; },
-          "A joint counts as near stiction for so long after it began to slide, [s].")
+          "Time after the start of sliding for which a joint counts as near stiction, [s].")
       .def_prop_rw(
           "after_contact_factor", [](const Bundle& b) { return b.limits.after_contact_factor; },
           [](Bundle& b, double v) { b.limits.after_contact_factor = v; },
-          "Factor on the limits of a joint that was pushed while it was stuck, until it has slid; 1: none.")
+          "Factor on the limits of a joint that was pushed while stuck, until it has slid; 1: none.")
       .def_prop_rw(
           "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); },
-          "Torque at which each drive saturates, [N m]; infinite: not known.")
+          "Torque at which each drive saturates, [N m]; infinite: unknown.")
       .def_prop_rw(
           "largest_torque_nm", [](const Bundle& b) { return b.signals.largest_torque_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); },
@@ -520,20 +532,19 @@ void bind_bundle(nb::module_& m) {
       .def_prop_rw(
           "possible_torque_nm", [](const Bundle& b) { return b.signals.possible_torque_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.possible_torque_nm = std::move(v); },
-          "A sample with a larger |tau| is a fault, [N m], a joint; infinite: not known.")
+          "Per joint: a larger |tau| is a fault, [N m]; infinite: unknown.")
       .def_prop_rw(
           "possible_speed_rad_s", [](const Bundle& b) { return b.signals.possible_speed_rad_s; },
           [](Bundle& b, std::vector<double> v) { b.signals.possible_speed_rad_s = std::move(v); },
-          "A sample with a larger |dq| is a fault, and so is a step of q that would need one, [rad/s], a joint; infinite: "
-          "not known.")
+          "Per joint: a larger |dq|, or a step of q that needs one, is a fault, [rad/s]; infinite: unknown.")
       .def_prop_rw(
           "rate_tolerance", [](const Bundle& b) { return b.signals.rate_tolerance; },
           [](Bundle& b, double v) { b.signals.rate_tolerance = v; },
-          "Share of the sample period by which the mean step of an exponential second may differ from it, 0.05 to 0.15.")
+          "Largest relative difference between mean step and sample period, 0.05 to 0.15.")
       .def_prop_rw(
           "region_width", [](const Bundle& b) { return b.limits.region_width; },
           [](Bundle& b, int v) { b.limits.region_width = v; },
-          "Index of the presliding width that decides, beside the speed, whether a joint is near stiction; -1: none.")
+          "Index of the presliding width that, beside the speed, defines near stiction; -1: speed only.")
       .def_prop_rw(
           "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
           [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; },
@@ -548,8 +559,8 @@ void bind_bundle(nb::module_& m) {
             b.output_scale_nm.clear();
             answer_reference(b);
           },
-          "Leave the network out: what is left is observer and prior. CoreError without a reference to answer.")
-      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Recompute the kept reference, after a change.")
+          "Removes the network; observer and prior remain. Raises CoreError without a reference.")
+      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Recomputes the reference after a change.")
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -561,18 +572,18 @@ void bind_bundle(nb::module_& m) {
             answer_reference(b);
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
-          "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
+          "Stores this section of free motion with the chain's estimate at its last sample; loading a bundle replays it.")
       .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"),
-           "Write the file, under a temporary name first. CoreError, naming what does not fit or cannot be written.")
+           "Writes the file to a temporary name and renames it. Raises CoreError with the invalid field or the write error.")
       .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"),
-                  "Read the file, check it, and replay the kept reference; CoreError contains the reason of a refusal.")
+                  "Reads and checks the file and replays its reference. Raises CoreError with the reason of a refusal.")
       .def(
           "to_bytes",
           [](const Bundle& b) {
             const std::vector<char> bytes = to_bytes(b);
             return nb::bytes(bytes.data(), bytes.size());
           },
-          "The bundle as its file holds it.")
+          "The content of the bundle's file.")
       .def(
           "scale_reference",
           [](Bundle& b, const std::vector<double>& by) {
@@ -580,25 +591,26 @@ void bind_bundle(nb::module_& m) {
             for (std::size_t k = 0; k < b.reference.tau.size(); ++k) b.reference.tau[k] *= by[k % by.size()];
             answer_reference(b);
           },
-          nb::arg("by"), "The kept reference's tau times these, a joint, and recomputed.")
+          nb::arg("by"), "Multiplies the reference's tau by one factor per joint and recomputes it.")
       .def_static(
           "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"),
-          "The bundle that to_bytes() gave, checked as load() checks a file.");
+          "Reads the bytes of to_bytes(), with the checks of load().");
   bind_level(bundle, "", &Limits::collision);
   bind_level(bundle, "contact_", &Limits::contact);
   bind_list(bundle, "links", &Bundle::links,
-            "Moving links of the estimated model, each with the joint that carries it. A copy: change it and assign it.");
+            "Moving links of the estimated model with their joints. A copy: change it and assign it.");
   bind_list(bundle, "input_factors", &Bundle::input_factors,
-            "Factor on each column that inputs are read from: 1 / its largest magnitude in training.");
+            "Factor on each input column: 1 / its largest absolute value in training.");
   bind_list(bundle, "parameters", &Bundle::parameters, "Weights of the network, in the order of LstmShape.");
   bundle.def_rw("prior", &Bundle::prior,
-                "What physics, fitted to the data, expects of r: terms and their weights; no terms: none.");
-  bundle.def_rw("drift", &Bundle::drift, "Tracker of slow changes; time_constant_s = 0: none.");
+                "Prior of r: terms and their weights; no terms: no prior.");
+  bundle.def_rw("drift", &Bundle::drift, "Settings of the tracker of slow changes; time_constant_s = 0: no tracker.");
   bundle.def_rw("error_scale", &Bundle::error_scale,
-                "How limits and standard error follow the motion; no features: limits are constants.");
-  bundle.def_rw("coverage", &Bundle::coverage, "Motion that occurred in training; empty: unknown, and all motion is familiar.");
+                "How limits and standard error follow the motion; no features: constant limits.");
+  bundle.def_rw("coverage", &Bundle::coverage,
+       "Motion of the training recordings; empty: unknown, and all motion is familiar.");
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm,
-            "Torque of a network output of 1, [N m], a joint; 0: the network is shut off for it.");
+            "Per joint: torque of a network output of 1, [N m]; 0: the network is switched off.");
   m.def(
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -641,7 +653,7 @@ void bind_bundle(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       nb::arg("temperature") = nb::none(),
-      "The whole chain on a recording, equal to run() of a new Monitor; see estimates.hpp.");
+      "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. See estimates.hpp.");
   m.def(
       "motion_errors",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& dq,
@@ -682,11 +694,11 @@ void bind_bundle(nb::module_& m) {
         return std::pair(e.scale, e.sigma_nm);
       },
       nb::arg("bundle"), nb::arg("speeds_rad_s"), nb::arg("near_stiction"),
-      "Scale and standard error of each joint at the end of a motion in which every joint has these speeds, a sample "
-      "period apart; near_stiction: whether that is its end, which alone counts. Lists, so that no NumPy is loaded.");
+      "Scale and standard error of each joint at the end of a motion in which every joint has these speeds, one sample "
+      "period apart. near_stiction: state at the end. Returns lists, so that NumPy is not loaded.");
 }
 
-// Answers are equal to the last bit only within what one compiler made.
+// Results are equal to the last bit only within the build of one compiler.
 #ifdef __clang__
 constexpr const char* kCompiler = __VERSION__;  // begins with its name
 #else

@@ -1,4 +1,4 @@
-// Motion of an arm that occurred in training, and the distance of other motion from it.
+// Coverage: motion of the training recordings, and the distance of other motion from it.
 #include "coverage.hpp"
 
 #include <nanobind/stl/string.h>
@@ -45,13 +45,13 @@ ArrayDict look(const CoverageSettings& settings, const Array<double, 2>& q, cons
 }  // namespace
 
 void bind_coverage(nb::module_& m) {
-  nb::enum_<Unseen>(m, "Unseen", "The part of a motion that never occurred in training.")
+  nb::enum_<Unseen>(m, "Unseen", "Part of a motion that did not occur in training.")
       .value("nothing", Unseen::nothing)
       .value("speed", Unseen::speed)
       .value("position", Unseen::position)
       .value("positions", Unseen::positions);
   nb::class_<CoverageSettings> settings(m, "CoverageSettings",
-                                        "Motion that occurred in training: speeds, and positions in cells; see settings.hpp.");
+                                        "Motion of the training recordings: speeds, and positions in cells; see settings.hpp.");
   settings.def(nb::init<>())
       .def_rw("fastest_rad_s", &CoverageSettings::fastest_rad_s)
       .def_rw("turns", &CoverageSettings::turns)
@@ -66,13 +66,13 @@ void bind_coverage(nb::module_& m) {
           "see",
           [](CoverageSettings& s, const Array<double, 2>& q) {
             const std::size_t n = expect_joints(s, q);
-            if (s.empty()) throw Error("coverage: give speeds and cells before what was seen");
+            if (s.empty()) throw Error("coverage: set speeds and cells before see()");
             nb::gil_scoped_release released;
             for (std::size_t k = 0; k < q.shape(0); ++k) s.see({q.data() + k * n, n});
           },
           nb::arg("q"), "Marks the cells of positions (samples, joints) as seen.")
       .def("look", &look, nb::arg("q"), nb::arg("dq"),
-           "How unfamiliar each sample is by itself: share, what (Unseen), joint, other; -1: none.");
+           "Distance of each sample from the training motion: share (0 to 1), what (Unseen), joint, other (-1: none).");
   settings.attr("CELLS") = Coverage::kCells;
   settings.attr("PAIR_CELLS") = Coverage::kPairCells;
   settings.attr("WORTH_TELLING") = Coverage::kWorthTelling;

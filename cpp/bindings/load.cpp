@@ -1,4 +1,4 @@
-// What a load shows, for its identification.
+// Regressors of a load, for its identification.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
@@ -10,7 +10,7 @@
 namespace tauext::bindings {
 
 void bind_load(nb::module_& m) {
-  nb::class_<LoadFrame>(m, "LoadFrame", "Where a load is fixed: a frame on a link, in the link's own frame; rotation link from frame.")
+  nb::class_<LoadFrame>(m, "LoadFrame", "Frame of a load on a link, in the link's frame; rotation link from frame.")
       .def(
           "__init__",
           [](LoadFrame* f, int link, std::array<double, 9> rotation, std::array<double, 3> translation) {
@@ -42,7 +42,7 @@ void bind_load(nb::module_& m) {
         return std::pair(to_numpy(std::move(p), {N, n, M}), to_numpy(std::move(beta), {N, n, M}));
       },
       nb::arg("tree"), nb::arg("frame"), nb::arg("q"), nb::arg("dq"),
-      "What a unit of a load's parameters (m, h, I about the frame's origin) adds to p and beta: (samples, n, 10).");
+      "Contribution of each unit parameter of a load (m, h, I about the frame's origin) to p and beta: (samples, n, 10).");
   m.def(
       "load_rows",
       [](const Bundle& bundle, const LoadFrame& frame, const std::vector<double>& phi,
@@ -64,9 +64,10 @@ void bind_load(nb::module_& m) {
         return out;
       },
       nb::arg("bundle"), nb::arg("frame"), nb::arg("phi"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
-      nb::arg("samples"), "What a unit of a load, or of a force on it, shows in the bundle's tau_ext; see load_columns.hpp.");
+      nb::arg("samples"),
+           "Contribution of a unit load, or of a unit force on it, to the bundle's tau_ext; see load_columns.hpp.");
   m.def("load_friction_shares", [](const Bundle& bundle) { return load_friction_shares(bundle.prior, bundle.joints()); },
-        nb::arg("bundle"), "Share of a load's torque by which it adds to each joint's friction, as the prior found it.");
+        nb::arg("bundle"), "Share of a load's torque that it adds to each joint's friction, from the prior.");
 }
 
 }  // namespace tauext::bindings

@@ -1,4 +1,4 @@
-// Sums that a load follows from, and their result.
+// Sums of weighing, and their result.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/string.h>
@@ -63,15 +63,18 @@ nb::ndarray<nb::numpy, double> numbers(const std::array<double, N>& values) {
 }
 
 void bind_sums(nb::module_& m) {
-  auto sums = nb::class_<LoadSums>(m, "LoadSums", "The sums that a load follows from, of rows whose columns these are.");
+  auto sums = nb::class_<LoadSums>(m, "LoadSums",
+       "Sums over rows from which a load is estimated; the attributes name the columns.");
   sums.def(nb::init<int>(), nb::arg("joints"))
       .def("add", &add, nb::arg("rows"), nb::arg("sigma"), nb::arg("worth"),
-           "Rows that follow one another, (rows, n, columns); sigma and worth (rows, n).")
-      .def("fade", &LoadSums::fade, nb::arg("share"), "What was added counts only so much any more.")
-      .def_prop_ro("rows", &LoadSums::rows, "Added so far.")
-      .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); }, "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
-      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The corresponding sum, of sums over blocks.", nb::rv_policy::move)
-      .def_prop_ro("worth", &worth, "Rows, each by what it is worth, (n,).", nb::rv_policy::move);
+           "Adds consecutive rows, (rows, n, columns); sigma and worth (rows, n).")
+      .def("fade", &LoadSums::fade, nb::arg("share"), "Multiplies the weight of all rows so far by `share`.")
+      .def_prop_ro("rows", &LoadSums::rows, "Number of rows added.")
+      .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); },
+           "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
+      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); },
+           "The same of the sums over blocks, (n, columns, columns).", nb::rv_policy::move)
+      .def_prop_ro("worth", &worth, "Sum of the rows' worth, (n,).", nb::rv_policy::move);
   const std::pair<const char*, std::size_t> numbers[] = {
       {"LOAD", LoadSums::kLoad}, {"OFFSET", LoadSums::kOffset}, {"COULOMB", LoadSums::kCoulomb},
       {"BASE", LoadSums::kBase}, {"FRAME", LoadSums::kFrame},   {"GEAR", LoadSums::kGear},
@@ -80,35 +83,39 @@ void bind_sums(nb::module_& m) {
 }
 
 void bind_fit(nb::module_& m) {
-  nb::class_<LoadFit>(m, "LoadFit", "What one cause would explain: a load, a force, or nothing.")
+  nb::class_<LoadFit>(m, "LoadFit", "Least-squares fit of one hypothesis: a load, a force, or no cause.")
       .def_prop_ro("values", [](const LoadFit& f) { return std::vector(f.values.begin(), f.values.begin() + f.size); },
                    "Mass and first moment of a load, or a force.")
       .def_prop_ro("covariance", [](const LoadFit& f) { return square(f.covariance, static_cast<std::size_t>(f.size)); },
-                   "Of them.", nb::rv_policy::move)
+                   "Covariance of the values.", nb::rv_policy::move)
       .def_prop_ro("correlation", [](const LoadFit& f) { return f.noise.correlation; },
-                   "Rows that carry as much information as one independent row.")
-      .def_ro("misfit", &LoadFit::misfit, "Squared standard errors that are left, a row.")
-      .def_ro("cost", &LoadFit::cost, "Independent squared errors that are left, and what priors hold against it.");
+                   "Number of rows that carry as much information as one independent row.")
+      .def_ro("misfit", &LoadFit::misfit, "Squared standard errors per row that remain.")
+      .def_ro("cost", &LoadFit::cost, "Sum of the independent squared errors that remain, and of the prior's penalty.");
   nb::class_<LoadFound>(m, "LoadFound",
-                        "What was weighed. Numbers without `load` are of what there is beside the load that is set; lengths and\n"
-                        "axes of the load frame.")
+                        "Result of weighing. All attributes but `load` describe what the arm carries beside the load that is set;\n"
+                        "lengths and axes are those of the load frame.")
       .def_prop_ro("verdict", [](const LoadFound& f) { return std::string(name(f.verdict)); },
                    "`too little` (motion), `nothing`, `load`, `contact`, `lifts` or `unclear`.")
-      .def_ro("load", &LoadFound::load, "Both together, for set_load().")
-      .def_ro("mass_kg", &LoadFound::mass_kg, "Below 0 only where a load is set, which is less then.")
-      .def_ro("mass_error_kg", &LoadFound::mass_error_kg, "Standard error.")
-      .def_prop_ro("com_m", [](const LoadFound& f) { return numbers(f.com_m); }, "Centre of mass, (3,).", nb::rv_policy::move)
-      .def_prop_ro("com_error_m", [](const LoadFound& f) { return numbers(f.com_error_m); }, "Its standard errors, (3,).", nb::rv_policy::move)
-      .def_prop_ro("com_covariance", [](const LoadFound& f) { return square(f.com_covariance, 3); }, "(3, 3).", nb::rv_policy::move)
+      .def_ro("load", &LoadFound::load, "Both loads together, for set_load().")
+      .def_ro("mass_kg", &LoadFound::mass_kg, "Mass, [kg]; negative if the arm carries less than the load that is set.")
+      .def_ro("mass_error_kg", &LoadFound::mass_error_kg, "Standard error of the mass, [kg].")
+      .def_prop_ro("com_m", [](const LoadFound& f) { return numbers(f.com_m); },
+           "Centre of mass, (3,), [m].", nb::rv_policy::move)
+      .def_prop_ro("com_error_m", [](const LoadFound& f) { return numbers(f.com_error_m); },
+           "Standard errors of the centre of mass, (3,), [m].", nb::rv_policy::move)
+      .def_prop_ro("com_covariance", [](const LoadFound& f) { return square(f.com_covariance, 3); },
+           "Covariance of the centre of mass, (3, 3), [m^2].", nb::rv_policy::move)
       .def_prop_ro("covariance", [](const LoadFound& f) { return square(f.covariance, 4); },
-                   "Of mass and first moment, (4, 4).", nb::rv_policy::move)
+                   "Covariance of mass and first moment, (4, 4).", nb::rv_policy::move)
       .def_prop_ro("phi", [](const LoadFound& f) { return numbers(f.phi); },
                    "Mass, first moment and inertia about the frame's origin, (10,).", nb::rv_policy::move)
-      .def_ro("seconds", &LoadFound::seconds, "Of motion.")
+      .def_ro("seconds", &LoadFound::seconds, "Duration of the motion, [s].")
       .def_ro("reach_m", &LoadFound::reach_m, "Bound of the search: the centre of mass is within it, [m].")
-      .def_ro("misfit", &LoadFound::misfit, "Squared standard errors a row that the load leaves.")
+      .def_ro("misfit", &LoadFound::misfit,
+           "Squared standard errors per row that the load leaves; 1 if nothing else acts.")
       .def_ro("mass_seen", &LoadFound::mass_seen, "False: the motion does not separate the mass from its lever.")
-      .def_ro("at_bound", &LoadFound::at_bound, "The centre of mass is at the reach.")
+      .def_ro("at_bound", &LoadFound::at_bound, "Whether the centre of mass is at reach_m.")
       .def_prop_ro("unseen",
                    [](const LoadFound& f) {
                      std::vector<nb::ndarray<nb::numpy, double>> out;
@@ -123,7 +130,7 @@ void bind_fit(nb::module_& m) {
                      for (std::size_t k = 0; k < f.fits.size(); ++k) out.emplace(names[k], f.fits[k]);
                      return out;
                    },
-                   "What a load, a force along the base's axes, one along the frame's and nothing would explain.");
+                   "Fits by hypothesis: load, base (force along the base's axes), frame (along the frame's axes), nothing.");
 }
 
 }  // namespace
@@ -142,7 +149,7 @@ void bind_load_found(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = kUsualReach_m,
       nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{}, nb::arg("rounds") = kLoadRounds,
-      "Load that follows from the sums, beside one that is set; phi (10,): its parameters as known so far.");
+      "Estimates the load from the sums, beside one that is set. phi (10,): its parameters as known so far.");
   m.def(
       "weigh_sizes",
       [](const Bundle& bundle) {
@@ -154,13 +161,14 @@ void bind_load_found(nb::module_& m) {
         }
         return to_numpy(std::move(out), {bundle.links.size(), 2});
       },
-      nb::arg("bundle"), "Standard deviations of each joint's own offset and Coulomb friction beside a load, (n, 2), [N m].");
+      nb::arg("bundle"),
+           "Standard deviations of each joint's offset and Coulomb friction in the fit of a load, (n, 2), [N m].");
   m.def(
       "load_parameters",
       [](const std::array<double, 4>& found, double reach_m) { return numbers(beside(found, {}, reach_m)); },
       nb::arg("found"), nb::arg("reach_m"),
-      "phi (10,) of a mass and a first moment: a mass is at least 0, its centre within the reach, its inertia a ball's.");
-  m.def("loads_together", &together, nb::arg("a"), nb::arg("b"), "Two bodies as one load.");
+      "phi (10,) of a mass and a first moment: mass at least 0, centre within the reach, inertia of a ball.");
+  m.def("loads_together", &together, nb::arg("a"), nb::arg("b"), "Combines two bodies into one load.");
 }
 
 }  // namespace tauext::bindings

@@ -1,4 +1,4 @@
-// The monitor and its flight recorder in Python: the same objects as a controller's.
+// Monitor and flight recorder: the C++ objects that a controller uses.
 #include "tauext/monitor.hpp"
 
 #include <nanobind/stl/array.h>
@@ -51,7 +51,7 @@ std::vector<std::string> units(const Monitor& monitor, const std::string& (Monit
   return out;
 }
 
-// The monitor's estimates, sample after sample, as columns.
+// The monitor's estimates as columns, one row per sample.
 class Columns {
  public:
   Columns(std::size_t samples, std::size_t joints) : joints_(joints) {
@@ -135,7 +135,7 @@ class Columns {
   std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
 };
 
-// step() for many samples; signals in rows of n joints.
+// step() for many samples; signals are (samples, joints).
 ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
               const Array<double, 2>& tau, FlightRecorder* recorder, const Temperatures& temperature) {
   const RecordingView r = view(t_ns, q, dq, tau, temperature);
@@ -155,7 +155,7 @@ ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<
   return said.take();
 }
 
-// no_sample(); the recorder keeps a row of NaN.
+// no_sample(); the recorder stores a row of NaN.
 ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* recorder) {
   Columns said(1, static_cast<std::size_t>(monitor.joints()));
   const Estimate& e = monitor.no_sample(now_ns);
@@ -164,7 +164,7 @@ ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* rec
   return said.take();
 }
 
-// A value in the samples' time, or from now on.
+// A time of the samples; None: from now on.
 std::int64_t since(const std::optional<std::int64_t>& since_ns) { return since_ns.value_or(kFromNow); }
 
 void set_load(Monitor& self, const Load& load, std::int64_t since_ns) {
@@ -221,66 +221,69 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
 
 void bind_estimate(nb::module_& m) {
   nb::enum_<Alarm>(m, "Alarm",
-                   "Levels of an alarm. contact: over the contact limit for its hold time; it falls back by itself.\n"
-                   "collision: over the collision limit for its hold time; it stays until acknowledged.")
+                   "Alarm levels. contact: over the contact limit for the hold time; ends by itself. collision: over the\n"
+                   "collision limit for the hold time; latched until acknowledged.")
       .value("none", Alarm::none)
       .value("contact", Alarm::contact)
       .value("collision", Alarm::collision);
-  nb::enum_<Touch>(m, "Touch", "What kind of touch an alarm is.")
-      .value("none", Touch::none, "No alarm stands.")
-      .value("unknown", Touch::unknown, "Not decided yet, or none of the others.")
-      .value("impact", Touch::impact, "It came and went within a bounce.")
-      .value("push", Touch::push, "It yields.")
-      .value("clamp", Touch::clamp, "It does not: the torque grows as the arm goes on, or on and on while it stands.")
+  nb::enum_<Touch>(m, "Touch", "Kind of touch behind an alarm.")
+      .value("none", Touch::none, "No alarm.")
+      .value("unknown", Touch::unknown, "Not known yet, or none of the other kinds.")
+      .value("impact", Touch::impact, "The torque came and went within a bounce.")
+      .value("push", Touch::push, "The contact yields.")
+      .value("clamp", Touch::clamp,
+           "It does not yield: the torque grows as the arm moves on, or keeps growing at rest.")
       .value("load", Touch::load, "A weight at the load frame.");
-  nb::enum_<LoadPhase>(m, "LoadPhase", "How far the monitor is with a load that is expected.")
-      .value("none", LoadPhase::none, "Nothing is expected.")
-      .value("expecting", LoadPhase::expecting, "Nothing has shown yet.")
-      .value("deciding", LoadPhase::deciding, "An alarm is held back: what shows fits a load.")
-      .value("found", LoadPhase::found, "One was set; more of it is taken until the window ends.")
-      .value("weighing", LoadPhase::weighing, "The window is over and nothing is held back; the load is weighed on.");
+  nb::enum_<LoadPhase>(m, "LoadPhase", "Progress of an expected load.")
+      .value("none", LoadPhase::none, "No load is expected.")
+      .value("expecting", LoadPhase::expecting, "No load detected yet.")
+      .value("deciding", LoadPhase::deciding, "An alarm is held back: the torque fits a load.")
+      .value("found", LoadPhase::found, "A load was set; more mass is added until the window ends.")
+      .value("weighing", LoadPhase::weighing, "The window is over and no alarm is held back; weighing continues.");
   nb::enum_<Health>(m, "Health",
-                    "Whether the torques of an answer can be trusted. warming_up: there are none yet. stale: nothing new for\n"
-                    "as long as the clock bridges (a network period, or three samples\n"
-                    "below 300 Hz), and those of the sample before are held. fault: the signals cannot be used,\n"
-                    "and `causes` contains the reasons.")
+                    "Whether the torques can be trusted. warming_up: no torques yet. stale: no new sample for up to a network\n"
+                    "period (below 300 Hz: three samples); the last torques are held. fault: the signals cannot be used;\n"
+                    "`causes` contains the reasons.")
       .value("warming_up", Health::warming_up)
       .value("ok", Health::ok)
       .value("stale", Health::stale)
       .value("fault", Health::fault);
   m.def("cause_names", &cause_names, nb::arg("causes"),
-        "Names of the bits of `causes`, as Monitor.run() and Estimates have them: why health is not ok.");
-  nb::class_<Estimate> estimate(m, "Estimate", "The monitor's estimate at one sample; torques that do not exist are NaN.");
-  estimate.def_ro("t_ns", &Estimate::t_ns, "Stamp of the sample, [ns].")
+        "Names of the bits of `causes` of Monitor.run() and Estimates: why health is not ok.");
+  nb::class_<Estimate> estimate(m, "Estimate",
+      "The monitor's result for one sample; torques that do not exist are NaN.");
+  estimate.def_ro("t_ns", &Estimate::t_ns, "Time stamp of the sample, [ns].")
       .def_ro("health", &Estimate::health,
-              "Whether the torques can be trusted. warming_up: there are none yet, and tau_ext is NaN, for about a second\n"
-              "after the start and after whatever `causes` names.")
+              "Whether the torques can be trusted. warming_up: tau_ext is NaN, for about a second after the start and after\n"
+              "a restart, whose cause is in `causes`.")
       .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); },
-                   "Why health is not ok, or was not when the warm-up began, in words.")
+                   "Names of the causes of a health that is not ok, or of the current warm-up.")
       .def_ro("cause_joint", &Estimate::cause_joint, "Index of the first joint that a cause concerns; -1: none.")
       .def_ro("alarm", &Estimate::alarm, "The latched alarm: a collision stays until acknowledge() or resume().")
-      .def_ro("held_alarm", &Estimate::held_alarm, "The level that some joint is over at this sample, its hold time past; no latch.")
-      .def_ro("alarm_joint", &Estimate::alarm_joint, "Index of the joint that raised the alarm to its level; -1: no alarm.")
-      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Stamp of the sample at which it did, [ns].")
+      .def_ro("held_alarm", &Estimate::held_alarm, "Level exceeded at this sample, after its hold time; not latched.")
+      .def_ro("alarm_joint", &Estimate::alarm_joint,
+           "Index of the joint that raised the alarm to its level; -1: no alarm.")
+      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Time at which the alarm rose to its level, [ns].")
       .def_ro("touch", &Estimate::touch,
-              "What kind of touch the alarm is, as known after the sample before this one; updated as it goes on.")
+              "Kind of touch behind the alarm, as of the previous sample.")
       .def_ro("detection", &Estimate::detection,
-              "Some |tau_ext| is over its collision limit at this sample; no hold time.")
-      .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")
+              "Whether some |tau_ext| exceeds its collision limit at this sample; no hold time.")
+      .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only condition that means no collision.")
       .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); },
-                   "Whether each joint sticks or creeps, so that its limit near stiction holds.")
+                   "Per joint: whether its limit near stiction applies.")
       .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); },
-                   "Whether each joint's drift is at its bound: the arm has changed and must be retrained.")
-      .def_ro("unfamiliar", &Estimate::unfamiliar, "Distance of the motion from all training motion, 0 to 1.")
-      .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
-      .def_ro("load", &Estimate::load, "What the arm is taken to carry; mass 0: nothing.")
-      .def_ro("load_phase", &Estimate::load_phase, "Of a load that is expected.")
+                   "Per joint: whether its drift has reached the bound; retrain.")
+      .def_ro("unfamiliar", &Estimate::unfamiliar, "Distance of the motion from the training motion, 0 to 1.")
+      .def_ro("unseen", &Estimate::unseen,
+           "Main difference from the training motion, of unseen_joint and unseen_other.")
+      .def_ro("load", &Estimate::load, "Load that the model carries; mass 0: none.")
+      .def_ro("load_phase", &Estimate::load_phase, "Phase of an expected load.")
       .def_ro("load_found_ns", &Estimate::load_found_ns,
-              "Stamp of the sample at which the last one that was expected was found, [ns]; 0: none.")
-      .def_ro("load_error_kg", &Estimate::load_error_kg, "Standard error of its mass.")
-      .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint whose motion is; -1: none.")
+              "Time at which the last expected load was found, [ns]; 0: none.")
+      .def_ro("load_error_kg", &Estimate::load_error_kg, "Standard error of its mass, [kg].")
+      .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint of `unseen`; -1: none.")
       .def_ro("unseen_other", &Estimate::unseen_other,
-              "Index of the joint whose position never occurred in training together with that of unseen_joint; -1: none.");
+              "Index of the joint whose position did not occur in training together with that of unseen_joint; -1: none.");
   const auto bind_torques = [&](const char* torque, JointVector Estimate::*values, const char* doc) {
     estimate.def_prop_ro(
         torque,
@@ -289,46 +292,45 @@ void bind_estimate(nb::module_& m) {
         },
         doc);
   };
-  bind_torques("residual", &Estimate::residual, "r of the observer, [N m], a joint: dr/dt = K0 (tau_dist - r).");
+  bind_torques("residual", &Estimate::residual, "r of the observer, [N m]: dr/dt = K0 (tau_dist - r).");
   bind_torques("prior", &Estimate::prior,
-               "What physics, fitted to the data, expects of r in free motion, [N m]; 0 without a prior.");
-  bind_torques("network", &Estimate::network, "What the network expects of r beside the prior, [N m]; 0 without one.");
+               "r that the prior expects in free motion, [N m]; 0 without a prior.");
+  bind_torques("network", &Estimate::network, "What the network adds to the prior, [N m]; 0 without a network.");
   bind_torques("load_nm", &Estimate::load_nm,
-               "Part of tau_ext that is attributed to an expected load, [N m]; the alarm uses the rest. 0 while none"
-               " is expected.");
+               "Part of tau_ext attributed to an expected load, [N m]; the alarm uses the rest. 0 if none is expected.");
   bind_torques("drift", &Estimate::drift,
-               "What slow changes since training add to r, as the tracker has learned it, [N m]; 0 without one.");
+               "Slow changes of r since training, from the tracker, [N m]; 0 without a tracker.");
   bind_torques("uncertainty", &Estimate::uncertainty,
-               "The r that is expected in free motion: prior + network + drift, [N m].");
+               "r expected in free motion: prior + network + drift, [N m].");
   bind_torques("tau_ext", &Estimate::tau_ext,
                "External torque, residual - uncertainty, [N m]: positive where the environment pushes the joint in its\n"
                "positive direction.");
   bind_torques("doubt", &Estimate::doubt,
-               "How far the prior may be off while presliding states are unknown, [N m]; limits include it.");
+               "Possible error of the prior while presliding states are unknown, and of the load's torques, [N m]; limits\n"
+               "include it.");
   bind_torques("sigma_nm", &Estimate::sigma_nm,
-               "Standard error of tau_ext in free motion as currently estimated, doubt included, [N m]; NaN without an\n"
-               "error scale.");
+               "Standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale.");
   bind_torques("contact_sigma_nm", &Estimate::contact_sigma_nm,
-               "Standard error of tau_ext, [N m], also while something touches the arm and after it: friction that a\n"
-               "resting joint hides, gear friction under load and the observer's lag included. Equal to sigma_nm in free\n"
-               "motion. For reports: limits use sigma_nm.");
-  bind_torques("limit_scale", &Estimate::limit_scale, "What the motion multiplies the limits by; 1 in usual motion.");
+               "Standard error of tau_ext during and after a contact, [N m]. Includes friction that a resting joint hides,\n"
+               "gear friction under load and the observer's lag. Equal to sigma_nm in free motion. Limits use sigma_nm.");
+  bind_torques("limit_scale", &Estimate::limit_scale, "Factor of the motion on the limits; 1 in usual motion.");
   bind_torques("limit_nm", &Estimate::limit_nm,
-               "What |tau_ext| must exceed for a collision at this sample, [N m]; scale and doubt included.");
-  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm, "The same for a contact.");
-  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext|: what is left, [N m]; negative at a detection.");
+               "Collision limit of |tau_ext| at this sample, scale and doubt included, [N m].");
+  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm,
+       "Contact limit of |tau_ext| at this sample, scale and doubt included, [N m].");
+  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext - load_nm|, [N m]; negative at a detection.");
 }
 
 }  // namespace
 
 void bind_monitor(nb::module_& m) {
   bind_estimate(m);
-  struct Recorder : FlightRecorder {  // remembers how many joints it has
+  struct Recorder : FlightRecorder {  // with the number of joints
     std::size_t joints;
     Recorder(int n, std::int64_t period_ns, const FlightSettings& s)
         : FlightRecorder(n, period_ns, s), joints(static_cast<std::size_t>(n)) {}
   };
-  nb::class_<Recorder>(m, "FlightRecorder", "The last seconds before an alarm or fault, for another thread to take.")
+  nb::class_<Recorder>(m, "FlightRecorder", "Keeps the last seconds before an alarm or fault for another thread.")
       .def(
           "__init__",
           [](Recorder* r, int joints, std::int64_t sample_period_ns, double before_s, double after_s, bool contacts) {
@@ -337,16 +339,18 @@ void bind_monitor(nb::module_& m) {
           nb::arg("joints"), nb::arg("sample_period_ns"), nb::arg("before_s") = 5.0, nb::arg("after_s") = 1.0,
           nb::arg("contacts") = false)
       .def("finish", [](Recorder& r) { return r.finish(); },
-           "At the end: let an event go that still waits for what comes after it. False: the flight before must be taken\n"
-           "first; call it again then.")
-      .def("take", [](Recorder& r) { return take(r, r.joints); }, "A flight as arrays, oldest row first, or None.")
+           "Hands over an event whose later samples are incomplete; call it at the end. False: take the previous flight\n"
+           "first, then call it again.")
+      .def("take", [](Recorder& r) { return take(r, r.joints); },
+           "Returns a flight as arrays, oldest row first, or None.")
       .def_prop_ro("events", [](const Recorder& r) { return r.events(); },
-                   "Events so far, those within another one's flight among them.")
+                   "Number of events, including those within the flight of another event.")
       .def_prop_ro("missed", [](const Recorder& r) { return r.missed(); },
-                   "Flights that were given up, since the one before was not taken in time.");
+                   "Number of flights discarded because the previous one was not taken in time.");
 
   using Signal = const Array<double, 1>&;
-  nb::class_<Monitor>(m, "Monitor", "The chain inside a control loop: one sample in, torque, alarm and health out.")
+  nb::class_<Monitor>(m, "Monitor",
+      "Runs a bundle in a control loop: one sample in; external torque, alarm and health out.")
       .def(
           "__init__",
           [](Monitor* monitor, const Bundle& bundle, bool own_rate) {
@@ -359,22 +363,24 @@ void bind_monitor(nb::module_& m) {
             return self.step(sample_of(t_ns, q, dq, tau, temperature));
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
-          "estimate() and advance(). temperature: of the joints, [degC], where it is known; NaN where not.")
+          "estimate() followed by advance(). temperature: of the joints, [degC]; NaN: unknown.")
       .def(
           "estimate",
           [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
             return self.estimate(sample_of(t_ns, q, dq, tau, temperature));
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
-          "The answer; advance() may follow later.")
+          "Returns the estimate for this sample; advance() may follow later.")
       .def("advance", &Monitor::advance,
-           "What need not be done before the answer is out; estimate() does it first where it was left out.")
+           "Does the work that can wait until the command is out. If omitted, the next estimate() does it first.")
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
-           "The loop ran and no sample came: stale for as long as missing samples are bridged, then a fault.")
-      .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
+           "Reports that the loop ran without a sample: stale for up to a network period (below 300 Hz: three samples),\n"
+           "then a fault.")
+      .def("acknowledge", &Monitor::acknowledge,
+           "Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.")
       .def("resume", &Monitor::resume,
-           "End a latched alarm where nothing touches the arm any more and it is to move on: the static friction of\n"
-           "joints near stiction is unknown again, and with a prior raises their limits until they have slid.")
+           "Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction\n"
+           "of joints near stiction becomes unknown; with a prior, their limits are higher until they have slid.")
       .def(
           "set_limit_factors",
           [](Monitor& self, Signal collision, Signal contact) {
@@ -383,7 +389,10 @@ void bind_monitor(nb::module_& m) {
                           "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
                           to_text(LimitFactors::kHighest));
           },
-          nb::arg("collision"), nb::arg("contact"), "Limits are the bundle's times these from the next sample on.")
+          nb::arg("collision"), nb::arg("contact"),
+               "Multiplies the bundle's limits by one factor per joint, 0.1 to 10, from the next sample on. Raises "
+               "CoreError, and\n"
+          "changes nothing, for other values.")
       .def(
           "set_load",
           [](Monitor& self, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
@@ -392,41 +401,43 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
           nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
-          "What the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
+          "Sets what the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
           "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
-          "of its torques. Raises CoreError, and changes nothing, where it is refused.")
+          "of its torques. Raises CoreError, and changes nothing, if the load is refused.")
       .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) {
              if (self.load_settings().settable()) set_load(self, {}, since(since_ns));
            },
-           nb::arg("since_ns") = nb::none(), "The arm carries nothing.")
+           nb::arg("since_ns") = nb::none(), "Removes the load.")
       .def(
           "expect_load",
           [](Monitor& self, double seconds, double at_most_kg) {
             if (!self.expect_load(seconds, at_most_kg)) throw Error(self.why_not_expected(seconds, at_most_kg));
           },
           nb::arg("seconds"), nb::arg("at_most_kg"),
-          "The gripper closes or opens: for so long, what the arm carries may become anything up to at_most_kg in all. What\n"
-          "fits that is weighed, set and reported, what does not is the usual alarm. Raises CoreError, and changes nothing,\n"
-          "where it is refused.")
+          "Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to\n"
+          "at_most_kg in all. A step that fits is weighed, set and reported; any other step raises the usual alarm.\n"
+          "Raises CoreError, and changes nothing, if it is refused.")
       .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
-           "Why expect_load() would refuse it; empty: it would not.")
+           "Reason for which expect_load() would refuse; empty: none.")
       .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
-                   "What the arm is taken to carry from the next sample on; mass 0: nothing.")
+                   "Load from the next sample on; mass 0: none.")
       .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
-                   "The frame that loads are given in, and the largest mass and reach that are accepted.")
+                   "Load frame, and the largest accepted mass and reach.")
       .def(
           "why_no_load",
           [](const Monitor& self, const Load& load, const std::optional<std::int64_t>& since_ns) {
             return self.why_no_load(load, since(since_ns));
           },
-          nb::arg("load"), nb::arg("since_ns") = nb::none(), "Why set_load() would refuse it; empty: it would not.")
+          nb::arg("load"), nb::arg("since_ns") = nb::none(), "Reason for which set_load() would refuse; empty: none.")
       .def(
           "set_temperature",
           [](Monitor& self, Signal celsius) {
             if (!self.set_temperature(span_of(celsius)))
-              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one a joint");
+              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one per joint");
           },
-          nb::arg("celsius"), "Of the joints, [degC], NaN where it is not known, from the next sample on; it holds.")
+          nb::arg("celsius"),
+               "Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value "
+               "remains in effect.")
       .def(
           "start_weighing",
           [](Monitor& self, double reach_m) {
@@ -435,27 +446,28 @@ void bind_monitor(nb::module_& m) {
             throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
           },
           nb::arg("reach_m") = kUsualReach_m,
-          "Weigh what the arm carries beside the load that is set, from the next sample on; drift learns nothing meanwhile.\n"
-          "reach_m: how far its centre of mass may be from the load frame.")
-      .def("stop_weighing", &Monitor::stop_weighing, "What was found stays for estimate_load().")
-      .def_prop_ro("weighing", &Monitor::weighing, "Whether it runs.")
-      .def("estimate_load", &Monitor::estimate_load, "What was found so far; `load` of it is for set_load().")
-      .def("why_no_weighing", &Monitor::why_no_weighing, "Why start_weighing() would refuse; empty: it would not.")
+          "Starts to weigh what the arm carries beside the load that is set, from the next sample on; drift does not learn\n"
+          "meanwhile. reach_m: largest distance of the centre of mass from the load frame. Raises CoreError if refused.")
+      .def("stop_weighing", &Monitor::stop_weighing, "Ends weighing; estimate_load() still returns the result.")
+      .def_prop_ro("weighing", &Monitor::weighing, "Whether weighing is active.")
+      .def("estimate_load", &Monitor::estimate_load, "Returns the result so far; its `load` is for set_load().")
+      .def("why_no_weighing", &Monitor::why_no_weighing, "Reason for which start_weighing() would refuse; empty: none.")
       .def(
           "wrench",
           [](const Monitor& self, const std::string& frame, WrenchAxes axes) {
-            return self.wrench(frame_of(self.wrench_model(), frame), axes);
+            return FrameWrench{self.wrench(frame_of(self.wrench_model(), frame), axes), frame, axes, {}};
           },
           nb::arg("frame"), nb::arg("axes") = WrenchAxes::base,
-          "Force and moment that the surroundings exert on the arm at a frame, at the last sample: a joint's link, the\n"
-          "load's frame or one of the robot file's, by name; see wrench_frames.")
+          "Force and moment that the environment exerts on the arm at a frame, at the last sample. Frames: links by their\n"
+          "joints, the load frame, frames of the robot file; see wrench_frames.")
       .def(
           "force",
           [](const Monitor& self, const std::string& frame, const std::array<double, 3>& point, WrenchAxes axes) {
-            return self.force(frame_of(self.wrench_model(), frame), point, axes);
+            return FrameWrench{self.force(frame_of(self.wrench_model(), frame), point, axes), frame, axes, point};
           },
           nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
-          "Estimate of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
+          "Estimates a force without a moment at a point of the frame, [m] along the frame's own axes; more accurate than\n"
+          "wrench().")
       .def_prop_ro(
           "wrench_frames",
           [](const Monitor& self) {
@@ -463,21 +475,21 @@ void bind_monitor(nb::module_& m) {
             for (int k = 0; k < self.wrench_model().frames(); ++k) names.push_back(self.wrench_model().frame(k).name);
             return names;
           },
-          "Names of frames that wrench() takes.")
-      .def("why_no_wrench", &Monitor::why_no_wrench, "Why wrench() would refuse; empty: it would not.")
-      .def("reset", &Monitor::reset, "As newly made.")
+          "Names of the frames for wrench().")
+      .def("why_no_wrench", &Monitor::why_no_wrench, "Reason for which there is no wrench; empty: none.")
+      .def("reset", &Monitor::reset, "Returns to the state of a new monitor.")
       .def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
-           "Memory for so much motion, before the loop begins; what was kept is lost.")
+           "Reserves memory for `seconds` of motion (at most 600); call it before the loop. Discards stored motion.")
       .def(
           "start_refit",
           [](Monitor& self, double friction_share) {
             if (!self.start_refit(friction_share))
-              throw Error("a refit needs reserve_refit(), a prior that knows friction, and a friction_share of 0 to 2, not " +
+              throw Error("a refit needs reserve_refit(), a prior with friction, and a friction_share of 0 to 2, not " +
                           to_text(friction_share));
           },
           nb::arg("friction_share") = Monitor::kRefitFrictionShare,
-          "Keep motion from the next sample on, with limits higher by this share of the friction.")
-      .def_prop_ro("refit_full", &Monitor::refit_full, "As much motion is kept as was reserved.")
+          "Stores motion from the next sample on; meanwhile limits are higher by this share of the friction.")
+      .def_prop_ro("refit_full", &Monitor::refit_full, "Whether the reserved memory is full.")
       .def(
           "finish_refit",
           [](Monitor& self) {
@@ -491,7 +503,7 @@ void bind_monitor(nb::module_& m) {
             out["tau"] = copy(r.tau);
             return out;
           },
-          "The usual limits again, and the motion that was kept: for tauext.refit_motion.")
+          "Restores the usual limits and returns the stored motion, for tauext.refit_motion.")
       .def(
           "run",
           [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -500,13 +512,13 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("recorder") = nb::none(),
           nb::arg("temperature") = nb::none(),
-          "step() for every row; a dict of arrays.")
+          "Calls step() for every row; returns a dict of arrays.")
       .def(
           "run_missing",
           [](Monitor& self, std::int64_t now_ns, Recorder* recorder) { return run_missing(self, now_ns, recorder); },
-          nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "no_sample(), returned as run() returns a single row.")
-      .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last answer.")
-      .def_prop_ro("joints", &Monitor::joints, "How many joints a sample has.")
+          nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "Calls no_sample(); returns a single row as run() does.")
+      .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last estimate.")
+      .def_prop_ro("joints", &Monitor::joints, "Number of joints.")
       .def_prop_ro("joint_names",
                    [](const Monitor& self) {
                      std::vector<std::string> names;
@@ -515,21 +527,21 @@ void bind_monitor(nb::module_& m) {
                    },
                    "Names of the joints, in the order of q, dq and tau.")
       .def_prop_ro("torque_units", [](const Monitor& self) { return units(self, &Monitor::torque_unit); },
-                   "Unit of the tau that is to be given, a joint.")
+                   "Unit of the input tau, per joint.")
       .def_prop_ro("estimate_units", [](const Monitor& self) { return units(self, &Monitor::estimate_unit); },
-                   "Unit of the torques in the answers, a joint.")
+                   "Unit of the estimated torques, per joint.")
       .def_prop_ro("sample_period_ns", &Monitor::sample_period_ns, "Sample period of the bundle, [ns].")
-      .def_prop_ro("samples", &Monitor::samples, "Samples that went on the chain; those of faults did not.")
+      .def_prop_ro("samples", &Monitor::samples, "Number of samples that entered the chain; faulty ones do not.")
       .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks,
-                   "Ticks of the regular clock without a sample of their own, at which the one before was held.")
-      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain restarted after its first start.")
+                   "Number of ticks of the regular clock without a sample, at which the previous sample was held.")
+      .def_prop_ro("restarts", &Monitor::restarts, "Number of restarts of the chain after its first start.")
       .def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());
              self.save_state(state);
              return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
            },
-           "All that the monitor remembers, as bytes for restore_state(): of the same bundle, network rate and build.")
+           "The whole state as bytes, for restore_state() of a monitor of the same bundle, network rate and build.")
       .def(
           "restore_state",
           [](Monitor& self, nb::bytes state) {
@@ -537,7 +549,7 @@ void bind_monitor(nb::module_& m) {
               throw Error("the state is damaged, or of another bundle, network rate or build");
           },
           nb::arg("state"),
-          "Go on where save_state() was called. CoreError where the state is damaged, or of another bundle or build.");
+          "Restores a state of save_state(). Raises CoreError if it is damaged, or of another bundle, network rate or build.");
 }
 
 }  // namespace tauext::bindings

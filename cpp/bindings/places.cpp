@@ -1,4 +1,4 @@
-// Which link is touched, and where.
+// Contact places: which link is touched, and where.
 #include "tauext/touch_place.hpp"
 
 #include <nanobind/stl/array.h>
@@ -21,7 +21,7 @@ struct Found {
 
 void check(const PlaceModel& model, const std::vector<double>& q, const std::vector<double>& tau_ext,
            const std::vector<double>& sigma_nm) {
-  if (!model.refused().empty()) throw Error("no place of a touch: " + model.refused());
+  if (!model.refused().empty()) throw Error("no contact places: " + model.refused());
   const auto n = static_cast<std::size_t>(model.joints());
   for (const auto* one : {&q, &tau_ext, &sigma_nm})
     if (one->size() != n) throw Error("q, tau_ext and sigma_nm must hold " + std::to_string(n) + " values");
@@ -30,7 +30,8 @@ void check(const PlaceModel& model, const std::vector<double>& q, const std::vec
 }  // namespace
 
 void bind_places(nb::module_& m) {
-  nb::class_<Capsule>(m, "Capsule", "Part of a link's shape: all within radius_m of the line from start to end, [m] in the link's frame.")
+  nb::class_<Capsule>(m, "Capsule",
+      "Part of a link's shape: all points within radius_m of the line from start to end, [m] in the link's frame.")
       .def(
           "__init__",
           [](Capsule* c, int link, std::array<double, 3> start, std::array<double, 3> end, double radius_m) {
@@ -41,33 +42,35 @@ void bind_places(nb::module_& m) {
       .def_ro("start", &Capsule::start)
       .def_ro("end", &Capsule::end)
       .def_ro("radius_m", &Capsule::radius_m);
-  nb::class_<TouchPlace>(m, "TouchPlace", "A force at a point of a link's surface that would explain tau_ext.")
-      .def_ro("link", &TouchPlace::link, "Number of the joint that carries it.")
-      .def_ro("probability", &TouchPlace::probability, "That the touch is on this part of the link.")
-      .def_ro("point", &TouchPlace::point, "In the base's frame, [m].")
-      .def_ro("on_link", &TouchPlace::on_link, "The same in the link's frame, [m].")
-      .def_ro("force", &TouchPlace::force, "What the surroundings exert on the arm, along the base's axes, [N].")
-      .def_ro("spread_m", &TouchPlace::spread_m, "Root mean square distance from the point, should the touch be here.");
-  nb::class_<Found>(m, "TouchPlaces", "Which links and places explain tau_ext, the most probable first.")
-      .def_prop_ro("known", [](const Found& f) { return f.told.known; }, "The sample had torques with a standard error.")
+  nb::class_<TouchPlace>(m, "TouchPlace", "A force at a point of a link's surface that explains tau_ext.")
+      .def_ro("link", &TouchPlace::link, "Number of the joint that carries the link.")
+      .def_ro("probability", &TouchPlace::probability, "Probability that the touch is on this part of the link.")
+      .def_ro("point", &TouchPlace::point, "Point in the base's frame, [m].")
+      .def_ro("on_link", &TouchPlace::on_link, "Point in the link's frame, [m].")
+      .def_ro("force", &TouchPlace::force, "Force that the environment exerts on the arm, along the base's axes, [N].")
+      .def_ro("spread_m", &TouchPlace::spread_m,
+           "Root mean square distance from the point, if the touch is at this place, [m].");
+  nb::class_<Found>(m, "TouchPlaces", "Links and places that explain tau_ext, the most probable first.")
+      .def_prop_ro("known", [](const Found& f) { return f.told.known; },
+           "Whether the sample had torques with a standard error.")
       .def_prop_ro(
           "probability",
           [](const Found& f) {
             return std::vector<double>(f.told.probability.begin(), f.told.probability.begin() + f.joints);
           },
-          "A link; they sum to 1.")
+          "Probability of each link; they sum to 1.")
       .def_prop_ro(
           "ranked",
           [](const Found& f) {
             return std::vector<int>(f.told.ranked.begin(), f.told.ranked.begin() + (f.told.known ? f.joints : 0));
           },
-          "Links by number, the most probable first.")
+          "Numbers of the links, the most probable first.")
       .def_prop_ro(
           "places",
           [](const Found& f) {
             return std::vector<TouchPlace>(f.told.place.begin(), f.told.place.begin() + f.told.places);
           },
-          "The most probable first.")
+          "Places, the most probable first.")
       .def_prop_ro(
           "best",
           [](const Found& f) -> std::optional<TouchPlace> {
@@ -76,15 +79,16 @@ void bind_places(nb::module_& m) {
               if (const TouchPlace& one = f.told.place[static_cast<std::size_t>(k)]; one.link == f.told.ranked[0]) return one;
             return f.told.place[0];
           },
-          "The most probable place on the most probable link; where none is reported there, of all. None: there is none.")
+          "Most probable place on the most probable link, else on any link. None: no place.")
       .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
-                   "Probability that one force at the first place leaves so much unexplained or more; NaN without places.")
+                   "Probability that a force at the first place leaves such a remainder or a larger one; NaN without places.")
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
-                   "Probability that it is a force at the frame's origin, any way, and not a touch anywhere else on the arm, "
-                   "both with the same prior probability; NaN where no frame was given.");
-  nb::class_<PlaceModel>(m, "PlaceModel", "Where touches are, by a bundle's arm; one thread at a time.")
+                   "Probability of a force in any direction at the frame's origin, compared with a touch elsewhere on the "
+                   "arm; both have the same prior probability. NaN without a frame.");
+  nb::class_<PlaceModel>(m, "PlaceModel",
+      "Estimates which link is touched, and where; equations in touch_place.hpp. Use it from one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
-      .def_prop_ro("refused", &PlaceModel::refused, "Why places cannot be estimated; empty: they can.")
+      .def_prop_ro("refused", &PlaceModel::refused, "Reason for which places cannot be estimated; empty: none.")
       .def_prop_ro("capsules", &PlaceModel::capsules, "Shapes of the links.")
       .def(
           "find",
@@ -106,9 +110,10 @@ void bind_places(nb::module_& m) {
           nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("contact_sigma_nm") = std::vector<double>(), nb::arg("places") = true,
           nb::arg("link").none() = nb::none(), nb::arg("frame").none() = nb::none(),
           nb::arg("dq").none() = nb::none(),
-          "Of a sample: links with their probabilities and, if requested, places. contact_sigma_nm: of the estimate; none: as in free motion. link: one that "
-          "the touch is known to be on, only its places are then reported. frame: one whose at_frame is requested. dq: "
-          "what a touch adds to the friction of joints that move is taken off; None: as where they stand.");
+          "Estimates the links with their probabilities and, with `places`, the contact places of a sample. "
+          "contact_sigma_nm: of the estimate; empty: free motion. link: the touched link, if known; only its places are "
+          "reported. frame: frame of at_frame. dq: the friction that a touch adds to moving joints is subtracted; None: "
+          "joints at rest.");
   m.def(
       "surface_of",
       [](const std::vector<Capsule>& capsules, int points) {
@@ -128,7 +133,8 @@ void bind_places(nb::module_& m) {
       },
       nb::arg("capsules"), nb::arg("points"),
       "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
-  m.def("capsules_or_guess", &capsules_or_guess, nb::arg("bundle"), "A bundle's capsules, and guesses for links that have none.");
+  m.def("capsules_or_guess", &capsules_or_guess, nb::arg("bundle"),
+      "A bundle's capsules, with a guess for each link that has none.");
 }
 
 }  // namespace tauext::bindings

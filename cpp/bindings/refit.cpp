@@ -1,4 +1,4 @@
-// Refit and what it found, for Python.
+// Refit and its results.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
@@ -47,7 +47,7 @@ ArrayDict left_out(const Refit& found) {
 }  // namespace
 
 void bind_refit(nb::module_& m) {
-  nb::class_<RefitSettings>(m, "RefitSettings", "Standard deviations of what may have changed since training; see refit.hpp.")
+  nb::class_<RefitSettings>(m, "RefitSettings", "Standard deviations of the changes since training; see refit.hpp.")
       .def(nb::init<>())
       .def_rw("common", &RefitSettings::common)
       .def_rw("apart", &RefitSettings::apart)
@@ -60,8 +60,10 @@ void bind_refit(nb::module_& m) {
       .def_rw("expected_error", &RefitSettings::expected_error);
   const auto pair = [](const RefitFactor& factor) { return std::pair(factor.value, factor.error); };
   nb::class_<RefitJoint>(m, "RefitJoint", "A refit's result for one joint; see refit.hpp.")
-      .def_prop_ro("coulomb", [pair](const RefitJoint& j) { return pair(j.coulomb); }, "Factor and standard error.")
-      .def_prop_ro("viscous", [pair](const RefitJoint& j) { return pair(j.viscous); }, "Factor and standard error.")
+      .def_prop_ro("coulomb", [pair](const RefitJoint& j) { return pair(j.coulomb); },
+           "Factor of the Coulomb friction, and its standard error.")
+      .def_prop_ro("viscous", [pair](const RefitJoint& j) { return pair(j.viscous); },
+           "Factor of the viscous friction, and its standard error.")
       .def_ro("constant_nm", &RefitJoint::constant_nm)
       .def_ro("constant_error_nm", &RefitJoint::constant_error_nm)
       .def_ro("moved_s", &RefitJoint::moved_s)
@@ -70,14 +72,14 @@ void bind_refit(nb::module_& m) {
       .def_ro("largest_share", &RefitJoint::largest_share)
       .def_ro("limit_factor", &RefitJoint::limit_factor)
       .def_ro("sigma_factor", &RefitJoint::sigma_factor);
-  nb::class_<RefitTouch>(m, "RefitTouch", "What no friction explains; see refit.hpp.")
+  nb::class_<RefitTouch>(m, "RefitTouch", "Time in which no friction explains the torques; see refit.hpp.")
       .def_ro("source", &RefitTouch::source)
       .def_ro("joint", &RefitTouch::joint)
       .def_ro("from_ns", &RefitTouch::from_ns)
       .def_ro("to_ns", &RefitTouch::to_ns)
       .def_ro("share", &RefitTouch::share)
       .def_ro("counted", &RefitTouch::counted);
-  nb::class_<Refit>(m, "Refit", "A bundle brought up to date, and what changed.")
+  nb::class_<Refit>(m, "Refit", "The new bundle and how it differs from the old one.")
       .def_ro("bundle", &Refit::bundle)
       .def_ro("joints", &Refit::joints)
       .def_ro("touches", &Refit::touches)
@@ -86,8 +88,8 @@ void bind_refit(nb::module_& m) {
       .def_prop_ro("left_out", &left_out, "Errors on held-out motion: t_ns, free, share, near_stiction.");
   m.def("refit", &refit_sources, nb::arg("bundle"), nb::arg("sources"), nb::arg("settings") = nb::none(),
         nb::arg("threads") = 1,
-        "A bundle whose friction is today's. sources: (t_ns, q, dq, tau, use) each, use: 0 where a sample is left out,\n"
-        "or None.");
+        "Updates the friction of a bundle from today's motion. sources: tuples (t_ns, q, dq, tau, use); use: 0 leaves a\n"
+        "sample out, None: all are used. Raises CoreError if the motion does not suffice; see refit.hpp.");
 }
 
 }  // namespace tauext::bindings

@@ -1,4 +1,4 @@
-// From what servos report to what the chain takes.
+// Computation of dq and tau from servo signals.
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -19,7 +19,7 @@ std::span<const double> of(const Row& row, std::size_t joints, const char* what)
   return span_of(*row);
 }
 
-// Rows of a signal, one a sample; none where not measured.
+// Rows of a signal, one per sample; empty: not measured.
 struct Column {
   const double* data = nullptr;
   std::size_t joints = 0;
@@ -37,7 +37,7 @@ struct Column {
 
 std::vector<double> copied(std::span<const double> values) { return {values.begin(), values.end()}; }
 
-// A servo input, and of how many joints it is.
+// A servo input and its number of joints.
 struct Input {
   std::size_t joints;
   ServoSettings settings;
@@ -48,13 +48,14 @@ struct Input {
 }  // namespace
 
 void bind_servo(nb::module_& m) {
-  nb::enum_<TorqueFrom>(m, "TorqueFrom", "Where a servo's torque comes from; see servo_input.hpp.")
+  nb::enum_<TorqueFrom>(m, "TorqueFrom", "Signal from which a servo's torque is computed; see servo_input.hpp.")
       .value("torque", TorqueFrom::torque)
       .value("phase_current", TorqueFrom::phase_current)
       .value("supply_current", TorqueFrom::supply_current)
       .value("duty", TorqueFrom::duty)
       .value("goal", TorqueFrom::goal);
-  nb::class_<ServoConstants>(m, "ServoConstants", "Constants of a servo, at the joint, after its gear; see servo_input.hpp.")
+  nb::class_<ServoConstants>(m, "ServoConstants",
+      "Constants of a servo at the joint, behind its gear; see servo_input.hpp.")
       .def(
           "__init__",
           [](ServoConstants* c, double volts, double ohm, double back_emf_v_s, double nm_per_ampere, double duty_per_rad,
@@ -63,14 +64,14 @@ void bind_servo(nb::module_& m) {
           },
           nb::arg("volts") = 1.0, nb::arg("ohm") = 1.0, nb::arg("back_emf_v_s") = 0.0, nb::arg("nm_per_ampere") = 1.0,
           nb::arg("duty_per_rad") = 0.0, nb::arg("most_duty") = 1.0, nb::arg("count_rad") = 0.0)
-      .def_ro("volts", &ServoConstants::volts, "Of the supply, where a sample has none, [V].")
-      .def_ro("ohm", &ServoConstants::ohm, "Of the windings, [ohm].")
+      .def_ro("volts", &ServoConstants::volts, "Supply voltage if the samples contain none, [V].")
+      .def_ro("ohm", &ServoConstants::ohm, "Resistance of the windings, [ohm].")
       .def_ro("back_emf_v_s", &ServoConstants::back_emf_v_s, "k_e, [V s/rad].")
-      .def_ro("nm_per_ampere", &ServoConstants::nm_per_ampere, "k_t, [N m/A]; 1 where it is unknown.")
-      .def_ro("duty_per_rad", &ServoConstants::duty_per_rad, "Gain of the position controller, duty a rad.")
-      .def_ro("most_duty", &ServoConstants::most_duty, "Limit of the duty, 0 to 1.")
-      .def_ro("count_rad", &ServoConstants::count_rad, "Step of the encoder, [rad]; 0: not known.");
-  nb::class_<ServoSettings>(m, "ServoSettings", "What makes dq and tau of a servo's signals; off where it has no joints.")
+      .def_ro("nm_per_ampere", &ServoConstants::nm_per_ampere, "k_t, [N m/A]; 1 if unknown.")
+      .def_ro("duty_per_rad", &ServoConstants::duty_per_rad, "Gain of the position controller, duty per rad.")
+      .def_ro("most_duty", &ServoConstants::most_duty, "Largest duty of the controller, 0 to 1.")
+      .def_ro("count_rad", &ServoConstants::count_rad, "Resolution of the encoder, [rad]; 0: unknown.");
+  nb::class_<ServoSettings>(m, "ServoSettings", "Computation of dq and tau from servo signals; off without joints.")
       .def(nb::init<>())
       .def(
           "__init__",
@@ -82,13 +83,15 @@ void bind_servo(nb::module_& m) {
           },
           nb::arg("torque_from"), nb::arg("joints"), nb::arg("velocity_steps") = 0, nb::arg("sample_period_ns") = 0,
           nb::arg("goal_delay_ns") = 0)
-      .def_ro("torque_from", &ServoSettings::torque_from, "Where the torque comes from.")
-      .def_ro("velocity_steps", &ServoSettings::velocity_steps, "Most steps in the velocity's window; 0: dq as it is given.")
-      .def_ro("sample_period_ns", &ServoSettings::sample_period_ns, "[ns].")
-      .def_ro("goal_delay_ns", &ServoSettings::goal_delay_ns, "A goal acts so long after its stamp, [ns].")
-      .def_prop_ro("joints", [](const ServoSettings& s) { return s.joints; }, "Constants, one a joint.")
+      .def_ro("torque_from", &ServoSettings::torque_from, "Signal from which the torque is computed.")
+      .def_ro("velocity_steps", &ServoSettings::velocity_steps,
+           "Largest window of the velocity, in steps; 0: dq is used unchanged.")
+      .def_ro("sample_period_ns", &ServoSettings::sample_period_ns, "Sample period, [ns].")
+      .def_ro("goal_delay_ns", &ServoSettings::goal_delay_ns, "Time after which a goal acts, [ns].")
+      .def_prop_ro("joints", [](const ServoSettings& s) { return s.joints; }, "Constants per joint.")
       .def_prop_ro("on", &ServoSettings::on, "Whether these are servos.");
-  nb::class_<Input>(m, "ServoInput", "From what servos report to dq and tau of the chain, sample by sample.")
+  nb::class_<Input>(m, "ServoInput",
+      "Computes dq and tau from servo signals, sample by sample; equations in servo_input.hpp.")
       .def(nb::init<const ServoSettings&>(), nb::arg("settings"))
       .def(
           "step",
@@ -102,13 +105,14 @@ void bind_servo(nb::module_& m) {
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq") = nb::none(), nb::arg("tau") = nb::none(),
           nb::arg("q_des") = nb::none(), nb::arg("current") = nb::none(), nb::arg("duty") = nb::none(),
           nb::arg("voltage") = nb::none(),
-          "dq [rad/s] and tau of one more sample; None: not measured. What is needed and missing makes them NaN.")
+          "Returns dq [rad/s] and tau of the next sample. None: not measured. If a required signal is missing, they are NaN.")
       .def(
           "recording",
           [](const Input& s, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Rows& dq, const Rows& tau,
              const Rows& q_des, const Rows& current, const Rows& duty, const Rows& voltage) {
             const std::size_t N = t_ns.shape(0), n = s.joints;
-            const Column of_q(q, N, n, "q"), of_dq(dq, N, n, "dq"), of_tau(tau, N, n, "tau"), of_goal(q_des, N, n, "q_des"),
+            const Column of_q(q, N, n, "q"), of_dq(dq, N, n, "dq"), of_tau(tau, N, n, "tau"), of_goal(q_des, N, n,
+                 "q_des"),
                 of_current(current, N, n, "current"), of_duty(duty, N, n, "duty"), of_voltage(voltage, N, n, "voltage");
             std::vector<double> dq_out, tau_out;
             ServoInput fresh(s.settings);
@@ -126,8 +130,8 @@ void bind_servo(nb::module_& m) {
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq") = nb::none(), nb::arg("tau") = nb::none(),
           nb::arg("q_des") = nb::none(), nb::arg("current") = nb::none(), nb::arg("duty") = nb::none(),
           nb::arg("voltage") = nb::none(),
-          "dq and tau of a whole recording (samples, joints), as a fresh input gives them step by step.")
-      .def("reset", [](Input& s) { s.input.reset(); }, "The next sample is a first one.");
+          "Returns dq and tau of a recording, (samples, joints), as a new input returns them step by step.")
+      .def("reset", [](Input& s) { s.input.reset(); }, "Treats the next sample as the first one.");
 }
 
 }  // namespace tauext::bindings

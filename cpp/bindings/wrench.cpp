@@ -8,6 +8,8 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 
 #include "arrays.hpp"
 #include "tauext/bundle.hpp"
@@ -15,17 +17,48 @@
 namespace tauext::bindings {
 namespace {
 
-nb::ndarray<nb::numpy, double> covariance(const Wrench& w) {
+nb::ndarray<nb::numpy, double> covariance(const FrameWrench& w) {
   const auto m = static_cast<std::size_t>(w.unknowns);
   return to_numpy(std::vector(w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m)), {m, m});
 }
 
-nb::ndarray<nb::numpy, double> blind(const Wrench& w) {
+nb::ndarray<nb::numpy, double> blind(const FrameWrench& w) {
   const auto m = static_cast<std::size_t>(w.unknowns), rows = static_cast<std::size_t>(w.blind);
   std::vector<double> out;
   for (std::size_t k = 0; k < rows; ++k)
     out.insert(out.end(), w.blind_directions[k].begin(), w.blind_directions[k].begin() + static_cast<std::ptrdiff_t>(m));
   return to_numpy(std::move(out), {rows, m});
+}
+
+// A value and its standard error, both with the decimals that show two digits of the error: "12.3 ± 1.5".
+std::string with_error(double value, double error) {
+  const bool usable = error > 0 && std::isfinite(error);
+  const int decimals = usable ? std::clamp(1 - static_cast<int>(std::floor(std::log10(error))), 0, 6) : 3;
+  char text[80];
+  std::snprintf(text, sizeof text, "%.*f ± %.*f", decimals, value, decimals, error);
+  return text;
+}
+
+// Three components from `first` on, with the square roots of the covariance's diagonal.
+std::string three(const Wrench& w, const std::array<double, 3>& values, std::size_t first) {
+  const auto m = static_cast<std::size_t>(w.unknowns);
+  std::string out;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const std::size_t at = first + k;
+    out += (k ? ", " : "") + with_error(values[k], std::sqrt(w.covariance[at * m + at]));
+  }
+  return "(" + out + ")";
+}
+
+std::string repr(const FrameWrench& w) {
+  std::string out = "<Wrench at " + w.frame;
+  if (w.point) out += " (" + to_text((*w.point)[0]) + ", " + to_text((*w.point)[1]) + ", " + to_text((*w.point)[2]) + ") m";
+  out += w.axes == WrenchAxes::base ? ", axes of the base: " : ", axes of the frame: ";
+  if (!w.known) return out + "unknown>";
+  out += "force " + three(w, w.force, 0) + " N";
+  if (w.unknowns == 6) out += ", moment " + three(w, w.moment, 3) + " N m";
+  if (w.blind > 0) out += ", " + std::to_string(w.blind) + (w.blind == 1 ? " blind direction" : " blind directions");
+  return out + ">";
 }
 
 struct Signals {
@@ -107,10 +140,12 @@ int frame_of(const WrenchModel& model, const std::string& name) {
 }
 
 void bind_wrench(nb::module_& m) {
-  nb::enum_<WrenchAxes>(m, "WrenchAxes", "Axes that force and moment are given along.")
+  nb::enum_<WrenchAxes>(m, "WrenchAxes",
+      "Axes of force and moment. The moment is about the frame's origin in both cases.")
       .value("base", WrenchAxes::base)
       .value("frame", WrenchAxes::frame);
-  nb::class_<WrenchFrame>(m, "WrenchFrame", "A frame that is fixed to a link, relative to the link's own; rotation link from frame.")
+  nb::class_<WrenchFrame>(m, "WrenchFrame",
+      "A frame fixed to a link, relative to the link's frame; rotation link from frame.")
       .def(
           "__init__",
           [](WrenchFrame* f, std::string name, int link, std::array<double, 9> rotation, std::array<double, 3> translation) {
@@ -124,26 +159,43 @@ void bind_wrench(nb::module_& m) {
       .def_ro("translation", &WrenchFrame::translation);
   nb::class_<WrenchSettings>(m, "WrenchSettings", "Model of the errors of tau_ext across the joints; see wrench.hpp.")
       .def(nb::init<>())
-      .def_rw("frames", &WrenchSettings::frames, "That the robot file names.")
-      .def_rw("correlation", &WrenchSettings::correlation, "Of the errors of free motion, (joints, joints); none: independent.")
-      .def_rw("torque_share", &WrenchSettings::torque_share, "Standard error of each torque constant, as a share; none: the usual one.")
-      .def_rw("common_share", &WrenchSettings::common_share, "Of a factor that all joints have in common.")
-      .def_rw("radius", &WrenchSettings::radius, "Factors on variances of free motion: of a wrench, of a force alone.")
-      .def_rw("residual_radius", &WrenchSettings::residual_radius, "Factors on what a wrench, or a force, leaves unexplained.");
-  nb::class_<Wrench>(m, "Wrench", "Force and moment that the surroundings exert on the arm at a frame, and how sure that is.")
-      .def_ro("known", &Wrench::known, "The sample had torques with a standard error; else all is NaN.")
-      .def_ro("unknowns", &Wrench::unknowns, "6: force, then moment; 3: force alone.")
-      .def_ro("force", &Wrench::force, "[N].")
-      .def_ro("moment", &Wrench::moment, "About the frame's origin, [N m]; of a force alone: what it makes at its point.")
-      .def_prop_ro("covariance", &covariance, "(6, 6) of force and moment, or (3, 3) of a force alone.")
+      .def_rw("frames", &WrenchSettings::frames, "Frames of the robot file.")
+      .def_rw("correlation", &WrenchSettings::correlation,
+           "Correlation of the errors in free motion, (joints, joints); empty: independent.")
+      .def_rw("torque_share", &WrenchSettings::torque_share,
+           "Relative standard error of each torque constant; empty: 0.05.")
+      .def_rw("common_share", &WrenchSettings::common_share,
+           "Relative standard error of a factor common to all joints.")
+      .def_rw("radius", &WrenchSettings::radius, "Factors on the variances of free motion: for a wrench, for a force.")
+      .def_rw("residual_radius", &WrenchSettings::residual_radius,
+           "Factors on the chi-square of the remainder: for a wrench, for a force.");
+  nb::class_<FrameWrench>(m, "Wrench",
+      "Force and moment that the environment exerts on the arm at a frame, with covariance.")
+      .def("__repr__", &repr)
+      .def_ro("frame", &FrameWrench::frame, "Name of the frame.")
+      .def_ro("axes", &FrameWrench::axes, "Axes of force and moment.")
+      .def_ro("point", &FrameWrench::point,
+              "Point of a force without a moment, [m] along the frame's own axes; None: force and moment.")
+      .def_ro("known", &Wrench::known,
+           "Whether the sample had torques with a standard error; otherwise all values are NaN.")
+      .def_ro("unknowns", &Wrench::unknowns, "6: force, then moment; 3: force only.")
+      .def_ro("force", &Wrench::force, "Force, [N].")
+      .def_ro("moment", &Wrench::moment,
+           "Moment about the frame's origin, [N m]; with 3 unknowns the moment of the force.")
+      .def_prop_ro("covariance", &covariance, "Covariance (6, 6) of force and moment, or (3, 3) of a force.",
+                   nb::rv_policy::move)
       .def_prop_ro("blind", &blind,
-                   "(count, 6 or 3): directions that this pose cannot show, unit vectors of N and of N m / 0.1 m.")
-      .def_ro("chi_square", &Wrench::chi_square, "Of what such a wrench leaves unexplained in tau_ext.")
-      .def_ro("freedom", &Wrench::freedom, "Its degrees of freedom; 0: some wrench here explains whatever the joints show.")
-      .def_ro("consistent", &Wrench::consistent, "Probability of so much or more where it is a touch at this frame.");
-  nb::class_<WrenchModel>(m, "WrenchModel", "Wrenches at the frames of a bundle's arm.")
+                   "Directions that this pose cannot show, (count, 6 or 3): unit vectors of N and of N m / 0.1 m.",
+                   nb::rv_policy::move)
+      .def_ro("chi_square", &Wrench::chi_square, "Chi-square of the part of tau_ext that the wrench does not explain.")
+      .def_ro("freedom", &Wrench::freedom,
+           "Degrees of freedom of chi_square; 0: some wrench at this frame explains any torques.")
+      .def_ro("consistent", &Wrench::consistent,
+           "Probability of such a chi_square or a larger one for a touch at this frame.");
+  nb::class_<WrenchModel>(m, "WrenchModel",
+      "Estimates wrenches at the frames of a bundle's arm; equations in wrench.hpp.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
-      .def_prop_ro("refused", &WrenchModel::refused, "Why there is none; empty: there is one.")
+      .def_prop_ro("refused", &WrenchModel::refused, "Reason for which there is no wrench; empty: none.")
       .def_prop_ro(
           "left_out",
           [](const WrenchModel& self) {
@@ -152,7 +204,7 @@ void bind_wrench(nb::module_& m) {
               if (!std::ranges::binary_search(self.told(), j)) out.push_back(self.links()[j].joint_name);
             return out;
           },
-          "Joints that do not answer in N m: their torques are not used.")
+          "Joints whose estimates are not in N m: their torques are not used.")
       .def_prop_ro(
           "frames",
           [](const WrenchModel& self) {
@@ -160,7 +212,7 @@ void bind_wrench(nb::module_& m) {
             for (int k = 0; k < self.frames(); ++k) out.push_back(self.frame(k));
             return out;
           },
-          "The links, by the names of their joints, then the load's frame, then the robot file's.")
+          "Links by the names of their joints, then the load frame, then frames of the robot file.")
       .def(
           "columns",
           [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q,
@@ -172,7 +224,7 @@ void bind_wrench(nb::module_& m) {
             return to_numpy(std::move(out), {6, n});
           },
           nb::arg("frame"), nb::arg("q"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
-          "Joint torques of a unit of each unknown, (6, joints): the Jacobian of the frame's point, linear rows first.")
+          "Joint torques of a unit force, then of a unit moment, (6, joints): the Jacobian of the frame's point.")
       .def(
           "pose",
           [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q) {
@@ -184,7 +236,8 @@ void bind_wrench(nb::module_& m) {
             return std::pair(to_numpy(std::vector(rotation.begin(), rotation.end()), {3, 3}),
                              to_numpy(std::vector(origin.begin(), origin.end()), {3}));
           },
-          nb::arg("frame"), nb::arg("q"), "Where a frame stands: `base from frame` (3, 3), and its origin in the base's frame (3,), [m].")
+          nb::arg("frame"), nb::arg("q"),
+               "Pose of a frame: rotation base from frame (3, 3), and origin in the base's frame (3,), [m].")
       .def(
           "covariance",
           [](const WrenchModel& self, bool force_alone, const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,
@@ -198,14 +251,15 @@ void bind_wrench(nb::module_& m) {
           },
           nb::arg("force_alone"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
           nb::arg("contact_sigma_nm") = std::vector<double>(),
-          "S of a sample, (joints, joints); contact_sigma_nm: of the estimate; none: as in free motion.")
+          "Covariance S of tau_ext at a sample, (joints, joints). contact_sigma_nm: of the estimate; empty: free motion.")
       .def("wrenches", &wrenches, nb::arg("frame"), nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
            nb::arg("point").none() = nb::none(), nb::arg("axes") = WrenchAxes::base,
            nb::arg("contact_sigma_nm").none() = nb::none(), nb::arg("dq").none() = nb::none(),
-           "Of many samples: force, moment, covariance, blind (how many), blind_directions, chi_square, freedom, "
-           "consistent. point: where a force alone acts, [m] along the frame's own axes; None: the full wrench.");
+           "Wrenches of many samples: force, moment, covariance, blind (count), blind_directions, chi_square, freedom, "
+           "consistent. point: estimate only a force that acts there, [m] along the frame's own axes; None: force and "
+           "moment.");
   m.def("chi_square_beyond", &chi_square_beyond, nb::arg("value"), nb::arg("freedom"),
-        "Probability that a chi-square with so many degrees of freedom, 1 or more, is at least this.");
+        "Probability that a chi-square with this many degrees of freedom (at least 1) is at least `value`.");
 }
 
 }  // namespace tauext::bindings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,19 @@ def without_private(lines: list[str]) -> list[str]:
     return kept
 
 
-def comment_and_code(block: list[str]) -> tuple[str, list[str]]:
-    told = []
-    for line in block:
-        if not line.startswith("//"):
-            break
-        told.append(line.removeprefix("//").strip())
-    return " ".join(told), block[len(told) :]
+def comment_and_code(block: list[str]) -> tuple[list[str], list[str]]:
+    """Lines of the comment that begins a block, without //, and the code after it."""
+    count = next((k for k, line in enumerate(block) if not line.startswith("//")), len(block))
+    return [line.removeprefix("//").removeprefix(" ") for line in block[:count]], block[count:]
+
+
+def markdown(comment: list[str]) -> list[str]:
+    """A comment as Markdown: indented lines are equations and stay as they are, the others are paragraphs."""
+    lines: list[str] = []
+    for equation, group in groupby((line for line in comment if line), lambda line: line.startswith("  ")):
+        text = list(group)
+        lines += ["```text", *text, "```", ""] if equation else [prose(" ".join(text)), ""]
+    return lines
 
 
 def page(header: Path) -> list[str]:
@@ -63,12 +70,12 @@ def page(header: Path) -> list[str]:
     about = " ".join(line.removeprefix("//").strip() for line in head.splitlines())
     lines = [f"# {header.name}", "", prose(about), "", f"`#include <tauext/{header.name}>`, namespace `tauext`.", ""]
     for block in blocks(inside):
-        told, code = comment_and_code(block)
+        comment, code = comment_and_code(block)
         code = without_private(code)
         name = NAMED.search("\n".join(line.split("//")[0] for line in code))
         if name:
             lines += [f"## {next(filter(None, name.groups()))}", ""]
-        lines += [prose(told), ""] if told else []
+        lines += markdown(comment)
         lines += ["```cpp", *code, "```", ""] if code else []
     return lines
 

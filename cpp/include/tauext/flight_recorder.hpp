@@ -1,4 +1,4 @@
-// The last seconds before an alarm or fault, kept for another thread to write down.
+// Keeps the last seconds before an alarm or fault for another thread to write to a file.
 #pragma once
 #include <atomic>
 #include <cstdint>
@@ -9,43 +9,43 @@
 
 namespace tauext {
 
-// What a flight holds, and what makes one.
+// Content of a flight, and the events that start one.
 struct FlightSettings {
-  double before_s = 5;    // kept from before the event, [s]
-  double after_s = 1;     // and after it, [s]
-  bool contacts = false;  // a contact is an event too
+  double before_s = 5;    // recorded before the event, [s]
+  double after_s = 1;     // recorded after the event, [s]
+  bool contacts = false;  // contacts are events, too
 };
 
 // Samples and estimates around one event, oldest first.
 struct Flight {
-  std::int64_t event_row = 0;  // at which the event is
+  std::int64_t event_row = 0;  // row of the event
   std::vector<std::int64_t> t_ns;                                               // (samples)
   std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, load_nm, sigma_nm,
       contact_sigma_nm, limit_nm, contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)
-  std::vector<Load> load;                                                   // (samples): that the arm was taken to carry
+  std::vector<Load> load;                                                   // (samples): load that the model carries
   Estimate event;  // the monitor's estimate at the event
 };
 
-// An event is a rise of the alarm (to collision; to contact where requested) or health becoming a fault after it was
-// ok or warming up. Two rings are allocated at construction: when the samples after the event are in, the full
-// ring changes hands and push() continues in the other. push() never waits: a flight whose predecessor is not taken in
-// time is discarded and counted.
+// Keeps the last seconds in two preallocated rings. An event is a rise of the alarm (to collision; on request to
+// contact), or a change of health from ok or warming_up to fault. When the samples after the event are complete,
+// another thread can take the full ring, and push() continues in the other one. push() never waits: if the previous
+// flight was not taken in time, the new one is discarded and counted.
 class FlightRecorder {
  public:
-  // Throws Error where a time is negative, not finite or over ten minutes, or both are 0.
+  // Throws Error if a time is negative, not finite or above ten minutes, or if both are 0.
   FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings);
 
-  // The control thread, once a sample, after the monitor. A sample of the wrong size is kept as NaN.
+  // Control thread: call it once per sample, after the monitor. A sample of the wrong size is stored as NaN.
   void push(const Sample& sample, const Estimate& estimate) noexcept;
-  // The control thread, at the end: an event still waiting for what comes after it changes hands as it is. False where
-  // the flight before it has not been taken yet: to be called again.
+  // Control thread: call it at the end. Hands over an event whose later samples are incomplete. Returns false if the
+  // previous flight has not been taken yet; call it again then.
   bool finish() noexcept;
 
-  // Another thread: true where a flight was taken, oldest row first; its ring is free again.
+  // Other thread: returns true with a flight, oldest row first, and frees its ring; false: none.
   bool take(Flight& flight);
-  // Events so far, those within another one's flight among them; and flights that were given up.
+  // Number of events, including those within the flight of another event; number of discarded flights.
   std::uint64_t events() const noexcept { return events_.load(std::memory_order_relaxed); }
   std::uint64_t missed() const noexcept { return missed_.load(std::memory_order_relaxed); }
 
@@ -59,8 +59,8 @@ class FlightRecorder {
   struct Ring {
     std::vector<Row> rows;
     std::vector<double> signals;  // (rows, signals, joints)
-    std::int64_t next = 0, count = 0;  // row to be written, rows written
-    std::int64_t event = -1;           // row count at the event, -1 without one
+    std::int64_t next = 0, count = 0;  // row to be written, number of rows written
+    std::int64_t event = -1;           // row count at the event; -1: none
     Estimate estimate;
   };
   void hand_over() noexcept;
@@ -73,7 +73,7 @@ class FlightRecorder {
   Alarm alarm_ = Alarm::none;
   std::int64_t alarm_t_ns_ = 0;
   Health health_ = Health::warming_up;
-  std::atomic<int> handed_{-1};  // ring that waits for take(), -1: none
+  std::atomic<int> handed_{-1};  // ring that waits for take(); -1: none
   std::atomic<std::uint64_t> events_{0}, missed_{0};
 };
 

@@ -1,4 +1,4 @@
-// The chain inside a control loop: one sample in, external torque, alarm and health out.
+// Runs a bundle in a control loop: one sample in; external torque, alarm and health out.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -16,157 +16,163 @@
 
 namespace tauext {
 
-// step() is estimate(), which takes about a microsecond, and advance(), which prepares the next one. A caller in a hard
-// loop sends its command between the two. Nothing here allocates, locks, logs, throws or calls the system once the
-// monitor is made. One thread at a time.
+// Runs a bundle sample by sample in a control loop. step() is estimate(), which takes about a microsecond, followed by
+// advance(), which prepares the next sample. A hard real-time loop sends its command between the two. After
+// construction, a call allocates, locks, logs and throws nothing and makes no system call, unless its comment states
+// otherwise. Use each monitor from one thread at a time.
 class Monitor {
  public:
-  // Throws Error where the bundle does not hold together.
+  // Throws Error if the bundle is inconsistent.
   explicit Monitor(const Bundle& bundle, NetworkRate rate = NetworkRate::every_sample);
   Monitor(Monitor&&) noexcept;
   Monitor& operator=(Monitor&&) noexcept;
   ~Monitor();
 
-  // --- A sample and its answer.
+  // --- Samples and estimates.
 
-  // estimate() and advance() in one: the answer for this sample.
+  // estimate() followed by advance().
   const Estimate& step(const Sample& sample) noexcept {
     estimate(sample);
     advance();
     return last();
   }
-  // The answer for this sample. Faults are answered, never skipped; after one the chain restarts with the next good
-  // sample and is warming up until observer and window are full. An active alarm persists throughout.
+  // Returns the estimate for this sample. Faulty samples are reported in health and never skipped. After a fault the
+  // chain restarts with the next good sample, and health is warming_up until observer and window are full. A raised
+  // alarm persists throughout.
   const Estimate& estimate(const Sample& sample) noexcept;
-  // The work that can wait until the answer is out. estimate() does it first if the call was omitted.
+  // Does the work that can wait until the command is out. If the call is omitted, the next estimate() does this work
+  // first.
   void advance() noexcept;
-  // The loop ran and no sample came: stale for as long as samples are bridged (longest_bridged), then a fault.
+  // Reports that the loop ran without a sample. Health is stale for up to a network period (below 300 Hz: three
+  // samples), then a fault.
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
-  // The last answer; the same object as estimate() returned, so the next call changes it.
+  // Returns the last estimate: the object that estimate() returned, which the next call overwrites.
   const Estimate& last() const noexcept { return *last_; }
-  // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
-  // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
+  // Sets the joint temperatures [degC] from the next sample on, for loops whose samples contain none. NaN: unknown, the
+  // last known value remains in effect. Returns false and changes nothing unless there is one value per joint.
   bool set_temperature(std::span<const double> celsius) noexcept;
 
   // --- Alarm and limits.
 
-  // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
+  // Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.
   void acknowledge() noexcept;
-  // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction
-  // of a joint at rest at a level that its position determines only roughly. So that of joints near stiction is unknown again,
-  // as at the start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
+  // Ends a latched alarm of an arm that nothing touches any more and that is about to move on. A push changes the
+  // static friction of a resting joint; the joint's position determines the new level only roughly. The state of joints
+  // near stiction is therefore discarded, as at the start. With a prior, their limits rise at once by the friction that
+  // could hide, until the joints have slid.
   void resume() noexcept;
-  // Limits are the bundle's times these, one a joint and each 0.1 to 10, from the next sample on: for phases of a task
-  // that bear more contact, or less. false, and nothing changed, where they are not. What the drift learns from does not
-  // depend on them. The limits' promise of false alarms holds at factors from 1 on.
+  // Multiplies the bundle's limits by these factors from the next sample on: one per joint, each 0.1 to 10. Returns
+  // false and changes nothing for other values. Drift learning does not depend on the factors. The calibrated false
+  // alarm rate holds for factors from 1 on.
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept;
-  const LimitFactors& limit_factors() const noexcept;  // those that hold now
+  const LimitFactors& limit_factors() const noexcept;  // factors in effect
 
-  // --- Loads: set, expected of a gripper, weighed.
+  // --- Loads: set, expected from a gripper, weighed.
 
-  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r continues from
-  // its value. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
-  // exactly within the last 10/K0 (8192 samples at most), all but e^-10 of the load's torques before that; drift
-  // to a second, within the last minute. What is known of the time before is lost by restore_state() and by whatever breaks
-  // the chain. Limits rise by the load's error_share of its torques. false, and nothing changed, where the load is
-  // refused. Takes no longer than a microsecond or two for each sample since then.
+  // Sets what the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r
+  // continues from its value. With since_ns, in sample time, r, prior and drift become what they would be if the load
+  // had been set then: r and prior exactly within the last 10/K0 (8192 samples at most), and with all but e^-10 of the
+  // load's torques for earlier times; drift to a second, within the last minute. restore_state() and every restart of
+  // the chain discard the past samples that this needs. Limits rise by error_share of the load's torques. Returns false
+  // and changes nothing if the load is refused. Takes at most one or two microseconds per sample since since_ns.
   bool set_load(const Load& load, std::int64_t since_ns = kFromNow) noexcept;
-  // It carries nothing more; true, and nothing happens, where none can be set.
+  // Removes the load. Returns true and does nothing if the bundle accepts no loads.
   bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return !load_settings().settable() || set_load({}, since_ns); }
-  const Load& load() const noexcept;  // that holds now
-  // Where the load is fixed, and bounds on loads.
+  const Load& load() const noexcept;  // load in effect
+  // Frame of the load, and bounds on loads.
   const LoadSettings& load_settings() const noexcept;
-  // Why it would be refused.
+  // Reason for which set_load() would refuse this load.
   LoadFault load_fault(const Load& load, std::int64_t since_ns = kFromNow) const noexcept;
-  // The same in a sentence; empty: it would be taken. Not for the loop: it allocates.
+  // The same as a sentence; empty: the load is accepted. Allocates: not for the loop.
   std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
     return load_settings().words(load_fault(load, since_ns), load);
   }
 
-  // From the next sample on, for so many seconds (60 at most): the gripper closes or opens, and what the arm carries may
-  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed, set and reported
-  // (Estimate's load_phase, load_found_ns, load_error_kg); one that does not fit is the usual alarm. What would have been an
-  // alarm and does not become a load within about half a second of settling is one late. Meanwhile
-  // drift learns nothing, and a sample takes about two microseconds longer. A load that is set or cleared ends it, and reset().
-  // false, and nothing changed, where why_not_expected() returns a reason.
+  // Announces that the gripper closes or opens: for `seconds` (at most 60) from the next sample on, the arm may come to
+  // carry up to at_most_kg in all. A torque step that fits such a load raises no alarm; the load is weighed, set and
+  // reported (Estimate's load_phase, load_found_ns, load_error_kg). A step that does not fit raises the usual alarm. A
+  // held-back step that does not become a load raises the alarm about half a second after it has settled. Meanwhile
+  // drift does not learn, and a sample takes about two microseconds longer. set_load(), clear_load() and reset() end
+  // the expectation. Returns false and changes nothing if why_not_expected() returns a reason.
   bool expect_load(double seconds, double at_most_kg) noexcept;
-  // Empty: it would be. Not for the loop: it allocates.
+  // Reason for which expect_load() would refuse; empty: none. Allocates: not for the loop.
   std::string why_not_expected(double seconds, double at_most_kg) const;
-  // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
-  // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
-  // nothing, else they would learn the load away. Sums restart where it runs already, and with every set_load(); reset()
-  // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
-  // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
+  // Starts to weigh what the arm carries beside the load that is set. From 10/K0 after the next sample on, advance()
+  // sums healthy samples, one per network period. Drift does not learn until stop_weighing(), since it would absorb the
+  // load. A second call and every set_load() restart the sums; reset() and restore_state() end weighing. reach_m:
+  // largest distance of the centre of mass from the origin of the load frame. Returns false and changes nothing if
+  // why_no_weighing() returns a reason or reach_m is not above 0.
   bool start_weighing(double reach_m = kUsualReach_m) noexcept;
-  // What was found until now stays, for estimate_load(), until the next start.
+  // Ends weighing. estimate_load() still returns the result until the next start.
   void stop_weighing() noexcept;
-  bool can_weigh() const noexcept;  // start_weighing() refuses no reach above 0
+  bool can_weigh() const noexcept;  // start_weighing() accepts any reach above 0
   bool weighing() const noexcept;
-  // Result of the sums: see LoadFound. The call takes as long as some fifty samples (60 us for six joints on a desktop);
-  // nothing is changed. A contact while weighing is not cut out, but reported: the verdict is then not `load`.
+  // Result of the sums so far, see LoadFound. Takes as long as about fifty samples (60 us for six joints on a desktop)
+  // and changes nothing. A contact while weighing is not removed; the verdict is then not `load`.
   LoadFound estimate_load() const noexcept;
-  // Empty: it can be weighed. Allocates.
+  // Reason for which start_weighing() would refuse; empty: none. Allocates: not for the loop.
   std::string why_no_weighing() const;
 
   // --- Forces and moments.
 
-  // Force and moment that the surroundings exert on the arm at a frame, at the last sample, and how sure that is: see
-  // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is
-  // not ok or stale, or after restore_state() until the next sample. Microseconds, and nothing is changed.
+  // Force and moment that the environment exerts on the arm at a frame, at the last sample, with their covariance, see
+  // Wrench. While a load is expected, its part load_nm is excluded. Unknown while health is neither ok nor stale, and
+  // after restore_state() until the next sample. Takes microseconds and changes nothing.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // Estimate of a force alone, that acts at this point of the frame, [m] along its own axes.
+  // Estimates a force without a moment that acts at a known point of the frame, [m] along the frame's own axes.
   Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // Frames by name, and why there is no wrench: refused().
+  // Model with the frames by name; refused() is the reason if there is no wrench.
   const WrenchModel& wrench_model() const noexcept;
   std::string why_no_wrench() const { return wrench_model().refused(); }
 
   // --- Motion for a refit.
 
-  static constexpr double kRefitFrictionShare = 0.4;  // usual
-  // A refit's morning routine (refit.hpp). Outside the loop, since it allocates: memory for so many seconds of samples.
-  // Throws Error where they are not above 0 and at most 600.
+  static constexpr double kRefitFrictionShare = 0.4;  // default of start_refit()
+  // Reserves memory for `seconds` of samples for a refit (refit.hpp). Allocates: call it before the loop. Throws Error
+  // unless the time is above 0 and at most 600 s.
   void reserve_refit(double seconds);
-  // From the next sample on, motion is kept until that memory is full, and limits are higher by this share of the friction
-  // that the prior expects of the joint at its speed: 0.4 covers friction of 0.6 to 1.4 times the old one. No alarm that a
-  // push beyond that would raise is held back. false, and nothing changed: no memory, no friction in the prior, or a share
-  // outside 0 to 2. reset() and restore_state() end it.
+  // Stores motion from the next sample on until the memory is full. Meanwhile, limits are higher by friction_share of
+  // the friction that the prior expects of the joint at its speed: 0.4 covers friction of 0.6 to 1.4 times the old one.
+  // A push beyond these limits still raises an alarm. Returns false and changes nothing without reserved memory,
+  // without friction in the prior, or for a share outside 0 to 2. reset() and restore_state() end it.
   bool start_refit(double friction_share = kRefitFrictionShare) noexcept;
-  // So much motion is kept.
+  // Whether the reserved memory is full.
   bool refit_full() const noexcept;
-  // Limits are the usual ones again. What was kept stays until the next start, so that another thread can give it to refit()
-  // while the loop continues.
+  // Restores the usual limits. The stored motion remains until the next start, so that another thread can pass it to
+  // refit() while the loop continues.
   RecordingView finish_refit() noexcept;
-  // What is kept.
+  // The motion stored so far.
   RecordingView refit_motion() const noexcept;
 
   // --- State.
 
-  // As newly made.
+  // Returns to the state of a new monitor.
   void reset() noexcept;
-  // Size of the whole state, to go on in another monitor of the same bundle, rate, build and kind of processor.
+  // Size of the whole state, for another monitor of the same bundle, network rate, build and type of processor.
   std::size_t state_bytes() const noexcept;
-  // false, and nothing changed, where the size is wrong or, in restore(), the bytes are of another monitor or damaged.
+  // Copy the state. Both return false and change nothing if the size is wrong; restore_state() also if the bytes are
+  // damaged or belong to another monitor.
   bool save_state(std::span<std::byte> state) const noexcept;
   bool restore_state(std::span<const std::byte> state) noexcept;
 
-  // --- What it is, and how far.
+  // --- Properties and counters.
 
-  int joints() const noexcept { return last().joints; }  // how many
-  // Of the bundle, in the order of q, dq and tau. Throws std::out_of_range where there is no such joint.
+  int joints() const noexcept { return last().joints; }  // number of joints
+  // Joint name, in the order of q, dq and tau. Throws std::out_of_range for an unknown joint.
   const std::string& joint_name(int joint) const;
-  // The bundle's units: of the tau to be given, and of the torques in the answer. Throw std::out_of_range, too.
+  // Units of the input tau and of the estimated torques. Both throw std::out_of_range for an unknown joint.
   const std::string& torque_unit(int joint) const;
   const std::string& estimate_unit(int joint) const;
-  std::int64_t sample_period_ns() const noexcept;  // of the bundle
-  // Counted since it was made or reset: samples that went on the chain, ticks of the clock that were bridged, restarts.
-  std::uint64_t samples() const noexcept;
-  std::uint64_t bridged_ticks() const noexcept;  // without a sample of their own
-  std::uint64_t restarts() const noexcept;       // after the first start
+  std::int64_t sample_period_ns() const noexcept;  // of the bundle, [ns]
+  // Counted since construction or reset().
+  std::uint64_t samples() const noexcept;  // samples that entered the chain
+  std::uint64_t bridged_ticks() const noexcept;  // ticks of the regular clock without a sample of their own
+  std::uint64_t restarts() const noexcept;       // restarts of the chain after its first start
 
  private:
   struct Chain;
   std::unique_ptr<Chain> chain_;
-  const Estimate* last_;  // of the chain
+  const Estimate* last_;  // owned by the chain
 };
 
 }  // namespace tauext

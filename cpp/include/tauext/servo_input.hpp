@@ -1,4 +1,4 @@
-// From what a servo reports to what the chain takes: velocity from coarse positions, torque from current, duty or goal.
+// Computes the chain's inputs from servo signals: velocity from coarse positions, torque from current, duty or goal.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -8,41 +8,43 @@
 
 namespace tauext {
 
-// Where a joint's torque comes from. The numbers stand in bundles.
+// Signal from which a joint's torque is computed. Bundles store these numbers.
 enum class TorqueFrom : std::uint8_t {
-  torque = 0,         // the servo reports it; taken as it is
+  torque = 0,         // reported by the servo; used unchanged
   phase_current = 1,  // current of the windings, signed
-  supply_current = 2, // current that the bridge draws, unsigned: |D I|
-  duty = 3,           // share of the supply voltage at the motor, signed (Feetech: Present_Load; Dynamixel: Present PWM)
+  supply_current = 2,  // current that the bridge draws, unsigned: |D I|
+  duty = 3,  // share of the supply voltage at the motor, signed (Feetech: Present_Load; Dynamixel: Present PWM)
   goal = 4,           // duty from goal and position, by the gain of the servo's position controller
 };
 
-// Constants of a servo, at the joint, after its gear: volts, ohm and k_t of a motor with gear N are V, R and N k_t.
+// Constants of a servo at the joint, behind its gear. For a motor with gear ratio N: V, R and N k_t.
 struct ServoConstants {
-  double volts = 1;          // of the supply, where a sample has none; > 0
-  double ohm = 1;            // of the windings, > 0
+  double volts = 1;          // supply voltage if the samples contain none, > 0, [V]
+  double ohm = 1;            // of the windings, > 0, [ohm]
   double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
-  double nm_per_ampere = 1;  // k_t; 1 where it is unknown: torques are in A
-  double duty_per_rad = 0;   // gain of the position controller, >= 0; needed where torque comes from the goal
-  double most_duty = 1;      // its limit, 0 to 1
-  double count_rad = 0;      // step of the encoder, >= 0
+  double nm_per_ampere = 1;  // k_t, [N m/A]; 1 if unknown: torques are in A
+  double duty_per_rad = 0;   // gain of the position controller, >= 0, [1/rad]; used for torque from the goal
+  double most_duty = 1;      // largest duty of the controller, 0 to 1
+  double count_rad = 0;      // resolution of the encoder, >= 0, [rad]
 };
 
+// Computation of dq and tau from servo signals.
 struct ServoSettings {
-  static constexpr int kMostDelay = 64;  // of goals, in sample periods
+  static constexpr int kMostDelay = 64;  // largest goal delay, in sample periods
 
   TorqueFrom torque_from = TorqueFrom::torque;
-  int velocity_steps = 0;              // most steps in the velocity's window; 0: dq as it is given
-  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them restarts the window
-  std::int64_t goal_delay_ns = 0;      // a goal acts so long after its stamp, at most kMostDelay sample periods
+  int velocity_steps = 0;              // largest window of the velocity, in steps; 0: dq is used unchanged
+  std::int64_t sample_period_ns = 0;   // > 0 if velocity_steps is; a pause of over 2.5 periods restarts the window
+  std::int64_t goal_delay_ns = 0;      // time after which a goal acts, at most kMostDelay sample periods
   std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
 
+  // False: not servos, and a ServoInput cannot be constructed.
   bool on() const noexcept { return !joints.empty(); }
-  // Throws Error, naming what breaks which rule.
+  // Throws Error with the field and its rule.
   void validate() const;
 };
 
-// One report of all servos; lists over the joints, empty where not measured.
+// One report of all servos: one value per joint; empty: not measured.
 struct ServoSample {
   std::int64_t t_ns = 0;
   std::span<const double> q;  // [rad]
@@ -53,28 +55,29 @@ struct ServoSample {
   std::span<const double> voltage = {};       // of the supply, [V]
 };
 
-// First-order adaptive windowing in its best-fit form [JanabiSharifi2000]: the slope of the line through the longest stretch of the last samples from whose end-to-end line no
-// position departs by more than a count. A slow joint is averaged over all of the window, one that accelerates over as
-// few samples as its acceleration requires: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
-// A joint that flickers between two counts has a velocity near 0, where a difference gives count/period.
-// The last samples only: a control loop has the same values. No allocation after the constructor.
+// Computes velocities from coarse positions by first-order adaptive windowing, best-fit form [JanabiSharifi2000]. The
+// velocity is the slope of the line through the longest run of recent samples in which no position differs from the
+// line between its ends by more than a count. For a slow joint this is the whole window. For an accelerating joint it
+// is shorter: a run of time T lags by T/2, and a T^2/8 <= count bounds T. A joint that flickers between two counts has
+// a velocity near 0; a difference would give count/period. Uses past samples only, so a recording and a control loop
+// have the same values. Allocates in the constructor only.
 class AdaptiveVelocity {
  public:
-  static constexpr int kMostSteps = 64;  // of a window
+  static constexpr int kMostSteps = 64;  // largest window
 
-  // steps: most steps in a window, 1 (the plain difference) to kMostSteps. count_rad: smallest step of a joint's encoder,
-  // >= 0, a joint; 0: the plain difference. Throws Error otherwise.
+  // steps: largest window, 1 (difference of two samples) to kMostSteps. count_rad: encoder resolution per joint, >= 0,
+  // [rad]; 0: difference of two samples. Throws Error for other values.
   AdaptiveVelocity(int steps, std::span<const double> count_rad);
 
-  // Velocities after one more sample of finite positions [rad/s]; 0 with the first one. t_ns must increase: where it does
-  // not, or after a pause of more than gap_ns (0: never), the window restarts.
+  // Fills the velocities [rad/s] after one more sample of finite positions; 0 for the first one. t_ns must increase.
+  // The window restarts otherwise, and after a pause longer than gap_ns (0: never).
   void step(std::int64_t t_ns, std::span<const double> q, std::int64_t gap_ns, std::span<double> dq) noexcept;
-  // The next sample is a first one.
+  // Treats the next sample as the first one.
   void reset() noexcept { filled_ = 0; }
 
  private:
   double slope(std::size_t joint) const noexcept;
-  std::size_t place(int back) const noexcept;  // in the ring, of the sample so many steps ago
+  std::size_t place(int back) const noexcept;  // index in the ring of the sample this many steps ago
 
   int steps_, newest_ = 0, filled_ = 0;
   std::vector<double> count_rad_;
@@ -82,27 +85,32 @@ class AdaptiveVelocity {
   std::vector<double> q_;  // (steps + 1, joints)
 };
 
-// Memory: the velocity's window and the goals of the delay, so that a recording and the loop that made it have the same values.
+// Computes dq and tau from servo signals. Its memory is the window of the velocity and the delayed goals, so that a
+// recording and the loop that made it have the same values.
+//
 //   V D = R I + k_e w,   tau = k_t I
-// with the duty D, speed w and winding current I. Where torque comes from
-//   the phase current    I is given;
-//   the duty             I = (V D - k_e w) / R;
-//   the goal             D = clip(g (q_des - q), +-most), then as from the duty; the goal is that of goal_delay_ns ago, on
-//                        the line between two samples, since bus and servo take their time;
-//   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
-//                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
-//                        where the duty is not measured, which changes over two counts of the encoder.
-// At standstill the supply current is proportional to the square of the torque: its root is taken.
+//
+// with duty D, speed w and winding current I. By TorqueFrom:
+//
+//   phase_current   I is measured.
+//   duty            I = (V D - k_e w) / R.
+//   goal            D = clip(g (q_des - q), +-most_duty), then as duty. The goal is that of goal_delay_ns ago, on the
+//                   line between two samples: the delay of bus and servo.
+//   supply_current  V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
+//                   D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty. If the duty is not
+//                   measured, it is the sign of q_des - q, which changes over two counts of the encoder.
+//
+// At standstill the supply current is proportional to the square of the torque.
 class ServoInput {
  public:
-  // Throws Error as validate().
+  // Throws Error, see ServoSettings::validate().
   explicit ServoInput(const ServoSettings& settings);
 
-  // Fills dq() and tau() from a sample. What is needed and is not there, or not finite, makes them NaN, which the chain
-  // takes for a fault.
+  // Fills dq() and tau() from a sample. If a required signal is missing or not finite, they are NaN, which the chain
+  // reports as a fault.
   void step(const ServoSample& sample) noexcept;
   std::span<const double> dq() const noexcept { return {dq_.data(), joints_.size()}; }    // [rad/s]
-  std::span<const double> tau() const noexcept { return {tau_.data(), joints_.size()}; }  // [N m], or A
+  std::span<const double> tau() const noexcept { return {tau_.data(), joints_.size()}; }  // [N m] or [A]
   // The next sample is a first one.
   void reset() noexcept {
     velocity_.reset();

@@ -1,4 +1,4 @@
-// Sizes, enumerations and the error type that every part of the core shares.
+// Sizes, enumerations and the error type of all parts of the core.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -13,30 +13,30 @@ namespace tauext {
 inline constexpr int kMaxJoints = 32;
 inline constexpr int kMaxNetworkStride = 10000;  // samples in a network period
 
-// One number for each joint; those beyond an arm's joints mean nothing.
+// One value per joint; elements beyond the arm's joints are meaningless.
 using JointVector = std::array<double, kMaxJoints>;
 
-// What a torque sample means; getting it wrong puts a false residual of tenths to whole newton metres into the observer.
-// The numbers stand in bundles.
+// Meaning of a torque sample. A wrong setting adds a false residual of tenths to whole newton metres. Bundles store
+// these numbers.
 enum class TorqueTiming : std::uint8_t {
-  held = 0,      // acts from its stamp to the next one: a commanded torque
-  instant = 1,   // a measurement at its stamp
-  averaged = 2,  // the mean over the step that ends at its stamp
+  held = 0,      // acts from its time stamp to the next one: a commanded torque
+  instant = 1,   // measured at its time stamp
+  averaged = 2,  // mean over the step that ends at its time stamp
 };
 
-// later - earlier >= 0 for any two stamps: their difference may not fit a signed number.
+// later - earlier, which must be >= 0. Unsigned, since the difference may not fit a signed number.
 inline std::uint64_t elapsed_ns(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
   return static_cast<std::uint64_t>(later_ns) - static_cast<std::uint64_t>(earlier_ns);
 }
 
-// A number in a message: %g.
+// Formats a number for a message: %g.
 inline std::string to_text(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%g", value);
   return text;
 }
 
-// Thrown by constructors and loaders only, never by anything that runs once a sample.
+// Thrown by constructors and loaders only, never by functions that run once per sample.
 class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

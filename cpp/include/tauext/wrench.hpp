@@ -1,4 +1,4 @@
-// The external wrench at a frame of the arm, from the joints' tau_ext and how wrong each of them may be.
+// Estimates the external wrench at a frame of the arm, with its covariance, from tau_ext.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -14,113 +14,117 @@ namespace tauext {
 
 struct Bundle;
 
-// A frame that is fixed to a link, relative to the link's own.
+// A frame fixed to a link, relative to the link's frame.
 struct WrenchFrame {
   std::string name;
   std::int32_t link = -1;
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
-  std::array<double, 3> translation{};                        // its origin in the link's frame, [m]
+  std::array<double, 3> translation{};                        // origin in the link's frame, [m]
 };
 
-// Axes that force and moment are given along; the moment is about the frame's origin either way.
+// Axes of force and moment. The moment is about the frame's origin in both cases.
 enum class WrenchAxes : std::uint8_t { base = 0, frame = 1 };
 
-// What is estimated from the joints: a force and a moment, or a force alone at a point that is known.
+// What is estimated: force and moment, or a force without a moment at a known point.
 enum class WrenchKind : std::uint8_t { wrench = 0, force = 1 };
 
-// Model of the errors of tau_ext across the joints; sigma_nm of the estimate is the size of each.
+// Model of the errors of tau_ext across the joints; the estimate's sigma_nm is the size of each.
 struct WrenchSettings {
-  static constexpr double kUsualTorqueShare = 0.05;  // measured torques and makers' constants are off by 5 to 10 %
+  static constexpr double kUsualTorqueShare = 0.05;  // default: measured torques and makers' constants are off by 5 to
+                                                     // 10 %
 
-  std::vector<WrenchFrame> frames;   // that the robot file names
-  std::vector<double> correlation;   // (joints, joints) of the errors of free motion, positive definite; none: independent
-  std::vector<double> torque_share;  // a joint: standard error of its torque constant, as a share; none: kUsualTorqueShare
-  double common_share = 0;           // of a factor that all joints have in common
-  // By WrenchKind: variances of free motion are so many times those of sigma and correlation, so that 95 % of its errors
-  // lie within the ellipsoid of 95 %; and residual_radius is the factor of the joints' unexplained rest to its chi-square.
+  std::vector<WrenchFrame> frames;   // frames of the robot file
+  std::vector<double> correlation;   // (joints, joints) in free motion, positive definite; empty: independent
+  std::vector<double> torque_share;  // per joint: relative standard error of the torque constant; empty: the default
+  double common_share = 0;           // relative standard error of a factor common to all joints
+  // By WrenchKind. radius: factor on the variances of free motion, so that 95 % of its errors lie in the 95 %
+  // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.
   std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
 
-  // Throws Error, naming what does not fit `joints`.
+  // Throws Error with the field that is invalid for this number of joints.
   void validate(int joints) const;
 };
 
-// Force and moment that the surroundings exert on the arm. NaN where nothing is known.
+// Force and moment that the environment exerts on the arm, with covariance. NaN while unknown.
 struct Wrench {
   static constexpr int kMost = 6;
 
-  bool known = false;               // the sample had torques with a standard error, and the frame exists
-  int unknowns = 0;                 // 6: force, then moment; 3: force alone
+  bool known = false;               // false: no torques with a standard error, or no such frame
+  int unknowns = 0;                 // 6: force, then moment; 3: force only
   std::array<double, 3> force{};    // [N]
-  std::array<double, 3> moment{};   // about the frame's origin, [N m]; of a force alone: what it makes of its point
-  std::array<double, kMost * kMost> covariance{};  // the first unknowns x unknowns of it, row-major, [N^2], [N^2 m], [N^2 m^2]
-  // Directions that this pose cannot show, unit vectors of (N, N, N, N m / kLength_m ...): their variance counts as infinite.
-  // The covariance has at most kLargestForce_n squared there.
+  std::array<double, 3> moment{};   // about the frame's origin, [N m]; with 3 unknowns the moment of the force
+  std::array<double, kMost * kMost> covariance{};  // (unknowns, unknowns), row-major, [N^2], [N^2 m], [N^2 m^2]
+  // Directions that this pose cannot show: unit vectors of (N, N, N, N m / kLength_m, ...). Their variance counts as
+  // infinite; the covariance contains at most kLargestForce_n squared for them.
   int blind = 0;
   std::array<std::array<double, kMost>, kMost> blind_directions{};
-  double chi_square = 0;  // of what such a wrench leaves unexplained in tau_ext, ...
-  int freedom = 0;        // ... with so many degrees of freedom; 0: whatever the joints show, some wrench here explains it
-  double consistent = 1;  // probability of so much or more where it is a touch at this frame; 1 with no freedom
+  double chi_square = 0;  // of the part of tau_ext that the wrench does not explain
+  int freedom = 0;        // its degrees of freedom; 0: some wrench at this frame explains any torques
+  double consistent = 1;  // p-value of chi_square for a touch at this frame; 1 if freedom is 0
 };
 
-// tau_ext = J^T w + e,  e ~ N(0, S),
-//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j + delta_ij (contact_sigma_i^2 - sigma_i^2),
-// with c_i the share that the torque constant of a joint may be off and c what all have in common; the last term is what a
-// contact adds to the errors of free motion (ContactErrors). What a wrench can be
-// at all, w ~ N(0, P) with P of kLargestForce_n and that times kLength_m, keeps the answer continuous through
-// singularities: w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext. Where a direction is known to kBlindForce_n or better, P shrinks it by
-// 1 % at most, by 0.01 % at 10 N; where it is not, it is named blind.
-// Eigenvectors of the whitened J S^-1 J^T are the directions. Joints that do not answer in N m have no row in any of it.
-// Gears rub harder under load, and the prior's friction includes the arm's own weight alone. Where dq is given, what a touch
-// adds is taken off first, of joints whose share s was found from their own load: a joint that moves gets
-//   tau_ext + s tanh(dq / kSignSpeed) (|g - tau_ext| - |g|),  g the weight that it holds.
+// Estimates wrenches at the frames of a bundle's arm by least squares with a prior:
+//
+//   tau_ext = J^T w + e,  e ~ N(0, S),  w ~ N(0, P),  w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext,
+//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j + delta_ij (contact_sigma_i^2 - sigma_i^2).
+//
+// R is the correlation, c_i the relative error of a joint's torque constant, and c that of the common factor. The last
+// term is the additional error during a contact (ContactErrors). P has kLargestForce_n for forces and kLength_m times
+// that for moments; it keeps the result continuous through singularities. P shrinks a direction whose standard error is
+// kBlindForce_n by at most 1 %, one with 10 N by 0.01 %. Directions with a larger error are reported as blind; they are
+// eigenvectors of the whitened J S^-1 J^T. Joints that do not answer in N m have no row.
+// Gear friction grows with the load, and the prior contains only the arm's own weight. If dq is given and training
+// found the share s from the joint's own load, the friction that a touch adds is subtracted first for moving joints:
+//
+//   tau_ext + s tanh(dq / kSignSpeed) (|g - tau_ext| - |g|),  with g the weight that the joint holds.
 class WrenchModel {
  public:
-  static constexpr double kLargestForce_n = 1000;  // no touch that an arm survives is far beyond it
-  static constexpr double kBlindForce_n = 100;     // standard error; an estimate with a larger error is no evidence of a touch
-  static constexpr double kRubbingDoubt = 0.3;     // of the friction under a load that is taken off: 0.08 of it found, +- 0.02
-  static constexpr double kLength_m = 0.1;  // a force so far from the frame is a usual moment: half a link's width
+  static constexpr double kLargestForce_n = 1000;  // standard deviation of the prior; no survivable touch is far beyond
+  static constexpr double kBlindForce_n = 100;     // a direction with a larger standard error is blind
+  static constexpr double kRubbingDoubt = 0.3;  // relative error of the subtracted friction: 0.08 of it found, +- 0.02
+  static constexpr double kLength_m = 0.1;  // lever that relates moments to forces: half a link's width
 
-  // Of a bundle that holds together.
+  // The bundle must be valid.
   explicit WrenchModel(const Bundle& bundle);
 
-  // Why there is none; empty: there is one.
+  // Reason for which there is no wrench; empty: none.
   const std::string& refused() const noexcept { return refused_; }
-  // Frames by number: the links, by the names of their joints, then the load's frame, then the robot file's.
+  // Number of frames: the links by the names of their joints, then the load frame, then those of the robot file.
   int frames() const noexcept { return static_cast<int>(frames_.size()); }
   const WrenchFrame& frame(int which) const { return frames_.at(static_cast<std::size_t>(which)); }
-  // -1: there is no such frame.
+  // Number of the frame with this name; -1: none.
   int find(std::string_view name) const noexcept;
   int joints() const noexcept { return static_cast<int>(links_.size()); }
   const std::vector<Link>& links() const noexcept { return links_; }
-  // Joints that answer in N m, rising. Of the others only q is used: what they alone would show is blind.
+  // Joints that answer in N m, in rising order. Of the others, only q is used; what only they would show is blind.
   std::span<const std::size_t> told() const noexcept { return told_; }
-  // Whether all values in use are finite, sigma of the told() joints above 0, and contact_sigma no less.
+  // Whether all used values are finite, sigma_nm of the told() joints is above 0, and contact_sigma_nm is not smaller.
   bool known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
              std::span<const double> contact_sigma_nm) const noexcept;
-  // (count, joints) to (count, told), in place; square: (joints, joints) to (told, told).
+  // Reduces (count, joints) to (count, told) in place; square: (joints, joints) to (told, told).
   void keep_told(std::span<double> values, std::size_t count, bool square) const noexcept;
   const WrenchSettings& settings() const noexcept { return settings_; }
 
-  // Joint torques of a unit of each unknown, (6, joints): force, then moment, along those axes, with the force at `point`
-  // of the frame, [m] along its own axes. J of w at that point; no allocation.
+  // Fills (6, joints): joint torques of a unit force, then of a unit moment, along `axes`, at `point` of the frame, [m]
+  // along the frame's own axes. This is J at that point. Allocates nothing.
   void columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
                std::span<double> into) const noexcept;
-  // Where a frame stands: `base from frame`, row-major, and its origin in the base's frame, [m]; no allocation.
+  // Pose of a frame: rotation base from frame, row-major, and origin in the base's frame, [m]. Allocates nothing.
   void pose(int frame, std::span<const double> q, std::array<double, 9>& rotation, std::array<double, 3>& origin) const noexcept;
   // S of a sample, (joints, joints). contact_sigma_nm: empty in free motion.
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept;
-  // tau_ext less what a touch's load adds to the friction of joints that move, in place, and S of it: of the variance that
-  // this friction has in contact_sigma, kRubbingDoubt squared remains.
+  // Subtracts from tau_ext, in place, the friction that a touch adds to moving joints, and fills S of the result:
+  // kRubbingDoubt squared remains of this friction's variance in contact_sigma_nm.
   void take_off_rubbing(WrenchKind kind, std::span<const double> q, std::span<const double> dq,
                         std::span<const double> sigma_nm, std::span<const double> contact_sigma_nm,
                         std::span<double> tau_ext, std::span<double> into) const noexcept;
-  // All take a value a joint; no contact_sigma_nm: as in free motion; no dq: as where joints stand. Nothing allocates or
-  // throws. The wrench at an unknown frame is not known.
+  // Estimates force and moment. All spans have one value per joint. contact_sigma_nm: empty in free motion; dq: empty
+  // for joints at rest. Allocates and throws nothing. The result for an unknown frame is not known.
   Wrench wrench(int frame, std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                 WrenchAxes axes = WrenchAxes::base, std::span<const double> contact_sigma_nm = {},
                 std::span<const double> dq = {}) const noexcept;
-  // Force alone, which acts at `point` of the frame, [m] along its own axes.
+  // Estimates a force without a moment that acts at `point` of the frame, [m] along the frame's own axes.
   Wrench force(int frame, const std::array<double, 3>& point, std::span<const double> q, std::span<const double> tau_ext,
                std::span<const double> sigma_nm, WrenchAxes axes = WrenchAxes::base,
                std::span<const double> contact_sigma_nm = {}, std::span<const double> dq = {}) const noexcept;
@@ -135,11 +139,11 @@ class WrenchModel {
   std::vector<std::size_t> told_;
   WrenchSettings settings_;
   std::vector<WrenchFrame> frames_;
-  Tree tree_;                         // as data corrected it
-  std::vector<double> rubbing_;       // a joint: share of a load by which its gear rubs harder; 0: not found
+  Tree tree_;                         // the corrected model
+  std::vector<double> rubbing_;       // per joint: share of a load that adds to the gear friction; 0: not found
 };
 
-// Probability that a chi-square with so many degrees of freedom, 1 or more, is at least this.
+// Probability that a chi-square with this many degrees of freedom (at least 1) is at least `value`.
 double chi_square_beyond(double value, int freedom) noexcept;
 
 }  // namespace tauext

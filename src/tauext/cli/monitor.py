@@ -107,7 +107,7 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
         return FrankaSource(target)
     if options.bus is None:
         named = f"{kind}:{KINDS[kind].target}"
-        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
+        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
     if kind == "damiao":
         from tauext.sources.damiao import DamiaoSource, load_can_bus
 
@@ -181,7 +181,7 @@ def monitor(
         bus: file (TOML) of --source feetech, dynamixel or damiao: which servo is which joint, where its zero is and
             which way it turns; for serial servos LeRobot's calibration file (*.json) will do, too.
         new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
-        ros2: topics and quality of service of --source ros2; docs/ros2.md.
+        ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
         reactions: file (TOML) of reactions to a collision, contact or fault, and to its end.
         new_reactions: file to write a commented example of reactions to; nothing is watched then.
         profiles: file (TOML) of named factors on the limits, switched while the monitor runs.

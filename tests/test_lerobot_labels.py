@@ -232,7 +232,7 @@ def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
 
 def test_what_cannot_be_labelled_is_refused_in_words(place, tmp_path):
     bundle, arm = load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml")
-    with pytest.raises(RecordingError, match="is no angle in rad: set in .* whether unit is 'deg' or 'normalised'"):
+    with pytest.raises(RecordingError, match="is no angle in rad: set the unit of .* to 'deg' or 'normalised'"):
         label_dataset(place / "v3.0", bundle, parse_arm(arms.ARM.replace("UNIT", "rad")), tmp_path / "out")
     with pytest.raises(ConfigError, match="is not empty"):
         label_dataset(place / "v3.0", bundle, arm, place)
@@ -291,7 +291,7 @@ DAMAGE = {
     ),
     "columns described by no table": (
         *rewritten(FRAMES_OF_TWO, lambda t: t.replace_schema_metadata({"huggingface": "[null]"})),
-        "its description of its columns cannot be read",
+        "the description of its columns cannot be read",
     ),
     "no frames": (*rewritten(FRAMES_OF_TWO, lambda t: t[:0]), "no data file holds frames of episode 0, 1"),
 }

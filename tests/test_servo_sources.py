@@ -199,9 +199,7 @@ def test_another_servo_or_another_arm_is_refused(rig):
     with pytest.raises(ConfigError, match=r"servo 1 \(pan\) is a (sts3215|xl330-m288), bus.toml names dm4310"):
         rig.open()
     rig.source._file = bus_file(ServoJoint("pan", 1, homing_offset=-7), ServoJoint("lift", 2), ServoJoint("elbow", 3))
-    with pytest.raises(
-        ConfigError, match=r"pan\) has homing offset 0, bus.toml has -7: the calibration is of another arm"
-    ):
+    with pytest.raises(ConfigError, match=r"pan\) has homing offset 0, bus.toml has -7: the calibration is of"):
         rig.open()
     rig.bus.put(1, *(("H", 31, 0x0807) if rig.kind == "feetech" else ("i", 20, -7)))  # sign in bit 11; in 32 bits
     rig.open()

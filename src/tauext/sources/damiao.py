@@ -211,7 +211,7 @@ class DamiaoSource(BusSource):
             super()._count_lost(t_ns)
 
     def _overheard(self) -> Sample | None:
-        """A sample once every motor has answered another program. A motor that answers twice before that starts over."""
+        """A sample once every motor has answered another program; a motor that answers twice before starts over."""
         if (came := self._state(WAIT_S)) is None:
             return None
         index, state = came
@@ -267,9 +267,7 @@ class DamiaoSource(BusSource):
             return None
         data = bytes(message.data)
         if data[1] == 0 and data[2] in (REGISTER, WRITTEN, STORED) and data[3] <= LAST_REGISTER:
-            return (
-                None  # a register requested by another program; decoded as a state it would be at the end of the range
-            )
+            return None  # a register requested by another program, not a state
         k = self._which.get((message.arbitration_id, data[0] & 0xF))
         return None if k is None else (k, data)
 

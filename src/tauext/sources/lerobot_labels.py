@@ -115,7 +115,7 @@ def _elements(table: pa.Table, feature: str, rows: int) -> np.ndarray:
 
 
 def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:
-    """Set a column, keeping its list type; a new column is a fixed-size list, or plain numbers if it has one element."""
+    """Set a column and keep its list type; a new column is a fixed-size list, or plain numbers for one element."""
     there = table.schema.get_field_index(feature)
     flat = pa.array(np.ascontiguousarray(values).ravel())
     if there < 0 and values.shape[1] == 1:

@@ -1,7 +1,7 @@
-"""The ROS 2 messages that are sent and received, as DDS types: CDR bytes equal those of any ROS 2 node.
+"""ROS 2 messages as DDS types; their CDR bytes equal those of any ROS 2 node.
 
-Names follow the mangling of ROS 2: package::msg::dds_::Type_. Annotations are evaluated by cyclonedds when a class is
-made, so this file has no postponed ones.
+Type names follow the mangling of ROS 2: package::msg::dds_::Type_. cyclonedds evaluates annotations when a class is
+defined, so this file has no postponed annotations.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
 
     @classmethod
     def of_ns(cls, t_ns: int) -> "Time":
-        """t_ns: since 1970; outside of what 32 bits of seconds hold it is cut, as 2038 needs another message."""
+        """t_ns: since 1970; clipped to 32 bits of seconds, which end in 2038."""
         sec, nanosec = divmod(t_ns, NS_PER_S)
         return cls(min(max(sec, -(2**31)), 2**31 - 1), nanosec)
 
@@ -138,7 +138,7 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnosti
     status: sequence[DiagnosticStatus] = field(default_factory=list)
 
 
-# Nodes of every participant, published on ros_discovery_info. The ids had 24 bytes up to Humble.
+# Nodes of every participant, published on ros_discovery_info. Ids have 24 bytes up to Humble.
 @dataclass
 class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
     data: array[uint8, 16]
@@ -181,7 +181,7 @@ GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
     16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
     24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
 }
-"""Types of the graph messages by the length of an id, [bytes]."""
+"""Types of the graph messages by the length of an id [bytes]."""
 
 TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
@@ -194,4 +194,4 @@ TYPE_HASHES: dict[type, str] = {
     DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
     ParticipantEntitiesInfo: "e725f4a506958c79f95dd693b965722c57b19cd18e7eff984f49561b93dc985d",
 }
-"""REP-2011 (RIHS01) of the types that topics have: nodes from Iron on warn of an endpoint that does not state it."""
+"""Type hashes (REP-2011, RIHS01) of the topics' types: nodes from Iron on warn of an endpoint without one."""

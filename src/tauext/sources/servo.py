@@ -188,8 +188,8 @@ class ServoSource(BusSource):
         servo = settings.servo
         if servo is not None and servo.on and servo.torque_from.name == "goal" and servo.goal_delay_ns > 0:
             self._note(
-                f"the bundle's goals act {servo.goal_delay_ns * 1e-6:g} ms after their stamp, but a register holds the goal "
-                "that acts now: train on recordings of --record, with goal_delay_s = 0"
+                f"the bundle's goals act {servo.goal_delay_ns * 1e-6:g} ms after their stamp, but a register holds the "
+                "goal that acts now: train on recordings of --record, with goal_delay_s = 0"
             )
 
     def _complain(self, id_: int, error: int) -> None:

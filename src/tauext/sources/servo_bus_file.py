@@ -17,7 +17,7 @@ TEMPLATE = """\
 # LeRobot's calibration file alone works in place of this file: --bus my_follower.json.
 
 baud = 1000000
-# calibration = "my_follower.json"    # LeRobot's: ids, and zeros at the middle of the ranges; tables below take precedence
+# calibration = "my_follower.json"    # LeRobot's: ids, zeros at the middle of the ranges; tables below override it
 
 # One table per joint, with the joint's name in the bundle.
 [joints.shoulder_pan]

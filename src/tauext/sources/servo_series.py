@@ -59,8 +59,8 @@ class Series:
     state: tuple[int, int]
     """First register and length of the block that is read every period."""
     registers: dict[str, Register]
-    """Registers in use of `identity` and `state`, in counts, counts/s, shares of the supply voltage, V and degC; `torque`
-    is 1 if the servo's torque is on."""
+    """Registers in use of `identity` and `state`, in counts, counts/s, shares of the supply voltage, V and degC.
+    `torque` is 1 if the servo's torque is on."""
     models: dict[int, tuple[str, float | None]]
     """By model number: name, and current [A per count]; None: the servo measures no current."""
     holds: tuple[int, ...]

@@ -30,6 +30,15 @@ def arguments(doc: str | None, *paths: str) -> argparse.ArgumentParser:
     return parser
 
 
+def type_arguments(doc: str | None, arms: int, type_seed: int = 1) -> argparse.ArgumentParser:
+    """A parser of paths MODELS and OUT, and of what a fleet of one simulated type is drawn from."""
+    parser = arguments(doc, "models", "out")
+    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
+    parser.add_argument("--type-seed", type=int, default=type_seed, help="draws the type, default: %(default)s")
+    parser.add_argument("--arms", type=int, default=arms, help="of the fleet, default: %(default)s")
+    return parser
+
+
 def flags(given: argparse.Namespace, usual: dict[str, object]) -> str:
     """The options that differ from these defaults, as they stand on a command line."""
     other = {name: getattr(given, name) for name in usual if getattr(given, name) != usual[name]}

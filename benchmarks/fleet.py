@@ -18,7 +18,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from common import arguments, in_parallel
+from common import in_parallel, type_arguments
 from unseen.arms import Maker, makers
 from unseen.recordings import Take, description, simulate_takes
 
@@ -75,16 +75,14 @@ def written(out: Path) -> dict[str, bytes]:
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
-    parser.add_argument("--arms", type=int, default=40, help="default: %(default)s")
+    parser = type_arguments(__doc__, arms=40)
     parser.add_argument("--minutes", type=float, default=12.0, help="of motion an arm, default: %(default)s")
     parser.add_argument("--workers", type=int, default=2, help="that simulate, default: %(default)s")
     parser.add_argument("--ray", default=None, help="a cluster of two cores, or local: two workers of Ray here")
     parser.add_argument("--simulate-only", action="store_true")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    maker = replace(makers(asked.models)[asked.type], type_seed=1)
+    maker = replace(makers(asked.models)[asked.type], type_seed=asked.type_seed)
     fleet = simulate(maker, asked.out, asked.arms, asked.minutes, asked.workers)
     if asked.simulate_only:
         return

@@ -170,14 +170,12 @@ class Verdict:
     """What one case came to."""
 
     case: str
-    finished: int
-    """Tasks that were done when the victim was killed."""
+    finished: int  # tasks that were done when the victim was killed
     exits: tuple[int, ...]
-    """Of the command that was disturbed, and of the same command again where it did not end well."""
+    """Exit status of the disturbed command, and of the same command again where the first failed."""
     untouched: bool
     equal: bool
-    left: int
-    """Folders of unfinished tasks at the end."""
+    left: int  # folders of unfinished tasks at the end
 
     @property
     def good(self) -> bool:

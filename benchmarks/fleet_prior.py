@@ -17,7 +17,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import COLLISION, arguments, collisions_begin, flags, head, runs, table_row, tauext, trained, write_page
+from common import (
+    COLLISION,
+    collisions_begin,
+    flags,
+    head,
+    runs,
+    table_row,
+    tauext,
+    trained,
+    type_arguments,
+    write_page,
+)
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import Take, make_dataset, told_constants
 from unseen.results import STRONG, nearest, truth_of
@@ -63,10 +74,7 @@ class Outcome:
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
-    parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
-    parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
+    parser = type_arguments(__doc__, arms=10)
     parser.add_argument("--minutes", type=float, default=6, help="of each arm of the fleet, default: %(default)s")
     parser.add_argument("--new", type=int, default=6, help="arms that are met, default: %(default)s")
     options = parser.parse_args()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import arguments, flags, head, in_parallel, table_row, tauext, write_page
+from common import flags, head, in_parallel, table_row, tauext, type_arguments, write_page
 from unseen.arms import Maker, TrueArm, add_ball, arm_of, makers
 from unseen.recordings import Take, description, import_csv, simulate_takes
 
@@ -60,10 +60,7 @@ DRAWS = 3
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
-    parser.add_argument("--type-seed", type=int, default=2, help="draws the type, default: %(default)s")
-    parser.add_argument("--arms", type=int, default=40, help="of the fleet, default: %(default)s")
+    parser = type_arguments(__doc__, arms=40, type_seed=2)
     parser.add_argument("--worn", type=int, default=4, help="arms that wear, default: %(default)s")
     parser.add_argument("--workers", type=int, default=2, help="processes, default: %(default)s")
     parser.add_argument(

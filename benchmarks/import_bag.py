@@ -20,12 +20,10 @@ import numpy as np
 ARM = """
 [robot]
 joints = [JOINTS]
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
+[signals]
+q.columns = "position"
+dq.columns = "velocity"
+tau.columns = "effort"
 """
 
 

@@ -48,7 +48,7 @@ def main() -> None:
             verdict = judge_latched(touch, recording, estimates, bundle.hold_s, None)
             torque = true[touch.begin : touch.end + round(AFTER_S * recording.rate_hz)]
             torques.append(torque)
-            real.append((peak_over(torque, limit_nm), verdict["latched"], verdict["delay_s"]))
+            real.append((peak_over(torque, limit_nm), verdict.latched, verdict.delay_s))
     added = inject(bundle, dataset.folder, dataset.split.test, torques, options.copies, options.seed)
     write_page(options.out / "README.md", table(real, added))
 

@@ -439,7 +439,7 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
         "some hold little but pauses and creep. Mass: within 5 % or 0.1 kg. Centre: within 2 cm from 1 kg on, 4 cm",
         "below. Told: twice the mass's own standard error, or the centre's own, is within that.",
         "",
-        "The rig is the [virtual one](../../rig.md): two joints, a model that is right, measured torques that wrong",
+        "The rig is the [virtual one](../../paper.md): two joints, a model that is right, measured torques that wrong",
         "constants scale. Its loads are within 10 cm of its tip, in the plane in which it moves: nothing tells where",
         "they are across it, and their centres are judged in the plane.",
         "",

@@ -94,15 +94,15 @@ def one_split(folder: Path, minutes: float, seed: int, piece_s: float) -> dict:
     measured = EventMeasures(EventsConfig(), bundle.near_stiction_rad_s)
     for recording in [*rest, *touched]:
         measured.add_estimates(recording, estimate_recording(bundle, recording, 1))
-    events = measured.summary()["all"]
-    hours = events["free_hours"]
+    events = measured.summary().all
+    hours = events.free_hours
     return row | {
         "judged_min": 60 * hours,
         "promised": hours * limits["promise"]["supported_budget"]["rate_per_hour"] if "promise" in limits else None,
-        "false": events["false_alarms"],
-        "contacts": events["events"],
-        "detected": events["found"],
-        "delay_s": events["delay_median_s"],
+        "false": events.false_alarms,
+        "contacts": events.events,
+        "detected": events.found,
+        "delay_s": events.delay_median_s,
         "factor": limits.get("minutes_factor"),
     }
 

@@ -154,9 +154,9 @@ def judge_rig(path: Path, hours: float, change: Change) -> Row:
         said.append(replace(said[0], held_alarm=during_refit(old, touched)[0]["held_alarm"].astype(np.int8)))
         for touch in find_collisions(touched):
             verdicts = [judge_latched(touch, touched, one, old.hold_s, reference) for one in said]
-            if verdicts[MINUTE]["strong"]:
+            if verdicts[MINUTE].strong:
                 row.strong += 1
-                *latched, of_wide = (verdict["latched"] for verdict in verdicts)
+                *latched, of_wide = (verdict.latched for verdict in verdicts)
                 row.latched = [a + b for a, b in zip(row.latched, latched, strict=True)]
                 caught += of_wide
     row.meanwhile = (len(collisions_begin(minute["held_alarm"], mornings[0].t_ns)), caught)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import arguments, flags, head, table_row, write_page
+from common import flags, head, table_row, type_arguments, write_page
 from fleet_prior import NEW_SEED
 from unseen.arms import Maker, makers
 from unseen.recordings import Take, description, import_csv, simulate_takes
@@ -52,10 +52,7 @@ class Row:
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
-    parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
-    parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
+    parser = type_arguments(__doc__, arms=10)
     parser.add_argument("--new", type=int, default=6, help="arms that are met, default: %(default)s")
     options = parser.parse_args()
     maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)

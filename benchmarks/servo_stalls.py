@@ -119,14 +119,10 @@ column = "t"
 type = "sts3215-7.4v"
 torque_from = "{trial.source}"
 
-[signals.q]
-columns = "q_{{joint}}"
-
-[signals.q_des]
-columns = "goal_{{joint}}"
-
-[signals.current]
-columns = "current_{{joint}}"
+[signals]
+q.columns = "q_{{joint}}"
+q_des.columns = "goal_{{joint}}"
+current.columns = "current_{{joint}}"
 
 [split]
 train = {listed(training)}

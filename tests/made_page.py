@@ -30,17 +30,20 @@ SHORT = Lesson(
 )
 
 
-def smooth_arm() -> DemoArm:
-    """The seven-axis arm without friction: an observer knows all of it, and nothing needs to be trained."""
+def _smooth_arm() -> DemoArm:
     seven = ARMS["seven"]()
     little = {"coulomb_nm": 1e-4, "static_nm": 1.2e-4, "viscous_nm_s_rad": 0.0, "ripple_nm": 0.0}
     return replace(seven, friction=tuple(replace(friction, **little) for friction in seven.friction))
 
 
-def smooth_bundle(arm: DemoArm, folder: Path, limit_nm: float) -> tuple[_core.Bundle, _core.Tree]:
-    """An observer of this arm, whose file robot.xml is written into the folder."""
-    (folder / "robot.xml").write_text(arm.xml)
-    tree, free = load_tree(folder / "robot.xml"), practice_recording(arm, 1.0, 0, 0)
+SMOOTH_ARM = _smooth_arm()
+"""The seven-axis arm without friction: an observer knows all of it, and nothing needs to be trained."""
+
+
+def smooth_bundle(folder: Path, limit_nm: float) -> tuple[_core.Bundle, _core.Tree]:
+    """An observer of SMOOTH_ARM, whose file robot.xml is written into the folder."""
+    (folder / "robot.xml").write_text(SMOOTH_ARM.xml)
+    tree, free = load_tree(folder / "robot.xml"), practice_recording(SMOOTH_ARM, 1.0, 0, 0)
     return make_bundle("free", build_setup(tree, free, ObserverConfig(window_s=0.1)), limit_nm, free), tree
 
 

@@ -14,12 +14,10 @@ ENCODER_RAD = 2 * np.pi / 2**20
 VELOCITY_RAD_S = 300.0  # cut-off of the drives' velocity filters
 NOISE = 0.01  # of the torque, as a share of its spread
 JOINT_STATES = """
-[signals.q]
-columns = "position"
-[signals.dq]
-columns = "velocity"
-[signals.tau]
-columns = "effort"
+[signals]
+q.columns = "position"
+dq.columns = "velocity"
+tau.columns = "effort"
 """
 """Signals of an arm's description, as JointState messages hold them."""
 

@@ -25,6 +25,8 @@ from tauext.evaluate.collisions import TouchMeasures, choose_ten, find_collision
 from tauext.evaluate.comparison import BundleMeasures
 from tauext.evaluate.errors import sensor_reference
 from tauext.evaluate.free_motion import sanity_detectors
+from tauext.evaluate.results import LinkProbability, Results, TouchEstimate, to_json
+from tauext.files.provenance import write_json
 
 RATE_HZ = 1000
 WARM_S = 1.5
@@ -102,29 +104,31 @@ def make_results(
             else:
                 here = [touch for touch in touches if touch.recording == recording.name]
                 detector.add_collisions(number, here, recording, estimates)
-    content = {
-        "format": 1,
-        "provenance": {
-            "command": "tauext reproduce --scale quick --seed 0",
-            "version": "0.1.0",
-            "seed": seed,
-            "machine": "a made-up processor, 2 cores, Linux x86_64",
-            "dataset": "data",
-            "scale": scale,
-        },
-        "joints": list(free[0].joints),
-        "near_stiction_rad_s": NEAR_STICTION_RAD_S,
-        "ten_collisions": ten,
-        "collisions": [touch.summary() for touch in touches],
-        "bundles": entries,
-        "sanity": [detector.summary() for detector in ignorant],
+    provenance = {
+        "command": "tauext reproduce --scale quick --seed 0",
+        "version": "0.1.0",
+        "seed": seed,
+        "machine": "a made-up processor, 2 cores, Linux x86_64",
+        "dataset": "data",
+        "scale": scale,
     }
-    (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
+    content = Results(
+        format=1,
+        provenance=provenance,
+        joints=free[0].joints,
+        near_stiction_rad_s=NEAR_STICTION_RAD_S,
+        ten_collisions=tuple(ten),
+        collisions=tuple(touch.summary() for touch in touches),
+        bundles=tuple(entries),
+        own_torque=None,
+        sanity=tuple(detector.summary() for detector in ignorant),
+    )
+    write_json(to_json(content), results / "results.json")
     return results, data
 
 
 class NoTouches(TouchMeasures):
-    """Of a bundle of which nothing is told."""
+    """Of a bundle without touch estimates."""
 
     def add(self, touches, recording, estimates) -> None:
         """Nothing."""
@@ -138,9 +142,9 @@ class MadeTouches(TouchMeasures):
             number, joints = len(self._reported), recording.joints
             first = touch.link if number % 4 else (touch.link + 1) % len(joints)
             ranked = [joints[first], *(joint for joint in joints if joint != joints[first])][:3]
-            links = [{"joint": joint, "probability": 0.95 / 20**k} for k, joint in enumerate(ranked)]
+            links = tuple(LinkProbability(joint, 0.95 / 20**k) for k, joint in enumerate(ranked))
             kind = ("push", "impact", "unknown", "clamp")[number % 4]
-            self._reported.append({"id": touch.id, "kind": kind, "links": links, "force_n": 20.0 + number})
+            self._reported.append(TouchEstimate(touch.id, kind, links, force_n=20.0 + number))
             self._labels.append((touch.link, touch.kind))
 
 

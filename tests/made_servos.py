@@ -268,6 +268,8 @@ class MadeServoBus:
 NAMES = ("pan", "lift", "elbow", "wrist", "roll", "grip")
 PATIENCE_S = 1.0
 """An answer that is on its way is waited for, however busy the machine is."""
+ELBOW = {"id": 3, "drive_mode": 0, "homing_offset": -1470, "range_min": 871, "range_max": 3084}
+"""A motor in a calibration file of LeRobot."""
 
 
 def sts3215(bus: MadeServoBus, id_: int, model: int = 777, position: int = 2048) -> None:

@@ -25,7 +25,7 @@ from tauext.sim.config import RigConfig
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
-STEP_BY_STEP = (ROOT / "docs" / "start" / "research.md").read_text().partition("## Step by step")[2]
+STEP_BY_STEP = (ROOT / "docs" / "paper.md").read_text().partition("## Step by step")[2]
 SMALLER = {
     "--minutes 20": "--minutes 1",
     "--collision-recordings 6": "--collision-recordings 1",
@@ -45,7 +45,7 @@ def commands(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Done:
-    """Every command of the page for research, run in its order, below smoke scale; no picture is drawn."""
+    """Every command of the steps on the paper's page, run in its order, below smoke scale; no picture is drawn."""
 
     folder: Path
     said: dict[str, list[str]]

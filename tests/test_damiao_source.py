@@ -198,26 +198,3 @@ def test_a_bus_file_is_read(tmp_path):
     assert file.motors["a"] == CanMotor("a", 1, 0x11, 0.0, 1, (12.5, 30.0, 10.0))
     assert file.motors["b"] == CanMotor("b", 2, 0, 0.3, -1, (12.5, 45.0, 54.0))
     assert (file.interface, file.baud, file.fd_baud, file.ask) == ("socketcan", 1_000_000, 5_000_000, False)
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("", "joints is missing"),
-        ("[joints.a]\n", r"\[joints.a\] id is missing"),
-        ("[joints.a]\nid = 0x7ff\n", "id = 2047 must be a whole number from 1 to 2046"),
-        ("[joints.a]\nid = 1.5\n", "id = 1.5 must be a whole number"),
-        ("[joints.a]\nid = 1\nsign = 2\n", "sign = 2 must be 1 or -1"),
-        ("[joints.a]\nid = 1\nrange = 2\n", "unknown key 'range' in .joints.a.; the nearest known is 'ranges'"),
-        ("[joints.a]\nid = 1\nranges = 2\n", r"ranges = 2 must be \[PMAX, VMAX, TMAX\]"),
-        ("ask = false\n[joints.a]\nid = 1\n", r"ranges = \[PMAX, VMAX, TMAX\] is missing: with ask = false"),
-        ("ask = 1\n[joints.a]\nid = 1\n", "ask = 1 must be true or false"),
-        ("interface = 1\n[joints.a]\nid = 1\n", "interface = 1 must be one of python-can"),
-        ("[joints.a]\nid = 1\n[joints.b]\nid = 0x21\nanswer_id = 0x11\n", "joints 'a' and 'b' cannot be distinguished"),
-    ],
-)
-def test_a_bus_file_that_breaks_a_rule_says_which(tmp_path, text, message):
-    path = tmp_path / "can.toml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_can_bus(path)

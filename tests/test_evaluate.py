@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve,
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.errors import ErrorAgainstSigma
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
+from tauext.evaluate.results import SigmaRegion, to_json
 
 
 def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_limit(tmp_path):
@@ -23,39 +25,39 @@ def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_lim
     force, limit = 10.0, 2.0
     hit = pushed("hit", force)
     results = evaluate({"observer": observer_bundle(limit)}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)
-    (verdict,) = results["bundles"][0]["collisions"]
+    (verdict,) = results.bundles[0].collisions
     expected = -np.log(1 - limit / force) / 20.0
-    assert verdict["found"] and verdict["joint"] == "slide"
-    assert expected <= verdict["delay_s"] <= expected + 1.001e-3  # the first sample after it
-    assert verdict["delay_against_sensor_s"] == pytest.approx(0.0, abs=1.001e-3)
-    (collision,) = results["collisions"]
-    assert (collision["start_s"], collision["end_s"]) == (1.0, 1.399)
-    assert collision["true_peak_nm"] == [force]
-    assert collision["sensor_peak_nm"][0] == pytest.approx(force * (1 - np.exp(-20 * 0.4)), rel=1e-3)
-    assert results["ten_collisions"] == [collision["id"]] and results["bundles"][0]["ten_found"] == 1
+    assert verdict.found and verdict.joint == "slide"
+    assert expected <= verdict.delay_s <= expected + 1.001e-3  # the first sample after it
+    assert verdict.delay_against_sensor_s == pytest.approx(0.0, abs=1.001e-3)
+    (collision,) = results.collisions
+    assert (collision.start_s, collision.end_s) == (1.0, 1.399)
+    assert collision.true_peak_nm == (force,)
+    assert collision.sensor_peak_nm[0] == pytest.approx(force * (1 - np.exp(-20 * 0.4)), rel=1e-3)
+    assert results.ten_collisions == (collision.id,) and results.bundles[0].ten_found == 1
 
 
 def test_a_push_below_the_limit_is_missed_and_counts_as_missed_in_the_curve(tmp_path):
     weak = pushed("weak", 1.5)
     results = evaluate({"observer": observer_bundle(2.0)}, [recording], [lambda: weak], tmp_path, seed=0, threads=1)
-    (verdict,) = results["bundles"][0]["collisions"]
-    assert not verdict["found"] and verdict["delay_s"] is None and verdict["delay_against_sensor_s"] is None
-    entry = next(e for e in results["bundles"][0]["found_curve"] if e["collisions"])
-    assert (entry["peak_over_limit_from"], entry["collisions"], entry["found"]) == (0.5, 1, 0)
+    (verdict,) = results.bundles[0].collisions
+    assert not verdict.found and verdict.delay_s is None and verdict.delay_against_sensor_s is None
+    entry = next(e for e in results.bundles[0].found_curve if e.collisions)
+    assert (entry.peak_over_limit_from, entry.collisions, entry.found) == (0.5, 1, 0)
 
 
 def test_a_push_is_latched_after_limit_and_hold_time_and_strong_where_it_must_be(tmp_path):
     bundle = observer_bundle(2.0)
     bundle.hold_s = 0.02
     results = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 5.0)], tmp_path, seed=0, threads=1)
-    latched = results["bundles"][0]["latched"]
+    latched = results.bundles[0].latched
     # 5 (1 - exp(-20 t)) > 2 from 25.5 ms on, and from 46 ms, 20 held ms later, a collision; over 3 Nm from 46 ms on.
-    assert latched["collisions"] == latched["latched"] == latched["strong"] == latched["strong_latched"] == 1
-    assert abs(latched["delay_against_sensor_median_s"]) <= 0.001  # the sensor filters alike
+    assert latched.collisions == latched.latched == latched.strong == latched.strong_latched == 1
+    assert abs(latched.delay_against_sensor_median_s) <= 0.001  # the sensor filters alike
     weak = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 2.5)], tmp_path, seed=0, threads=1)
-    assert weak["bundles"][0]["latched"]["latched"] == 1 and weak["bundles"][0]["latched"]["strong"] == 0
+    assert weak.bundles[0].latched.latched == 1 and weak.bundles[0].latched.strong == 0
     short = evaluate({"o": bundle}, [recording], [lambda: pushed("p", 5.0, 1000, 1030)], tmp_path, seed=0, threads=1)
-    assert short["bundles"][0]["latched"]["strong"] == 0
+    assert short.bundles[0].latched.strong == 0
 
 
 def test_held_flags_equal_a_slow_count():
@@ -73,24 +75,24 @@ def test_free_motion_numbers_equal_those_of_all_samples_in_one_array():
         # Every other sample is slower than 0.02 rad/s, whatever the region of the limit.
         dq = np.where(np.arange(len(part)) % 2 == 0, 0.01, 0.03)[:, None]
         errors.add(recording(samples=len(part), dq=dq), estimates_of(part, limit=1e9, warm_from=100))
-    summary = errors.summary()
+    summary = errors.summary(None)
     kept = np.concatenate([part[100:] for part in parts]).astype(np.float32).astype(float)
     near = np.concatenate([np.arange(100, len(part)) % 2 == 0 for part in parts])
-    assert_allclose(summary["l1_nm"], [np.abs(kept).mean()], rtol=1e-12)
-    assert_allclose(summary["l2_nm"], [np.sqrt((kept**2).mean())], rtol=1e-12)
-    assert_allclose(summary["mse_nm2"], [(kept**2).mean()], rtol=1e-12)
-    assert_allclose(summary["rmse_near_stiction_nm"], [np.sqrt((kept[near] ** 2).mean())], rtol=1e-12)
-    assert_allclose(summary["rmse_sliding_nm"], [np.sqrt((kept[~near] ** 2).mean())], rtol=1e-12)
-    assert summary["samples"] == 1000 and summary["hours"] == pytest.approx(1 / 3600)
-    assert summary["false_alarms"] == 0
+    assert_allclose(summary.l1_nm, [np.abs(kept).mean()], rtol=1e-12)
+    assert_allclose(summary.l2_nm, [np.sqrt((kept**2).mean())], rtol=1e-12)
+    assert_allclose(summary.mse_nm2, [(kept**2).mean()], rtol=1e-12)
+    assert_allclose(summary.rmse_near_stiction_nm, [np.sqrt((kept[near] ** 2).mean())], rtol=1e-12)
+    assert_allclose(summary.rmse_sliding_nm, [np.sqrt((kept[~near] ** 2).mean())], rtol=1e-12)
+    assert summary.samples == 1000 and summary.hours == pytest.approx(1 / 3600)
+    assert summary.false_alarms == 0
 
 
 def test_what_does_not_exist_is_null_and_not_zero():
     errors = FreeMotionErrors(1)
     errors.add(recording(samples=10), estimates_of(np.full(10, np.nan), 1.0, warm_from=10))
-    summary = errors.summary()
-    assert summary["rmse_sliding_nm"] == [None] and summary["false_alarms_per_hour"] is None
-    json.dumps(summary, allow_nan=False)
+    summary = errors.summary(None)
+    assert summary.rmse_sliding_nm == (None,) and summary.false_alarms_per_hour is None
+    json.dumps(to_json(summary), allow_nan=False)
 
 
 @pytest.mark.parametrize(
@@ -118,10 +120,10 @@ def test_an_alarm_that_was_on_before_the_touch_does_not_find_it():
     (collision,) = find_collisions(made)
     stuck = np.zeros(3000)
     stuck[900:1500] = 5.0
-    assert not judge(collision, made, estimates_of(stuck, 1.0))["found"]
+    assert not judge(collision, made, estimates_of(stuck, 1.0)).found
     stuck[1050:1060] = 0.0  # released and raised again while in contact
     verdict = judge(collision, made, estimates_of(stuck, 1.0))
-    assert verdict["found"] and verdict["delay_s"] == pytest.approx(0.060)
+    assert verdict.found and verdict.delay_s == pytest.approx(0.060)
 
 
 def test_the_ten_are_drawn_by_seed_among_those_of_twice_the_limit():
@@ -135,9 +137,9 @@ def test_the_ten_are_drawn_by_seed_among_those_of_twice_the_limit():
     assert not {touches[20].id, touches[25].id} & set(
         choose_ten(touches[15:], limit, 3, [touches[20].id, touches[25].id])
     )
-    curve = found_curve([{"found": True, "peak_over_limit": c.sensor_peak_nm[0] / 5} for c in touches])
-    assert sum(entry["collisions"] for entry in curve) == 30 == sum(entry["found"] for entry in curve)
-    assert sum(entry["collisions"] for entry in found_curve([{"found": False, "peak_over_limit": None}])) == 0
+    curve = found_curve([SimpleNamespace(found=True, peak_over_limit=c.sensor_peak_nm[0] / 5) for c in touches])
+    assert sum(entry.collisions for entry in curve) == 30 == sum(entry.found for entry in curve)
+    assert sum(entry.collisions for entry in found_curve([SimpleNamespace(found=False, peak_over_limit=None)])) == 0
 
 
 def test_a_push_is_held_against_the_limit_that_holds_at_its_samples(tmp_path):
@@ -146,22 +148,22 @@ def test_a_push_is_held_against_the_limit_that_holds_at_its_samples(tmp_path):
     constant, moving = observer_bundle(2.0), with_error_scale(observer_bundle(2.0))
     bundles = {"constant": constant, "moving": moving}
     results = evaluate(bundles, [recording], [lambda: hit], tmp_path, seed=0, threads=1)
-    still, entry = results["bundles"]
-    assert (still["limits"]["moving"], entry["limits"]["moving"]) == (False, True)
+    still, entry = results.bundles
+    assert (still.limits.moving, entry.limits.moving) == (False, True)
     said = load_estimates(tmp_path / "moving" / "hit.parquet")
     ratio = np.abs(hit.tau_ext_sensor / said.limit_nm)[1000:1600].max()
-    assert entry["collisions"][0]["peak_over_limit"] == pytest.approx(ratio)
-    assert 1.2 < ratio < 2.0 < still["collisions"][0]["peak_over_limit"]
-    assert results["ten_collisions"] == []  # at the limits that move it is not strong
-    (found,) = [one for one in entry["found_curve"] if one["collisions"]]
-    assert found["peak_over_limit_from"] <= ratio < found["peak_over_limit_to"]
-    assert still["error_against_sigma"] is None and load_estimates(tmp_path / "constant/hit.parquet").sigma_nm is None
-    (sliding,), (near,) = (entry["error_against_sigma"][region] for region in ("sliding", "near_stiction"))
-    assert sliding == {"samples": 0, "within_one_sigma": None, "within_two_sigma": None, "bins": []}
-    assert near["samples"] == entry["free_motion"]["samples"] and near["within_one_sigma"] == 1.0
-    (only,) = near["bins"]
-    assert only["sigma_nm_from"] <= SIGMA_NEAR_NM < only["sigma_nm_to"]
-    assert only["sigma_rms_nm"] == pytest.approx(SIGMA_NEAR_NM) and only["error_rms_nm"] == pytest.approx(0, abs=1e-9)
+    assert entry.collisions[0].peak_over_limit == pytest.approx(ratio)
+    assert 1.2 < ratio < 2.0 < still.collisions[0].peak_over_limit
+    assert results.ten_collisions == ()  # at the limits that move it is not strong
+    (found,) = [one for one in entry.found_curve if one.collisions]
+    assert found.peak_over_limit_from <= ratio < found.peak_over_limit_to
+    assert still.error_against_sigma is None and load_estimates(tmp_path / "constant/hit.parquet").sigma_nm is None
+    (sliding,), (near,) = (entry.error_against_sigma[region] for region in ("sliding", "near_stiction"))
+    assert sliding == SigmaRegion(samples=0, within_one_sigma=None, within_two_sigma=None, bins=())
+    assert near.samples == entry.free_motion.samples and near.within_one_sigma == 1.0
+    (only,) = near.bins
+    assert only.sigma_nm_from <= SIGMA_NEAR_NM < only.sigma_nm_to
+    assert only.sigma_rms_nm == pytest.approx(SIGMA_NEAR_NM) and only.error_rms_nm == pytest.approx(0, abs=1e-9)
 
 
 def test_errors_against_sigma_are_counted_by_joint_region_and_bin():
@@ -176,13 +178,13 @@ def test_errors_against_sigma_are_counted_by_joint_region_and_bin():
     for region, odd in (("sliding", 1), ("near_stiction", 0)):
         rows = (np.arange(4000) >= 100) & (np.arange(4000) % 2 == odd)
         (entry,) = summary[region]
-        assert entry["samples"] == 2 * rows.sum() == sum(one["samples"] for one in entry["bins"])
-        assert entry["within_one_sigma"] == pytest.approx((size <= sigma)[rows].mean())
-        assert entry["within_two_sigma"] == pytest.approx((size <= 2 * sigma)[rows].mean())
-        for one, told in zip(entry["bins"], (0.5, 2.0), strict=True):
+        assert entry.samples == 2 * rows.sum() == sum(one.samples for one in entry.bins)
+        assert entry.within_one_sigma == pytest.approx((size <= sigma)[rows].mean())
+        assert entry.within_two_sigma == pytest.approx((size <= 2 * sigma)[rows].mean())
+        for one, told in zip(entry.bins, (0.5, 2.0), strict=True):
             here = rows & (sigma == told)
-            assert one["sigma_rms_nm"] == pytest.approx(told)
-            assert one["error_rms_nm"] == pytest.approx(np.sqrt((size[here] ** 2).mean()))
+            assert one.sigma_rms_nm == pytest.approx(told)
+            assert one.error_rms_nm == pytest.approx(np.sqrt((size[here] ** 2).mean()))
 
 
 def test_errors_of_contacts_and_of_the_second_after_them_are_held_against_their_own_sigma():
@@ -206,9 +208,9 @@ def test_errors_of_contacts_and_of_the_second_after_them_are_held_against_their_
     assert "contact" not in counted.summary()
     counted.add_touched([touch], made, replace(said, sigma_nm=sigma, contact_sigma_nm=sigma), true)
     (during,), (after,) = (counted.summary()[part] for part in ("contact", "second_after"))
-    assert (during["samples"], during["within_one_sigma"], during["within_two_sigma"]) == (600, 1.0, 1.0)
-    assert (after["samples"], after["within_one_sigma"], after["within_two_sigma"]) == (999, 0.0, 1.0)
-    assert after["bins"][0]["error_rms_nm"] == pytest.approx(3.0, rel=1e-6)
+    assert (during.samples, during.within_one_sigma, during.within_two_sigma) == (600, 1.0, 1.0)
+    assert (after.samples, after.within_one_sigma, after.within_two_sigma) == (999, 0.0, 1.0)
+    assert after.bins[0].error_rms_nm == pytest.approx(3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -256,7 +258,7 @@ def test_a_loss_history_stands_in_the_results_of_its_case(tmp_path):
     histories = {"observer": read_loss_history(bundle, tmp_path / "observer.tauext")}
     bundles = {"observer": bundle, "copied": bundle}
     results = evaluate(bundles, [recording], [], tmp_path, seed=0, threads=1, loss_histories=histories)
-    assert [bundle["loss_history"] for bundle in results["bundles"]] == [history, None]
+    assert [to_json(bundle.loss_history) for bundle in results.bundles] == [history, None]
 
 
 def test_a_bundle_without_a_run_file_or_without_training_has_no_loss_history(tmp_path):

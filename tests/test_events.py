@@ -10,6 +10,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.collisions import onset_s
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.events import EventMeasures, event_time, is_moving, labelled_events, own_limits
+from tauext.evaluate.results import Events
 
 
 def labelled(*spans: tuple[int, int], samples: int = 6000, **changes) -> Recording:
@@ -26,7 +27,7 @@ def alarms(*spans: tuple[int, int], samples: int = 6000) -> np.ndarray:
     return flags
 
 
-def judged(made: Recording, alarm: np.ndarray, healthy: np.ndarray | None = None, **config) -> dict:
+def judged(made: Recording, alarm: np.ndarray, healthy: np.ndarray | None = None, **config) -> Events:
     measures = EventMeasures(EventsConfig(**config), 0.02)
     zeros = np.zeros_like(made.q)
     measures.add(made, alarm, np.ones(made.samples, dtype=bool) if healthy is None else healthy, zeros, zeros)
@@ -36,39 +37,39 @@ def judged(made: Recording, alarm: np.ndarray, healthy: np.ndarray | None = None
 def test_an_alarm_within_the_tolerance_finds_the_event_and_is_not_false():
     made = labelled((2000, 2300), (4000, 4300))
     early = judged(made, alarms((1950, 1960), (4350, 4360)), tolerance_s=0.1)
-    assert early["all"]["found"] == 2 and early["all"]["false_alarms"] == 0
-    assert [v["delay_s"] for v in early["verdicts"]] == pytest.approx([-0.05, 0.35])
+    assert early.all.found == 2 and early.all.false_alarms == 0
+    assert [v.delay_s for v in early.verdicts] == pytest.approx([-0.05, 0.35])
     strict = judged(made, alarms((1950, 1960), (4350, 4360)), tolerance_s=0.02)
-    assert strict["all"]["found"] == 0 and strict["all"]["false_alarms"] == 2
+    assert strict.all.found == 0 and strict.all.false_alarms == 2
     # Free time: 6 s less two events of 0.3 s (300 samples) with 20 ms on both sides of their first and last samples.
-    assert strict["all"]["free_hours"] * 3600 == pytest.approx(6 - 2 * 0.340, abs=0.003)
+    assert strict.all.free_hours * 3600 == pytest.approx(6 - 2 * 0.340, abs=0.003)
 
 
 def test_alarms_less_than_half_a_second_apart_are_one_and_one_that_outlasts_its_event_is_none():
     made = labelled((2000, 2300))
     summary = judged(made, alarms((2100, 2600), (2900, 2950), (4000, 4010), (4300, 4310)), tolerance_s=0.1)
-    assert summary["all"]["found"] == 1 and summary["all"]["false_alarms"] == 1
+    assert summary.all.found == 1 and summary.all.false_alarms == 1
 
 
 def test_false_alarms_say_where_they_began_and_how_long_after_a_contact():
     made = labelled((2000, 2300))
     summary = judged(made, alarms((1000, 1010), (2100, 2110), (3300, 3310), (5000, 5010)), tolerance_s=0.1)
-    found = summary["false_alarms_at"]
-    assert [alarm["start_s"] for alarm in found] == pytest.approx([1.0, 3.3, 5.0])
-    assert found[0]["since_contact_s"] is None
-    assert [alarm["since_contact_s"] for alarm in found[1:]] == pytest.approx([1.001, 2.701])  # its last sample: 2.299
-    assert all(alarm["recording"] == made.name and not alarm["moving"] for alarm in found)
-    assert summary["all"]["false_alarms"] == 3
+    found = summary.false_alarms_at
+    assert [alarm.start_s for alarm in found] == pytest.approx([1.0, 3.3, 5.0])
+    assert found[0].since_contact_s is None
+    assert [alarm.since_contact_s for alarm in found[1:]] == pytest.approx([1.001, 2.701])  # its last sample: 2.299
+    assert all(alarm.recording == made.name and not alarm.moving for alarm in found)
+    assert summary.all.false_alarms == 3
     unlabelled = judged(recording(samples=6000), alarms((1000, 1010)))
-    assert [alarm["since_contact_s"] for alarm in unlabelled["false_alarms_at"]] == [None]
+    assert [alarm.since_contact_s for alarm in unlabelled.false_alarms_at] == [None]
 
 
 def test_short_events_and_those_before_the_warm_up_are_neither_missed_nor_free_time():
     made = labelled((100, 400), (2000, 2010), (4000, 4300))
     healthy = np.arange(6000) >= 500
     summary = judged(made, alarms((2005, 2006)), healthy, shortest_event_s=0.05, tolerance_s=0.0)
-    assert summary["left_out"] == 2 and summary["all"]["events"] == 1 and summary["all"]["false_alarms"] == 0
-    assert summary["all"]["free_hours"] * 3600 == pytest.approx(5.5 - 0.31, abs=0.003)
+    assert summary.left_out == 2 and summary.all.events == 1 and summary.all.false_alarms == 0
+    assert summary.all.free_hours * 3600 == pytest.approx(5.5 - 0.31, abs=0.003)
 
 
 def test_moving_and_resting_events_and_time_are_told_apart_by_position():
@@ -78,8 +79,8 @@ def test_moving_and_resting_events_and_time_are_told_apart_by_position():
     moving = is_moving(made, 0.02)
     assert not moving[:2700].any() and moving[3100:5800].all()
     summary = judged(made, alarms((1010, 1020), (2000, 2010)))
-    assert (summary["resting"]["found"], summary["moving"]["found"]) == (1, 0)
-    assert (summary["resting"]["false_alarms"], summary["moving"]["false_alarms"]) == (1, 0)
+    assert (summary.resting.found, summary.moving.found) == (1, 0)
+    assert (summary.resting.false_alarms, summary.moving.false_alarms) == (1, 0)
     events, _ = labelled_events(made, EventsConfig(), 0.02)
     assert [event.moving for event in events] == [False, True]
 
@@ -101,12 +102,12 @@ def test_an_onset_is_the_first_sample_outside_the_noise_band():
 def test_a_test_recording_with_contacts_counts_as_events_and_by_its_free_motion(tmp_path):
     hit = pushed("hit", 10.0)
     results = evaluate({"observer": observer_bundle(2.0)}, [lambda: hit], [], tmp_path, seed=0, threads=1)
-    bundle = results["bundles"][0]
-    assert bundle["events"]["all"]["events"] == bundle["events"]["all"]["found"] == 1
-    assert bundle["free_motion"]["false_alarms"] == 0 and len(bundle["collisions"]) == 1
+    bundle = results.bundles[0]
+    assert bundle.events.all.events == bundle.events.all.found == 1
+    assert bundle.free_motion.false_alarms == 0 and len(bundle.collisions) == 1
     # 3 s at 1 kHz: less the warm-up of 0.5 s, the push of 0.4 s, 0.2 s before and 1 s after it.
-    assert bundle["free_motion"]["samples"] == pytest.approx(900, abs=3)
-    assert results["own_torque"] is None
+    assert bundle.free_motion.samples == pytest.approx(900, abs=3)
+    assert results.own_torque is None
 
 
 def test_the_robots_own_torque_is_judged_by_its_largest_free_value():

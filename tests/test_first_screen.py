@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 from made_results import make_results
 
+from tauext.check.preflight import RejectedTime
 from tauext.evaluate.results import (
     CurvePoint,
     EvaluatedBundle,
     Limits,
-    RejectedTime,
     Results,
     StrengthBin,
     load_results,

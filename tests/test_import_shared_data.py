@@ -30,7 +30,7 @@ UR3 = f"""
 joints = {UR_JOINTS}
 names = ["Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3"]
 {JOINT_STATES}
-sign = -1
+tau.sign = -1
 """
 UR10 = f"[robot]\njoints = {UR_JOINTS}\n{JOINT_STATES}"
 PANDA = f"[robot]\njoints = {PANDA_JOINTS}\nnames = {[f'fer_joint{k}' for k in range(1, 8)]}\n{JOINT_STATES}"
@@ -39,15 +39,11 @@ TOUCHED_PANDA = f"""
 joints = {PANDA_JOINTS}
 [time]
 column = "time"
-[signals.q]
-columns = "q{{index}}"
-[signals.dq]
-columns = "dq{{index}}"
-[signals.tau]
-columns = "tau_J{{index}}"
-[signals.tau_ext]
-columns = "tau_ext{{index}}"
-sign = -1
+[signals]
+q.columns = "q{{index}}"
+dq.columns = "dq{{index}}"
+tau.columns = "tau_J{{index}}"
+tau_ext = {{columns = "tau_ext{{index}}", sign = -1}}
 [contact]
 column = "label"
 """

@@ -13,7 +13,7 @@ from made_bundles import LIMIT_NM, TOOL_M, planar_tool_bundle, pushed, watching_
 
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
-from tauext.evaluate.results import Injected, JsonReader, results_of, to_json
+from tauext.evaluate.results import results_of, to_json
 from tauext.report.force_figures import draw_injected, injected_table, injected_words
 
 SECONDS = 40.0
@@ -64,24 +64,23 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
     recording = replace(pushed(seconds=SECONDS, pushes=()), name="free")
     bundle = watching_bundle(network=False)
     found = evaluate({"watching": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)
-    written = {"format": 3, "provenance": {}} | json.loads(json.dumps(found))
+    written = json.loads(json.dumps(to_json(found)))
     assert to_json(results_of(written, "results.json")) == written  # every key has its field, every field its key
-    injected = found["bundles"][0]["injected"]
-    assert injected["without_forces"] and injected["unit"] == "Nm" and injected["unhealthy"] == 0
+    injected = found.bundles[0].injected
+    assert injected.without_forces and injected.unit == "Nm" and injected.unhealthy == 0
     shown = 1 - math.exp(-0.9 * bundle.observer.gain_per_s)
-    curves = {(one["place"], one["shape"]): one for one in injected["curves"]}
+    curves = {(one.place, one.shape): one for one in injected.curves}
     assert {shape for _, shape in curves} == {*SHAPES}
     for (_, shape), one in curves.items():
-        assert one["bins"][0]["latched"] == 0  # a quarter of the limit
+        assert one.bins[0].latched == 0  # a quarter of the limit
         if shape == "press":
-            assert LIMIT_NM / shown <= one["nine_of_ten"] <= 2.2 * LIMIT_NM
-            assert one["bins"][-1]["latched"] == one["bins"][-1]["events"]
-    report = JsonReader(2).object(Injected, injected, "results")
-    assert report.unit == "Nm" and "press" in injected_words(report)
-    shown_one = SimpleNamespace(name="a", label="watching", injected=report)
+            assert LIMIT_NM / shown <= one.nine_of_ten <= 2.2 * LIMIT_NM
+            assert one.bins[-1].latched == one.bins[-1].events
+    assert "press" in injected_words(injected)
+    shown_one = SimpleNamespace(name="a", label="watching", injected=injected)
     panels = draw_injected([shown_one], shown_one).figure.axes
     assert [axes.get_title() for axes in panels[: len(SHAPES)]] == [*SHAPES]
-    press = report.at(report.place)[list(SHAPES).index("press")]
+    press = injected.at(injected.place)[list(SHAPES).index("press")]
     np.testing.assert_allclose(
         panels[list(SHAPES).index("press")].lines[0].get_ydata(),
         [100 * one.latched / one.events for one in press.bins if one.events],
@@ -94,10 +93,8 @@ def test_a_short_hit_needs_more_than_a_long_one_by_the_observers_share_of_it(tmp
     recording = pushed(seconds=120.0, pushes=())
     bundle = watching_bundle(network=False)
     bundle.hold_s = 0.0
-    curves = evaluate({"a": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)["bundles"][0]["injected"][
-        "curves"
-    ]
-    needed = {(one["place"], one["shape"]): one["nine_of_ten"] or math.inf for one in curves}
+    curves = evaluate({"a": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True).bundles[0].injected.curves
+    needed = {(one.place, one.shape): one.nine_of_ten or math.inf for one in curves}
     for place in {place for place, _ in needed}:
         assert needed[place, "hit of 20 ms"] > needed[place, "hit of 60 ms"] > needed[place, "hit of 200 ms"]
 
@@ -113,11 +110,11 @@ def test_profiles_have_their_mean_and_peak():
 
 def test_the_curve_counts_what_is_detected_and_finds_where_it_is_sure():
     rows = [(float(peak), peak >= 40, False, 0.03 if peak >= 40 else None) for peak in range(1, 101)]
-    one = curve(rows)
-    assert (one["events"], one["latched"], one["nine_of_ten"]) == (100, 61, 40.0)
-    assert one["delay_median_s"] == one["delay_p95_s"] == 0.03
-    assert sum(b["events"] for b in one["bins"]) == 100 and sum(b["latched"] for b in one["bins"]) == 61
-    assert curve([(peak, False, False, None) for peak, *_ in rows])["nine_of_ten"] is None
+    one = curve("tool", "press", rows)
+    assert (one.events, one.latched, one.nine_of_ten) == (100, 61, 40.0)
+    assert one.delay_median_s == one.delay_p95_s == 0.03
+    assert sum(b.events for b in one.bins) == 100 and sum(b.latched for b in one.bins) == 61
+    assert curve("tool", "press", [(peak, False, False, None) for peak, *_ in rows]).nine_of_ten is None
 
 
 def test_what_was_touched_gets_no_further_touch():

@@ -22,7 +22,7 @@ from tauext.monitor.loop import Loop
 from tauext.monitor.source import SourceSettings, Stoppable
 from tauext.sources.franka import FrankaSource
 from tauext.sources.replay import ReplaySource
-from tauext.sources.ur import UrSource, load_torque_constants
+from tauext.sources.ur import UrSource
 
 UR_JOINTS = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 FRANKA_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
@@ -311,25 +311,6 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, constants)
         UrSource("h", constants).open(SourceSettings(UR_JOINTS, 2_000_000))
     with pytest.raises(ConfigError, match=r"pip install 'tauext\[franka\]'"):
         FrankaSource("h").open(SourceSettings(FRANKA_JOINTS, 1_000_000))
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("", "nm_per_ampere is missing"),
-        ("[nm_per_ampere]\nbase = 0\n", "base = 0 must be a number .*, not 0"),
-        ("[nm_per_ampere]\nbase = 'x'\n", "base = 'x' must be a number"),
-        ("[nm_per_ampere]\nbasis = 1\n", "unknown key 'basis' in .nm_per_ampere.; the nearest known is 'base'"),
-        ("[nm_per_amp]\n", "unknown key 'nm_per_amp' at the top"),
-    ],
-)
-def test_torque_constants_that_break_a_rule_say_which(tmp_path, text, message):
-    path = tmp_path / "constants.toml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_torque_constants(path, UR_JOINTS)
-    with pytest.raises(ConfigError, match="there is no such file$"):
-        load_torque_constants(tmp_path / "none.toml", UR_JOINTS)
 
 
 def test_a_replay_waits_for_its_time_and_loses_nothing(monkeypatch):

@@ -266,21 +266,21 @@ mass = 0
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("old", "new", "message"),
     [
-        (("from_s = 4.0", "from_s = 1.0"), "load 2 from_s = 1 must not be before"),
-        (("from_s = 4.0", "from_s = 1e308"), "load 2 from_s = 1e[+]308 must be a number from 0 to 1e[+]09"),
-        (("mass = 1.9", ""), "load 1 mass is missing"),
-        (("com = [0.03, -0.04, 0.08]", "com = [1.0]"), "com = .* must be a list of 3 numbers"),
-        (("error = 0.0", "eror = 0.0"), "unknown key 'eror'"),
-        (("[[load]]", "[[loads]]"), "unknown key 'loads'"),
-        (("from_s = 4.0", "from_s = true"), "must be a number"),
+        ("from_s = 4.0", "from_s = 1.0", "load 2 from_s = 1 must not be before"),
+        ("from_s = 4.0", "from_s = 1e308", "load 2 from_s = 1e[+]308 must be a number from 0 to 1e[+]09"),
+        ("mass = 1.9", "", "load 1 mass is missing"),
+        ("com = [0.03, -0.04, 0.08]", "com = [1.0]", "com = .* must be a list of 3 numbers"),
+        ("error = 0.0", "eror = 0.0", "unknown key 'eror'"),
+        ("[[load]]", "[[loads]]", "unknown key 'loads'"),
+        ("from_s = 4.0", "from_s = true", "must be a number"),
     ],
 )
-def test_a_file_of_loads_that_breaks_a_rule_says_which(tmp_path, change, message):
+def test_a_file_of_loads_that_breaks_a_rule_says_which(tmp_path, old, new, message):
     path = tmp_path / "loads.toml"
-    assert change[0] in LOADS
-    path.write_text(LOADS.replace(*change))
+    assert old in LOADS
+    path.write_text(LOADS.replace(old, new))
     with pytest.raises(ConfigError, match=message):
         read_loads(path)
 
@@ -353,7 +353,7 @@ def test_a_live_monitor_is_told_by_lines_and_profiles(arm, tmp_path):
         (PICKED + 301, 1.9, "a line"),
         (4001, 0.0, "profile empty"),
     ]
-    tau_ext = np.concatenate([verdict.said["tau_ext"] for verdict in keeper.verdicts])
+    tau_ext = np.concatenate([verdict.estimates["tau_ext"] for verdict in keeper.verdicts])
     assert np.abs(tau_ext[PICKED + 301 : 4001]).max() < 1e-9 < np.abs(tau_ext[4500:]).max()
 
 

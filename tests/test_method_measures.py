@@ -11,12 +11,13 @@ from sliding_mass import estimates_of, noisy, observer_bundle, pushed, recording
 
 from tauext.bundle.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.evaluate.collisions import by_strength, find_collisions
+from tauext.evaluate.collisions import LatchVerdict, by_strength, find_collisions
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.errors import low_pass
-from tauext.evaluate.free_motion import AfterContact, check_promise, count_episodes, promised_per_hour
+from tauext.evaluate.free_motion import AfterContact, FreeMotionErrors, count_episodes, promised_per_hour
 from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve, held_ratio
+from tauext.evaluate.results import to_json
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.02])
@@ -29,15 +30,15 @@ def test_the_missed_curve_equals_alarms_with_scaled_limits_run_anew(hold_s):
     curve.add_free(free, estimate_recording(bundle, free, 1))
     curve.add_collisions(touches, hit, estimate_recording(bundle, hit, 1))
     points = curve.summary()
-    assert any(p["scale"] == 1 for p in points) and len({p["missed"] for p in points}) > 2
-    assert len({p["false_per_hour"] for p in points}) > 5
+    assert any(p.scale == 1 for p in points) and len({p.missed for p in points}) > 2
+    assert len({p.false_per_hour for p in points}) > 5
     for point in points[::6]:
-        bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.5 * point["scale"]]
+        bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.5 * point.scale]
         said = estimate_recording(bundle, free, 1)
         false = count_episodes(said.held_alarm == COLLISION, 500)
-        assert point["false_per_hour"] == pytest.approx(false / (said.healthy.sum() / 3.6e6))
+        assert point.false_per_hour == pytest.approx(false / (said.healthy.sum() / 3.6e6))
         alarm = estimate_recording(bundle, hit, 1).held_alarm == COLLISION
-        assert point["missed"] == sum(not alarm[t.begin : t.end + 200].any() for t in touches)
+        assert point.missed == sum(not alarm[t.begin : t.end + 200].any() for t in touches)
 
 
 def test_the_held_ratio_is_over_a_factor_only_where_one_joint_was_all_the_time():
@@ -72,13 +73,13 @@ def test_the_reference_is_the_step_response_at_any_gain_and_for_uneven_stamps():
 def test_an_observer_of_another_gain_is_held_against_the_true_torque_at_its_own_gain(tmp_path):
     hit = pushed("hit", 10.0)
     fast = observer_bundle(2.0, gain_per_s=100.0)
-    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)["bundles"]
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1).bundles
     # At K0 = 20 the sensor would be 8.9 ms behind.
-    assert abs(bundle["latched"]["delay_against_sensor_median_s"]) <= 0.001
-    assert bundle["rmse_during_contact_nm"][0] < 1e-6 * 10  # single precision
+    assert abs(bundle.latched.delay_against_sensor_median_s) <= 0.001
+    assert bundle.rmse_during_contact_nm[0] < 1e-6 * 10  # single precision
     plain = replace(hit, tau_ext=None)
-    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1)["bundles"]
-    assert bundle["latched"]["delay_against_sensor_median_s"] == pytest.approx(-0.0089, abs=0.001)
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1).bundles
+    assert bundle.latched.delay_against_sensor_median_s == pytest.approx(-0.0089, abs=0.001)
 
 
 def test_what_was_promised_is_compared_with_what_was_counted():
@@ -88,23 +89,25 @@ def test_what_was_promised_is_compared_with_what_was_counted():
     assert promised_per_hour({"limits": {"promise": promise | {"supported": False}}}) == 6.0
     assert promised_per_hour({}) is None
     # Garwood: three events in 10 h, 95 %: 0.062 to 0.877 an hour.
-    told = check_promise(0.125, 3, 10.0)
-    assert_allclose(told["false_collisions_interval_per_hour"], [0.0619, 0.8767], atol=1e-4)
-    assert told["promise_consistent"] and told["promise_kept"]
-    assert not check_promise(0.125, 6, 10.0)["promise_kept"]
-    assert not check_promise(1.0, 1, 10.0)["promise_consistent"] and check_promise(1.0, 1, 10.0)["promise_kept"]
-    none = check_promise(0.125, 0, 0.0)
-    assert none["promise_kept"] is none["false_collisions_interval_per_hour"] is None
-    assert check_promise(None, 3, 10.0)["promise_kept"] is None
+    counted = partial(FreeMotionErrors, 1, seconds=36000.0)
+    found = counted(false_collisions=3).summary(0.125)
+    assert_allclose(found.false_collisions_interval_per_hour, [0.0619, 0.8767], atol=1e-4)
+    assert found.promise_consistent and found.promise_kept
+    assert not counted(false_collisions=6).summary(0.125).promise_kept
+    one = counted(false_collisions=1).summary(1.0)
+    assert not one.promise_consistent and one.promise_kept
+    none = FreeMotionErrors(1).summary(0.125)
+    assert none.promise_kept is none.false_collisions_interval_per_hour is None
+    assert counted(false_collisions=3).summary(None).promise_kept is None
 
 
 def test_strength_bins_hold_every_collision_once():
     touches = [find_collisions(pushed(f"p{k}", force))[0] for k, force in enumerate((0.5, 1.5, 1.6, 9.0, 100.0))]
-    verdicts = [{"latched": k > 1, "unhealthy": False, "delay_s": 0.01 * k if k > 1 else None} for k in range(5)]
+    verdicts = [LatchVerdict(k > 1, False, False, 0.01 * k if k > 1 else None, None) for k in range(5)]
     bins = by_strength(touches, verdicts)
-    assert [b["collisions"] for b in bins] == [1, 2, 0, 0, 1, 0, 1] and bins[-1]["peak_nm_to"] is None
-    assert [b["latched"] for b in bins] == [0, 1, 0, 0, 1, 0, 1]
-    assert bins[1]["delay_median_s"] == pytest.approx(0.02) and bins[0]["delay_median_s"] is None
+    assert [b.collisions for b in bins] == [1, 2, 0, 0, 1, 0, 1] and bins[-1].peak_nm_to is None
+    assert [b.latched for b in bins] == [0, 1, 0, 0, 1, 0, 1]
+    assert bins[1].delay_median_s == pytest.approx(0.02) and bins[0].delay_median_s is None
 
 
 def test_alarms_and_errors_are_told_apart_by_the_time_since_the_touch():
@@ -123,15 +126,15 @@ def test_alarms_and_errors_are_told_apart_by_the_time_since_the_touch():
     after.add_touched(made, replace(said, held_alarm=level))
     free = recording("free", 6000)
     after.add_free(free, replace(said, held_alarm=level))
-    told = after.summary()
+    found = after.summary()
     # Sample 1199 is the last in touch; 5099 the last of the second, and from 5500 on nothing is known.
-    assert_allclose([b["hours"] * 3.6e6 for b in told["bins"]], [300 + 201, 500, 500, 1000], atol=1.001)
-    assert [b["contacts"] for b in told["bins"]] == [0, 1, 0, 1]
-    assert [b["collisions"] for b in told["bins"]] == [0, 0, 0, 1]
-    assert told["bins"][2]["rmse_nm"] == [1.0]
-    assert told["bins"][1]["rmse_nm"][0] == pytest.approx(np.sqrt((390 + 110 * 16) / 500), rel=0.01)
-    assert told["free_motion"]["contacts"] == 4 and told["free_motion"]["collisions"] == 3
-    assert told["free_motion"]["contacts_per_hour"] == pytest.approx(4 / (6 / 3600))
+    assert_allclose([b.hours * 3.6e6 for b in found.bins], [300 + 201, 500, 500, 1000], atol=1.001)
+    assert [b.contacts for b in found.bins] == [0, 1, 0, 1]
+    assert [b.collisions for b in found.bins] == [0, 0, 0, 1]
+    assert found.bins[2].rmse_nm == (1.0,)
+    assert found.bins[1].rmse_nm[0] == pytest.approx(np.sqrt((390 + 110 * 16) / 500), rel=0.01)
+    assert found.free_motion.contacts == 4 and found.free_motion.collisions == 3
+    assert found.free_motion.contacts_per_hour == pytest.approx(4 / (6 / 3600))
 
 
 def test_only_the_first_estimates_of_free_motion_are_kept_and_all_of_collisions(tmp_path):
@@ -163,14 +166,14 @@ def test_detectors_that_know_nothing_show_what_a_number_is_worth(tmp_path):
         keep_free_estimates=0,
         sanity=True,
     )
-    json.dumps(results, allow_nan=False)
-    always, never, random = results["sanity"]
-    assert (always["found"], always["latched"], always["time_in_alarm_share"]) == (1, 0, 1.0)
-    assert always["false_per_hour"] == pytest.approx(2)  # one that never ends, in half an hour
-    assert (never["found"], never["latched"], never["false_per_hour"]) == (0, 0, 0)
+    json.dumps(to_json(results), allow_nan=False)
+    always, never, random = results.sanity
+    assert (always.found, always.latched, always.time_in_alarm_share) == (1, 0, 1.0)
+    assert always.false_per_hour == pytest.approx(2)  # one that never ends, in half an hour
+    assert (never.found, never.latched, never.false_per_hour) == (0, 0, 0)
     # 30 alarms are expected in half an hour, 5.5 the standard deviation; each 0.1 s.
-    assert 30 - 17 < random["false_per_hour"] / 2 < 30 + 17
-    assert random["time_in_alarm_share"] == pytest.approx(0.1 * random["false_per_hour"] / 3600, rel=0.1)
+    assert 30 - 17 < random.false_per_hour / 2 < 30 + 17
+    assert random.time_in_alarm_share == pytest.approx(0.1 * random.false_per_hour / 3600, rel=0.1)
 
 
 def test_results_are_plain_json_and_copy_what_the_bundle_was_trained_on(tmp_path):
@@ -179,15 +182,16 @@ def test_results_are_plain_json_and_copy_what_the_bundle_was_trained_on(tmp_path
     facts = {"recipe": "prior", "case": "none", "training_minutes": 5.0, "limits": {"promise": promise}}
     bundle.provenance = json.dumps(facts)
     results = evaluate({"o": bundle}, [recording], [lambda: pushed("hit", 10.0)], tmp_path, seed=0, threads=1)
-    (bundle,) = json.loads(json.dumps(results, allow_nan=False))["bundles"]
-    assert (bundle["recipe"], bundle["case"], bundle["training_minutes"]) == ("prior", "none", 5.0)
-    assert bundle["free_motion"]["promised_per_hour"] == 0.125 and bundle["free_motion"]["promise_kept"] is True
-    assert results["sanity"] == []
+    (bundle,) = results.bundles
+    json.dumps(to_json(results), allow_nan=False)
+    assert (bundle.recipe, bundle.case, bundle.training_minutes) == ("prior", "none", 5.0)
+    assert bundle.free_motion.promised_per_hour == 0.125 and bundle.free_motion.promise_kept is True
+    assert results.sanity == ()
 
 
 def test_one_method_with_hopeless_limits_does_not_leave_the_others_without_collisions_to_show(tmp_path):
     hits = [partial(pushed, f"hit-{k:02d}", 10.0 + k) for k in range(12)]
     good = {name: observer_bundle(2.0) for name in "abc"}
-    alone = evaluate(good, [recording], hits, tmp_path, seed=5, threads=1)["ten_collisions"]
+    alone = evaluate(good, [recording], hits, tmp_path, seed=5, threads=1).ten_collisions
     beside = evaluate(good | {"d": observer_bundle(1e3)}, [recording], hits, tmp_path, seed=5, threads=1)
-    assert beside["ten_collisions"] == alone and len(alone) == 10
+    assert beside.ten_collisions == alone and len(alone) == 10

@@ -24,12 +24,13 @@ from tauext.evaluate.noticed_force import (
     MOST_N,
     even_ways,
     least_force,
+    noticed,
     noticed_force,
     points,
-    shown_after,
     usual_limits,
     worst_force,
 )
+from tauext.evaluate.results import NoticedForce, OverPoses, to_json
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
@@ -55,20 +56,20 @@ def at_poses(bundle, q, limit=LIMITS, which=-1, frames=()):
 
 def test_it_takes_the_limit_over_the_lever(planar):
     straight = at_poses(planar, [0, 0])  # both levers along x: 0.5 m to the shoulder, 0.2 m to the elbow
-    assert straight["y"] == {"median_n": pytest.approx(6 / 0.5), "worst_n": pytest.approx(6 / 0.5), "blind_share": 0}
-    assert straight["x"] == {"median_n": None, "worst_n": None, "blind_share": 1}  # along the arm nobody feels it
-    assert straight["z"]["blind_share"] == straight["worst_way"]["blind_share"] == 1  # out of the plane never
+    assert straight.y == OverPoses(pytest.approx(6 / 0.5), pytest.approx(6 / 0.5), 0)
+    assert straight.x == OverPoses(None, None, 1)  # along the arm nobody feels it
+    assert straight.z.blind_share == straight.worst_way.blind_share == 1  # out of the plane never
     bent = at_poses(planar, [0, np.pi / 2])  # the tool stands 0.3 m beside the shoulder and 0.2 m above it
-    assert bent["x"]["worst_n"] == pytest.approx(min(6 / 0.2, 3 / 0.2))
-    assert bent["y"]["worst_n"] == pytest.approx(6 / 0.3)  # through the elbow's axis
+    assert bent.x.worst_n == pytest.approx(min(6 / 0.2, 3 / 0.2))
+    assert bent.y.worst_n == pytest.approx(6 / 0.3)  # through the elbow's axis
 
 
 def test_a_link_is_asked_at_its_end_and_a_frame_by_its_name(planar):
     names = [point.name for point in points(planar, ["elbow"])]
     assert names == ["link of shoulder, at elbow", "load's frame tool", "frame elbow"]
     end = at_poses(planar, [0.7, 0.4], which=0)
-    assert np.hypot(1 / end["x"]["worst_n"], 1 / end["y"]["worst_n"]) == pytest.approx(LENGTH / 6)
-    assert at_poses(planar, [0.7, 0.4], which=2, frames=["elbow"])["y"] == end["y"]
+    assert np.hypot(1 / end.x.worst_n, 1 / end.y.worst_n) == pytest.approx(LENGTH / 6)
+    assert at_poses(planar, [0.7, 0.4], which=2, frames=["elbow"]).y == end.y
     load = planar.load_settings
     load.link = -1
     planar.load_settings = load
@@ -79,15 +80,13 @@ def test_a_link_is_asked_at_its_end_and_a_frame_by_its_name(planar):
 
 def test_median_and_worst_are_over_the_poses(planar):
     poses_ = [[0, 0], [0.3, 0.8], [0.6, -1.2]]
-    alone = [at_poses(planar, q)["y"]["worst_n"] for q in poses_]
+    alone = [at_poses(planar, q).y.worst_n for q in poses_]
     of_all = at_poses(planar, poses_)
-    assert of_all["y"]["worst_n"] == pytest.approx(max(alone)) and of_all["y"]["median_n"] == pytest.approx(
-        np.median(alone)
-    )
-    assert of_all["x"]["blind_share"] == pytest.approx(1 / 3) and of_all["x"]["worst_n"] is None
-    assert of_all["x"]["median_n"] is not None
+    assert of_all.y.worst_n == pytest.approx(max(alone)) and of_all.y.median_n == pytest.approx(np.median(alone))
+    assert of_all.x.blind_share == pytest.approx(1 / 3) and of_all.x.worst_n is None
+    assert of_all.x.median_n is not None
     twice = at_poses(planar, poses_, limit=[12.0, 6.0])
-    assert twice["every_way"]["median_n"] == pytest.approx(2 * of_all["every_way"]["median_n"])
+    assert twice.every_way.median_n == pytest.approx(2 * of_all.every_way.median_n)
 
 
 def test_ways_are_even_on_half_a_sphere_and_a_force_counts_as_its_opposite():
@@ -139,7 +138,7 @@ def test_levers_are_pinocchio_s_at_a_frame_of_the_robot_file():
         found = at_poses(bundle, q, limit, frames=[frame.name])
         for axis, row in zip("xyz", J, strict=True):
             wanted = 1 / np.abs(row / limit).max()
-            assert found[axis]["worst_n"] == (pytest.approx(wanted) if wanted <= MOST_N else None)
+            assert getattr(found, axis).worst_n == (pytest.approx(wanted) if wanted <= MOST_N else None)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +171,8 @@ def test_the_chain_goes_over_its_limit_from_the_stated_force_on(arm_bundle, whic
             (usual_limits(arm_bundle, 1)["collision near stiction"], "limit_nm"),
             (usual_limits(arm_bundle, 1)["contact near stiction"], "contact_limit_nm"),
         ):
-            stated = at_poses(arm_bundle, q, limits[0], which)[way]["worst_n"]
+            stated = at_poses(arm_bundle, q, limits[0], which)
+            stated = getattr(stated, way).worst_n
             for times, over in ((0.97, False), (1.03, True), (-0.97, False), (-1.03, True)):
                 tau = gravity - times * stated * lever
                 said = _core.Monitor(arm_bundle).run(regular_times(1500), still, np.zeros_like(still), tau)
@@ -189,8 +189,8 @@ def test_the_contact_limit_of_an_evaluation_is_that_of_the_monitor(arm_bundle):
 
 
 def test_a_force_that_stays_is_told_when_the_observer_shows_it(arm_bundle):
-    after = shown_after(arm_bundle)
-    assert after["twice_after_s"]["contact"] == pytest.approx(np.log(2) / 20 + arm_bundle.contact_hold_s)
+    found = noticed(arm_bundle, np.zeros((1, 2)), {}, 0.0)
+    assert found.twice_after_s["contact"] == pytest.approx(np.log(2) / 20 + arm_bundle.contact_hold_s)
     still = np.zeros((1200, 2))
     tau = _core.Tree(arm_bundle.links, arm_bundle.gravity).momentum(still, still)[1]
     tau[1000:, 1] -= 2 * arm_bundle.near_stiction_limit_nm[1]
@@ -203,16 +203,16 @@ def test_a_force_that_stays_is_told_when_the_observer_shows_it(arm_bundle):
 def test_an_evaluation_holds_it_over_its_test_recordings_or_says_why_not(arm_bundle, tmp_path):
     bundles = {"planar": arm_bundle, "none": with_error_scale(watching_bundle())}
     made = pushed(pushes=(), seconds=8.0)
-    found, refused = (one["noticed_force"] for one in evaluate(bundles, [lambda: made], [], tmp_path, 0, 1)["bundles"])
-    assert 6 <= found["poses"] <= 8 and set(found["limits"]) == {"collision", "contact"}
-    assert refused == {"refused": _core.WrenchModel(bundles["none"]).refused}
+    found, refused = (one.noticed_force for one in evaluate(bundles, [lambda: made], [], tmp_path, 0, 1).bundles)
+    assert 6 <= found.poses <= 8 and set(found.limits) == {"collision", "contact"}
+    assert refused == NoticedForce(_core.WrenchModel(bundles["none"]).refused)
     kept_ = load_estimates(tmp_path / "planar" / "pushed.parquet")
     assert kept_.contact_limit_nm is None  # that of a flight's estimates alone
-    every = [one["every_way"]["median_n"] for one in (*found["limits"]["collision"], *found["limits"]["contact"])]
+    every = [one.every_way.median_n for one in (*found.limits["collision"], *found.limits["contact"])]
     usual = usual_limits(arm_bundle, 1)
     regions = ("collision while sliding", "collision near stiction")
     ends = [at_poses(arm_bundle, made.q[::1000], usual[name][0]) for name in regions]
-    assert ends[0]["every_way"]["median_n"] * 0.9 < every[1] < ends[1]["every_way"]["median_n"] * 1.1
+    assert ends[0].every_way.median_n * 0.9 < every[1] < ends[1].every_way.median_n * 1.1
 
 
 def test_a_bundle_keeps_poses_that_are_even_in_time():
@@ -246,7 +246,7 @@ def test_show_force_tells_it_in_lines_and_as_json(kept, arm_bundle, capsys):
     found = json.loads(out)
     assert found["poses"] == 3 and len(found["limits"]) == 4
     wanted = at_poses(arm_bundle, [[0.0, 0.0], [0.3, 0.8], [0.6, -1.2]], which=1)
-    assert found["limits"]["collision while sliding"][1] == wanted
+    assert found["limits"]["collision while sliding"][1] == to_json(wanted)
     assert found["limits"]["contact near stiction"][2]["place"] == "frame elbow"
 
 

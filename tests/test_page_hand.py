@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from made_page import SHORT, smooth_arm, smooth_bundle
+from made_page import SHORT, SMOOTH_ARM, smooth_bundle
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.errors import ConfigError
@@ -23,15 +23,10 @@ LIMIT_NM = 3.0
 
 
 @pytest.fixture(scope="module")
-def arm():
-    return smooth_arm()
-
-
-@pytest.fixture(scope="module")
-def bundles(arm, tmp_path_factory):
+def bundles(tmp_path_factory):
     """An observer that may be told of loads, and one that may not."""
     folder = tmp_path_factory.mktemp("hand")
-    bundle, _ = smooth_bundle(arm, folder, LIMIT_NM)
+    bundle, _ = smooth_bundle(folder, LIMIT_NM)
     bundle.assume_load()
     bundle.save(str(folder / "tauext.tauext"))
     settings = bundle.load_settings
@@ -41,9 +36,9 @@ def bundles(arm, tmp_path_factory):
     return {"tauext": folder / "tauext.tauext", "deaf": folder / "deaf.tauext"}
 
 
-def moving(arm, bundles, method="tauext"):
+def moving(bundles, method="tauext"):
     """Two seconds after its start; it goes on whatever is said."""
-    simulation = Simulation(arm, seed=1)
+    simulation = Simulation(SMOOTH_ARM, seed=1)
     simulation.watch_with({name: str(path) for name, path in bundles.items()}, method)
     simulation.set_reaction("ignore")
     run(simulation, 2.0)
@@ -82,37 +77,37 @@ def test_the_weights_torque_is_the_difference_of_two_arms():
     assert not plant.step(q, dq).tau_held.any()
 
 
-def test_more_friction_leaves_the_weight_in_the_hand(arm):
-    plant = Plant(arm)
-    plant.hold(ball(arm, 2.0))
+def test_more_friction_leaves_the_weight_in_the_hand():
+    plant = Plant(SMOOTH_ARM)
+    plant.hold(ball(SMOOTH_ARM, 2.0))
     plant.set_friction(2.0)
     assert plant.model.body("held").mass == 2.0
     assert plant.model.nv == 7
 
 
-def test_a_weight_that_nobody_told_of_is_a_collision_and_is_weighed(arm, bundles):
-    simulation = moving(arm, bundles)
+def test_a_weight_that_nobody_told_of_is_a_collision_and_is_weighed(bundles):
+    simulation = moving(bundles)
     simulation.hold(2.0, load_set=False)
     found = run(simulation, 3.0)["tauext"]
     assert found.by_weight and found.after_push_s is None and found.time_s < 2.2
     snapshot = simulation.snapshot()
     assert snapshot.poses.shape == (7, 7) and snapshot.held == Held(2.0, 1.999, False, "")
     np.testing.assert_allclose(snapshot.trace[-1, 22:], simulation._sample.tau_held, atol=0.05)  # the truth for it
-    weighed = weigh(load_bundle(bundles["tauext"]), arm, simulation.recent())
+    weighed = weigh(load_bundle(bundles["tauext"]), SMOOTH_ARM, simulation.recent())
     assert weighed.verdict == "load" and abs(weighed.mass_kg - 2.0) < 0.05
-    np.testing.assert_allclose(weighed.com_m[2], arm.hand_m, atol=0.02)
+    np.testing.assert_allclose(weighed.com_m[2], SMOOTH_ARM.hand_m, atol=0.02)
     assert weighed_words(weighed).startswith(f"Fits a load of {weighed.mass_kg:.2f} ±")
     origin, rotation = simulation.plant.body_pose(6)
     simulation.grab("test", 6, origin + rotation @ [0.0, 0.0, 0.1])
     simulation.pull("test", origin + [0.0, 0.4, 0.3])
     run(simulation, 4.0)
-    pushed = weigh(load_bundle(bundles["tauext"]), arm, simulation.recent())
+    pushed = weigh(load_bundle(bundles["tauext"]), SMOOTH_ARM, simulation.recent())
     assert pushed.verdict == "contact" and "something touches the arm" in weighed_words(pushed)
     assert simulation.monitors["tauext"].load.mass == 0.0
 
 
-def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(arm, bundles):
-    simulation = moving(arm, bundles)
+def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(bundles):
+    simulation = moving(bundles)
     simulation.hold(3.0, load_set=True)
     found = run(simulation, 1.5)
     assert list(found) == ["deaf"] and found["deaf"].by_weight
@@ -123,10 +118,10 @@ def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(arm, bundles
     assert simulation.snapshot().held is None and simulation.monitors["tauext"].load.mass == 0.0
 
 
-def test_told_afterwards_is_as_told_in_time(arm, bundles):
+def test_told_afterwards_is_as_told_in_time(bundles):
     estimates = []
     for late in (False, True):
-        simulation = moving(arm, bundles)
+        simulation = moving(bundles)
         simulation.hold(2.0, load_set=not late)
         run(simulation, 1.0)
         if late:
@@ -140,8 +135,8 @@ def test_told_afterwards_is_as_told_in_time(arm, bundles):
     assert np.abs(simulation._estimates["tauext"].tau_ext).max() > LIMIT_NM
 
 
-def test_monitors_that_come_later_are_told_too_and_a_refusal_is_given_its_reason(arm, bundles):
-    simulation = moving(arm, bundles, "deaf")
+def test_monitors_that_come_later_are_told_too_and_a_refusal_is_given_its_reason(bundles):
+    simulation = moving(bundles, "deaf")
     simulation.hold(2.0, load_set=True)
     run(simulation, 0.01)
     simulation.watch_nothing()
@@ -152,8 +147,8 @@ def test_monitors_that_come_later_are_told_too_and_a_refusal_is_given_its_reason
     assert "refused the load" in hand_text(held, "", True) and "this one takes none" in hand_text(held, "", True)
 
 
-def test_moving_on_reacts_to_nothing_for_a_while(arm, bundles):
-    simulation = moving(arm, {"tauext": bundles["tauext"]})
+def test_moving_on_reacts_to_nothing_for_a_while(bundles):
+    simulation = moving({"tauext": bundles["tauext"]})
     simulation.set_reaction("stop")
     simulation.hold(3.0, load_set=False)
     run(simulation, 0.3)
@@ -163,21 +158,23 @@ def test_moving_on_reacts_to_nothing_for_a_while(arm, bundles):
     assert simulation.mover.doing == "moving"
 
 
-def test_only_an_arm_with_a_hand_takes_weights_of_those_on_offer(arm):
+def test_only_an_arm_with_a_hand_takes_weights_of_those_on_offer():
     with pytest.raises(ConfigError, match="arm rig has no hand"):
         Simulation(ARMS["rig"]()).hold(2.0, True)
     with pytest.raises(ConfigError, match="mass_kg = 9 must be 1 to 3"):
-        Simulation(arm).hold(9.0, True)
+        Simulation(SMOOTH_ARM).hold(9.0, True)
     assert carried_weights(ARMS["rig"](), {}, seed=0) == []
 
 
-def test_bundles_know_nothing_of_the_hand(arm, tmp_path):
-    folders = {bundle_folder(replace(arm, hand_m=hand_m), "exact", SHORT, 0, tmp_path) for hand_m in (None, 0.2, 0.3)}
+def test_bundles_know_nothing_of_the_hand(tmp_path):
+    folders = {
+        bundle_folder(replace(SMOOTH_ARM, hand_m=hand_m), "exact", SHORT, 0, tmp_path) for hand_m in (None, 0.2, 0.3)
+    }
     assert len(folders) == 1
 
 
-def test_an_arm_that_stands_is_weighed_no_more_and_a_new_weight_is(arm):
-    weigher = Weigher(arm)
+def test_an_arm_that_stands_is_weighed_no_more_and_a_new_weight_is():
+    weigher = Weigher(SMOOTH_ARM)
 
     def wants(time_s, doing, since_s=10.0):
         held = None if since_s is None else Held(2.0, since_s, False, "")
@@ -192,11 +189,11 @@ def test_an_arm_that_stands_is_weighed_no_more_and_a_new_weight_is(arm):
     assert wants(20.0, "stop", since_s=19.9) and weigher.words == "Weighing ..."
 
 
-def test_the_script_puts_a_weight_in_untold_and_told(arm, bundles):
-    told_nothing, told = carried_weights(arm, bundles, seed=0, held_s=1.5)
+def test_the_script_puts_a_weight_in_untold_and_told(bundles):
+    told_nothing, told = carried_weights(SMOOTH_ARM, bundles, seed=0, held_s=1.5)
     assert told_nothing.mass_kg == told.mass_kg and 1.0 <= told.mass_kg <= 3.0
     assert "tauext" in told_nothing.collisions and "tauext" not in told.collisions
-    lines = describe_weights([told_nothing, told], arm, bundles).splitlines()
+    lines = describe_weights([told_nothing, told], SMOOTH_ARM, bundles).splitlines()
     assert lines[0].endswith("kg into the hand, not set in the monitors") and lines[4].endswith(
         "kg into the hand, set in the monitors"
     )

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_bundles import constant_error_scale
-from made_page import smooth_arm, smooth_bundle
+from made_page import SMOOTH_ARM, smooth_bundle
 
 from tauext import _core
 from tauext.page.drawing import PlaceDrawing, span
@@ -17,15 +17,10 @@ LIMIT_NM, SIGMA_NM = 3.0, 0.3
 
 
 @pytest.fixture(scope="module")
-def arm():
-    return smooth_arm()
-
-
-@pytest.fixture(scope="module")
-def bundles(arm, tmp_path_factory):
+def bundles(tmp_path_factory):
     """An observer that says how sure it is, and one that does not."""
     folder = tmp_path_factory.mktemp("places")
-    bundle, tree = smooth_bundle(arm, folder, LIMIT_NM)
+    bundle, tree = smooth_bundle(folder, LIMIT_NM)
     bundle.save(str(folder / "deaf.tauext"))
     bundle.error_scale = constant_error_scale([SIGMA_NM] * tree.size)
     bundle.capsules = link_capsules(folder / "robot.xml", tree)[0]
@@ -34,9 +29,9 @@ def bundles(arm, tmp_path_factory):
 
 
 @pytest.fixture
-def simulation(arm, bundles):
+def simulation(bundles):
     """It moves on whatever is said, its monitors warm."""
-    made = Simulation(arm)
+    made = Simulation(SMOOTH_ARM)
     made.watch_with(bundles, "tauext")
     made.set_reaction("ignore")
     run(made, 1.5)
@@ -116,7 +111,7 @@ class Model:
         return SimpleNamespace(probability=self.shares, ranked=ranked, places=places)
 
 
-def test_the_first_link_stays_first_until_another_is_twice_as_probable(arm, bundles):
+def test_the_first_link_stays_first_until_another_is_twice_as_probable(bundles):
     places, model = Places(_core.Bundle.load(bundles["tauext"])), Model()
     places._model = model
     felt = SimpleNamespace(

@@ -21,7 +21,7 @@ from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.prior_terms import PriorFit
-from tauext.fit.ridge import fit_ridge
+from tauext.fit.ridge import Regressors, fit_ridge
 from tauext.fit.training_set import Setup
 from tauext.recipes import RECIPES, Recipe, baselines
 from tauext.train.preparation import Given, training_settings, why_impossible
@@ -33,7 +33,8 @@ EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 def fit_viscous(setup: Setup, recordings, *, report, **settings) -> PriorFit:
     """Constant and viscous friction of every joint: the baseline that the test below adds."""
     kinds = (_core.TermKind.constant, _core.TermKind.viscous)
-    fit = fit_ridge(setup, recordings, [[_core.Term(kind, j) for kind in kinds] for j in range(setup.tree.size)], [])
+    own = [[_core.Term(kind, j) for kind in kinds] for j in range(setup.tree.size)]
+    fit = fit_ridge(setup, recordings, Regressors(own))
     report(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
     return fit
 

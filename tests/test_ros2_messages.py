@@ -75,7 +75,7 @@ def as_rosbags(value, store):
 
 
 def as_rosbags_message(message):
-    store = STORES[24 if type(message).__name__.startswith("Long") else 16]
+    store = STORES[24 if isinstance(message, msg.GRAPH_TYPES[24]) else 16]
     made = as_rosbags(message, store)
     if isinstance(message, msg.JointState):  # an empty list of numbers does not tell its type
         for field in ("position", "velocity", "effort"):

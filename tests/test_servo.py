@@ -26,16 +26,11 @@ HEAD = """
 joints = ["a", "b"]
 [time]
 column = "t"
-[signals.q]
-columns = "q_{joint}"
-[signals.q_des]
-columns = "goal_{joint}"
-[signals.current]
-columns = "mA_{joint}"
-unit = "mA"
-[signals.duty]
-columns = "load_{joint}"
-unit = "permille"
+[signals]
+q.columns = "q_{joint}"
+q_des.columns = "goal_{joint}"
+current = {columns = "mA_{joint}", unit = "mA"}
+duty = {columns = "load_{joint}", unit = "permille"}
 [servo]
 type = "sts3215-7.4v"
 """
@@ -163,7 +158,7 @@ def test_a_wrong_table_is_refused_with_the_rule(text, message):
 
 
 def test_what_is_missing_is_named():
-    without = HEAD.replace("[signals.current]", "[signals.voltage]").replace('unit = "mA"', 'unit = "V"')
+    without = HEAD.replace("current =", "voltage =").replace('unit = "mA"', 'unit = "V"')
     with pytest.raises(ConfigError, match=r"is made of \[signals.current\], which is missing"):
         parse_arm(without + 'torque_from = "supply-current"\n')
     with pytest.raises(ConfigError, match="type = 'sts9000' must be one of sts3215-7.4v"):

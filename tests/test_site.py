@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import sys
 from pathlib import Path
@@ -14,9 +15,19 @@ import tauext
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
-check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages = (
+check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, result_numbers, paper_tables = (
     importlib.import_module(name)
-    for name in ("check_site", "cli_pages", "cpp_pages", "python_page", "root_pages", "rst_text", "made_pages")
+    for name in (
+        "check_site",
+        "cli_pages",
+        "cpp_pages",
+        "python_page",
+        "root_pages",
+        "rst_text",
+        "made_pages",
+        "result_numbers",
+        "paper_tables",
+    )
 )
 
 GOOD = '<a href="other.html#there">x</a><a href="#top">x</a><a href="https://example.org">x</a><img src="a.png">'
@@ -106,10 +117,64 @@ def test_links_of_root_pages_lead_to_pages_of_the_site_or_nowhere():
     assert root_pages.page(text, ("CHANGELOG",)) == moved
 
 
+RESULTS = {"steps": 186500, "bundles": [{"name": "a", "l1_nm": [0.314, -0.126]}, {"name": "b", "l1_nm": [0.628, None]}]}
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("steps", "186500"),
+        ("steps|,d", "186,500"),
+        ("bundles[name=a].l1_nm|.2f|/", "0.31/−0.13"),
+        ("bundles[1].l1_nm[0] over bundles[name=a].l1_nm[0]|.1f", "2.0"),
+    ],
+)
+def test_a_number_is_read_from_its_results_file(text, shown):
+    assert result_numbers.number(f"results.json#{text}", {"results.json": RESULTS}.__getitem__) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("gone.json#steps", "gone.json cannot be read"),
+        ("steps", "no path"),
+        ("results.json#gone", "'gone' in 'gone' does not select one value"),
+        ("results.json#bundles[name=c].l1_nm[0]", r"'\[name=c\]'"),
+        ("results.json#bundles[2]", r"'\[2\]'"),
+        ("results.json#bundles[0", r"cannot parse '\[0'"),
+        ("results.json#bundles[0].name", "'a' is not a number"),
+        ("results.json#bundles[1].l1_nm|.2f|/", "None is not a number"),
+        ("results.json#bundles[0].l1_nm|.2f", r"is not a number"),
+        ("results.json#steps|.2f|/", "is no list"),
+        ("results.json#steps|x.y", "format 'x.y' does not fit"),
+        ("results.json#steps over bundles[0].name", "no quotient"),
+    ],
+)
+def test_a_role_without_its_number_stops_the_build(tmp_path, text, problem):
+    (tmp_path / "results.json").write_text(json.dumps(RESULTS))
+    with pytest.raises(result_numbers.NumberError, match=problem):
+        result_numbers.number(text, lambda name: result_numbers.load_once(tmp_path / name))
+
+
+def test_numbers_of_every_page_are_in_their_results_files():
+    for page in DOCS.rglob("*.md"):
+        for text in re.findall(r"\{num\}`([^`]+)`", page.read_text()):
+            result_numbers.number(text.replace(r"\|", "|"), lambda name: result_numbers.load_once(DOCS / name))
+
+
+def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
+    results = paper_tables.load("full")
+    table, delays = paper_tables.table_1(results), paper_tables.delays(results)
+    assert [line.split(" | ")[:2] for line in table[2:]] == [line.split(" | ")[:2] for line in delays[2:]]
+    assert table[2].startswith("| exact | paper | 0.310/0.126 | 0.402/0.262 |") and len(table) == 12
+    assert delays[2].startswith("| exact | paper | 3, 2, 0, −5, 8, 0, 0, −2, 2, 0 | 0.0 | 141 of 200 |")
+
+
 def test_every_page_is_in_the_contents():
     contents = "".join(page.read_text() for page in DOCS.rglob("*.md"))
     listed = "\n".join(re.findall(r"```\{toctree\}\n(.*?)```", contents, re.DOTALL)).splitlines()
     for page in DOCS.rglob("*.md"):
         name = page.relative_to(DOCS).with_suffix("").as_posix()
-        if not name.startswith(("reference/made/", "results/real-arms/")) and name != "index":
+        apart = ("reference/made/", "results/real-arms/", "results/full/seeds")
+        if not name.startswith(apart) and name != "index":
             assert name in listed or f"../{name}" in listed, name

@@ -15,7 +15,15 @@ from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.evaluate.collisions import TouchMeasures, find_collisions
-from tauext.evaluate.results import JsonReader, LinkProbability, LinkTable, TouchEstimate, load_results
+from tauext.evaluate.results import (
+    JsonReader,
+    LinkProbability,
+    LinkTable,
+    Touches,
+    TouchEstimate,
+    load_results,
+    to_json,
+)
 from tauext.report.page import write_report
 from tauext.report.tables import (
     kinds_table,
@@ -86,27 +94,28 @@ def pushed(bundle) -> tuple[Recording, Estimates]:
     return recording, said
 
 
-def measured(bundle) -> dict:
+def measured(bundle) -> Touches:
     recording, said = pushed(bundle)
     measures = TouchMeasures(bundle)
     measures.add(find_collisions(recording), recording, said)
-    return json.loads(json.dumps(measures.summary(), allow_nan=False))
+    json.dumps(to_json(measures.summary()), allow_nan=False)
+    return measures.summary()
 
 
 def test_pushes_on_known_links_are_told_on_them_with_their_newtons(bundle):
     summary = measured(bundle)
-    assert [one["id"] for one in summary["told"]] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
-    links = summary["links"]
-    assert (links["collisions"], links["first_two"]) == (3, 3)
-    assert sum(map(sum, links["table"])) == 3 and sum(links["table"][3]) == 1 and sum(links["table"][5]) == 0
-    assert links["first"] == sum(links["table"][k][k] for k in range(7)) >= 2
-    assert summary["told"][0]["links"][0]["joint"] == links["joints"][3]
+    assert [one.id for one in summary.told] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
+    links = summary.links
+    assert (links.collisions, links.first_two) == (3, 3)
+    assert sum(map(sum, links.table)) == 3 and sum(links.table[3]) == 1 and sum(links.table[5]) == 0
+    assert links.first == sum(links.table[k][k] for k in range(7)) >= 2
+    assert summary.told[0].links[0].joint == links.joints[3]
     # What is told is of the second after the alarm; the push grows on for longer.
-    assert summary["told"][0]["force_n"] == pytest.approx(MOST_N * (ALARM_S + 1.0) / HELD_S, rel=0.1)
+    assert summary.told[0].force_n == pytest.approx(MOST_N * (ALARM_S + 1.0) / HELD_S, rel=0.1)
 
 
 def test_kinds_are_those_known_when_the_collision_is_over(bundle):
-    assert measured(bundle)["kinds"] == {"hands": {"push": 1, "impact": 1, "clamp": 1}}
+    assert measured(bundle).kinds == {"hands": {"push": 1, "impact": 1, "clamp": 1}}
 
 
 def test_a_bundle_that_tells_no_place_still_tells_kinds(bundle):
@@ -116,20 +125,20 @@ def test_a_bundle_that_tells_no_place_still_tells_kinds(bundle):
     measures = TouchMeasures(blind)
     measures.add(find_collisions(recording), recording, said)
     summary = measures.summary()
-    assert summary["links"] is None and summary["kinds"]["hands"]["clamp"] == 1
-    assert all("links" not in one for one in summary["told"])
+    assert summary.links is None and summary.kinds["hands"]["clamp"] == 1
+    assert not any(one.links for one in summary.told)
 
 
 def test_a_stated_link_counts_as_right_or_wrong():
-    def told(joint, probability):
-        return {"id": "x", "kind": None, "links": [{"joint": joint, "probability": probability}]}
+    def on(joint, probability):
+        return TouchEstimate("x", None, (LinkProbability(joint, probability),))
 
     measures = TouchMeasures(SimpleNamespace(links=[SimpleNamespace(joint_name=name) for name in "ab"]))
-    measures._reported = [told("a", 0.95), told("b", 0.9), told("b", 0.6), told("a", 0.99)]
+    measures._reported = [on("a", 0.95), on("b", 0.9), on("b", 0.6), on("a", 0.99)]
     measures._labels = [(0, "w"), (0, "w"), (1, "w"), (-1, "w")]  # where the last one was, nobody knows
-    links = measures.summary()["links"]
-    assert links["table"] == [[1, 1], [0, 1]]
-    assert (links["collisions"], links["first"], links["stated"], links["stated_right"]) == (3, 2, 2, 1)
+    links = measures.summary().links
+    assert links.table == ((1, 1), (0, 1))
+    assert (links.collisions, links.first, links.stated, links.stated_right) == (3, 2, 2, 1)
 
 
 def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):

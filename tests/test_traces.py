@@ -251,7 +251,7 @@ def made(tmp_path_factory):
 
 
 def told_of(page: str) -> dict:
-    return json.loads(re.search(r'id="traces-told">(.*?)</script>', page, re.S).group(1))
+    return json.loads(re.search(r'id="traces-content">(.*?)</script>', page, re.S).group(1))
 
 
 def section_of(results_dir: Path, data: Path, room: float = 2e6, methods: tuple[str, ...] = ()) -> str:

@@ -140,7 +140,7 @@ def test_levels_made_in_the_browser_are_those_of_numpy(page, traced):
     """Level k of the page merges buckets in pairs k times, as merged(2) does."""
     for k in (0, 1, 4):
         level: Buckets = traced[0].whole
-        told = page.evaluate("tauextTraces.told.recordings[0].tiers[0]")
+        told = page.evaluate("tauextTraces.content.recordings[0].tiers[0]")
         level = level.merged(told["size"] // level.size)
         for _ in range(k):
             level = level.merged(2)
@@ -150,14 +150,14 @@ def test_levels_made_in_the_browser_are_those_of_numpy(page, traced):
             return [[...low], [...high], [...tier.level(k).first]]; }""",
             [column, k],
         )
-        quantum = page.evaluate("tauextTraces.told.quanta.r[1]")
+        quantum = page.evaluate("tauextTraces.content.quanta.r[1]")
         np.testing.assert_allclose(low, level.low[:, column], atol=0.501 * quantum)
         np.testing.assert_allclose(high, level.high[:, column], atol=0.501 * quantum)
         np.testing.assert_allclose(first, (level.t_ns[:, 0] - level.t_ns[0, 0]) * 1e-9, atol=1e-9)
 
 
 def test_around_an_event_every_sample_is_drawn_and_no_range(page, traced):
-    begin, _ = page.evaluate("tauextTraces.told.recordings[0].windows[0]")
+    begin, _ = page.evaluate("tauextTraces.content.recordings[0].windows[0]")
     page.evaluate(f"tauextTraces.show({begin - 0.1}, {begin + 0.4})")
     page.wait_for_timeout(60)
     curve = "tauextTraces.view.curves.filter((c) => c.signal === 'tau_ext' && c.joint === 0)[0]"
@@ -209,7 +209,7 @@ def test_keys_and_buttons_go_from_event_to_event(page, traced):
     for start in starts[:4]:
         page.keyboard.press("n")
         assert sum(window(page)) / 2 == pytest.approx(max(start, 1.0), abs=0.002)
-    said = page.locator("#traces .said")
+    said = page.locator("#traces .message")
     assert said.inner_text().startswith(f"Event 4 of {len(starts)}: ")
     page.click("#traces [data-do=previous]")
     assert said.inner_text().startswith(f"Event 3 of {len(starts)}: ")
@@ -234,7 +234,7 @@ def test_an_address_opens_what_it_names_and_says_what_is_not_there(browser, file
     again = opened(browser, file, page.evaluate("location.hash"))
     assert window(again) == window(page) == pytest.approx([0, 39.999])
     wrong = opened(browser, file, "#recording=gone&joint=knee&t=a,b")
-    assert wrong.locator("#traces .said").inner_text() == (
+    assert wrong.locator("#traces .message").inner_text() == (
         "The address names recording 'gone', joint 'knee', not on this page."
     )
     assert not page.trouble and not again.trouble and not wrong.trouble

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -389,5 +390,6 @@ def test_a_joint_without_newton_metres_notices_no_force():
     assert len(found) == len(same) == 7
     for one_point, other in zip(found, same, strict=True):
         for way in ("every_way", "x", "y", "z", "worst_way"):
-            for name, value in one_point[way].items():
-                assert value == (other[way][name] and pytest.approx(other[way][name], rel=1e-6)), (way, name)
+            for name, value in asdict(getattr(one_point, way)).items():
+                expected = getattr(getattr(other, way), name)
+                assert value == (expected and pytest.approx(expected, rel=1e-6)), (way, name)

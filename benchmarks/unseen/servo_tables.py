@@ -72,7 +72,7 @@ class Verdicts:
         assert estimates.held_alarm is not None
         touches = self.add(recording, estimates.held_alarm == COLLISION, estimates.healthy)
         reference = sensor_reference(recording, gain_per_s)
-        self.strong += [judge_latched(t, recording, estimates, hold_s, reference)["strong"] for t in touches]
+        self.strong += [judge_latched(t, recording, estimates, hold_s, reference).strong for t in touches]
 
     def found_among(self, chosen: Sequence[bool] | np.ndarray) -> tuple[int, int]:
         """Found, and how many there are, of the contacts that are chosen."""

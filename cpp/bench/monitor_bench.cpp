@@ -207,6 +207,22 @@ std::int64_t warm_up(Monitor& monitor, Motion& motion, const Bundle& b) {
   return k;
 }
 
+struct Stepped {
+  std::int64_t start_ns, end_ns;
+  bool ok;
+};
+
+// A sample, its two parts timed apart.
+Stepped timed_step(Monitor& monitor, const Sample& sample, Parts& parts) {
+  const std::int64_t start = now_ns();
+  const Estimate& estimate = monitor.estimate(sample);
+  const std::int64_t middle = now_ns();
+  monitor.advance();
+  const std::int64_t end = now_ns();
+  parts.add(start, middle, end);
+  return {start, end, estimate.health == Health::ok};
+}
+
 std::string monitor_part(const Bundle& b, NetworkRate rate, std::int64_t steps, RealTime& real_time, Parts& parts) {
   Monitor monitor(b, rate);
   Motion motion(b);
@@ -217,14 +233,9 @@ std::string monitor_part(const Bundle& b, NetworkRate rate, std::int64_t steps, 
   std::int64_t not_ok = 0;
   for (std::int64_t k = first; k < first + steps; ++k) {
     const Sample sample = motion.at(k);
-    const std::int64_t start = now_ns();
-    const Estimate& estimate = monitor.estimate(sample);
-    const std::int64_t middle = now_ns();
-    monitor.advance();
-    const std::int64_t end = now_ns();
-    parts.add(start, middle, end);
-    not_ok += estimate.health != Health::ok;
-    breath.take(end);
+    const Stepped one = timed_step(monitor, sample, parts);
+    not_ok += !one.ok;
+    breath.take(one.end_ns);
   }
   return "{" + parts.json("estimate", motion.period_ns) + format(", \"samples_not_ok\": %lld}", (long long)not_ok);
 }
@@ -311,14 +322,9 @@ std::string paced_part(const Bundle& b, double paced_s, RealTime& real_time, Par
   for (const std::int64_t last = k + ticks; k < last;) {
     const Sample sample = motion.at(k);
     sleep_until(due);
-    const std::int64_t start = now_ns();
-    const Estimate& estimate = monitor.estimate(sample);
-    const std::int64_t middle = now_ns();
-    monitor.advance();
-    const std::int64_t end = now_ns();
-    parts.add(start, middle, end);
+    const auto [start, end, ok] = timed_step(monitor, sample, parts);
     lateness.add(start - due);
-    not_ok += estimate.health != Health::ok;
+    not_ok += !ok;
     missed += end > due + motion.period_ns;
     for (due += motion.period_ns, ++k; due < end; due += motion.period_ns, ++k) ++left_out;
   }

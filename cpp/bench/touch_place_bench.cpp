@@ -1,25 +1,18 @@
 // Time of ranking links and of locating touches, over poses and touches by chance; one JSON object on stdout.
 //   touch_place_bench [joints 7] [calls 2000]
-#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <random>
 #include <vector>
 
-#include "../tests/made_bundle.hpp"
+#include "force_bundle.hpp"
 #include "tauext/touch_place.hpp"
 
 int main(int argc, char** argv) {
   const int joints = argc > 1 ? std::atoi(argv[1]) : 7, calls = argc > 2 ? std::atoi(argv[2]) : 2'000;
   const auto n = static_cast<std::size_t>(joints);
-  tauext::Bundle bundle = made::bundle(joints, 0, 30, 10, 1);
-  bundle.error_scale.features = {tauext::MotionFeature::constant};
-  bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
-      bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(n, 1.0);
-  bundle.wrench.correlation.assign(n * n, 0.2);
-  for (std::size_t j = 0; j < n; ++j) bundle.wrench.correlation[j * n + j] = 1;
-  tauext::PlaceModel model(bundle);
+  tauext::PlaceModel model(made::force_bundle(joints));
   std::mt19937 random(1);
   std::uniform_real_distribution<double> pose(-2, 2);
   std::normal_distribution<double> torque(0, 5);
@@ -40,11 +33,8 @@ int main(int argc, char** argv) {
     sum += told.probability[0] + told.place[0].point[0];
   }
   std::printf("{\"joints\": %d", joints);
-  for (auto* all : {&ranking, &locating}) {
-    std::ranges::sort(*all);
-    const auto at = [&](double share) { return (*all)[static_cast<std::size_t>(share * static_cast<double>(all->size() - 1))]; };
-    std::printf(", \"%s_ns\": {\"p50\": %.0f, \"p99\": %.0f, \"p99_9\": %.0f}", all == &ranking ? "rank" : "locate", at(0.5), at(0.99), at(0.999));
-  }
+  made::print_quantiles("rank", ranking);
+  made::print_quantiles("locate", locating);
   std::printf("}\n");
   return sum == sum ? 0 : 1;
 }

@@ -1,25 +1,18 @@
 // Time of a wrench and of a force alone at the last link, over poses by chance; one JSON object on stdout.
 //   wrench_bench [joints 7] [calls 200000]
-#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <random>
 #include <vector>
 
-#include "../tests/made_bundle.hpp"
+#include "force_bundle.hpp"
 #include "tauext/wrench.hpp"
 
 int main(int argc, char** argv) {
   const int joints = argc > 1 ? std::atoi(argv[1]) : 7, calls = argc > 2 ? std::atoi(argv[2]) : 200'000;
   const auto n = static_cast<std::size_t>(joints);
-  tauext::Bundle bundle = made::bundle(joints, 0, 30, 10, 1);
-  bundle.error_scale.features = {tauext::MotionFeature::constant};
-  bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
-      bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(n, 1.0);
-  bundle.wrench.correlation.assign(n * n, 0.2);
-  for (std::size_t j = 0; j < n; ++j) bundle.wrench.correlation[j * n + j] = 1;
-  const tauext::WrenchModel model(bundle);
+  const tauext::WrenchModel model(made::force_bundle(joints));
   std::mt19937 random(1);
   std::uniform_real_distribution<double> pose(-2, 2);
   std::normal_distribution<double> torque(0, 5);
@@ -38,9 +31,7 @@ int main(int argc, char** argv) {
       ns.push_back(std::chrono::duration<double, std::nano>(std::chrono::steady_clock::now() - start).count());
       sum += w.force[0];
     }
-    std::ranges::sort(ns);
-    const auto at = [&](double share) { return ns[static_cast<std::size_t>(share * static_cast<double>(ns.size() - 1))]; };
-    std::printf(", \"%s_ns\": {\"p50\": %.0f, \"p99\": %.0f, \"p99_9\": %.0f}", alone ? "force" : "wrench", at(0.5), at(0.99), at(0.999));
+    made::print_quantiles(alone ? "force" : "wrench", ns);
     if (!(sum == sum)) return 1;
   }
   std::printf("}\n");

@@ -72,55 +72,35 @@ void field(File& file, std::string& text) {
   text.resize(file.length(text.size(), 1));
   file.raw(text.data(), text.size());
 }
+template <class File, class... Parts>
+void fields(File& file, Parts&... parts) {
+  (field(file, parts), ...);
+}
 template <class File>
 void field(File& file, LstmInput& input) {
-  field(file, input.column);
-  field(file, input.lag);
+  fields(file, input.column, input.lag);
 }
 template <class File>
 void field(File& file, Link& link) {
-  field(file, link.joint_name);
-  field(file, link.parent);
-  field(file, link.type);
-  field(file, link.rotation);
-  field(file, link.translation);
-  field(file, link.mass);
-  field(file, link.com);
-  field(file, link.inertia);
-  field(file, link.rotor_inertia);
+  fields(file, link.joint_name, link.parent, link.type, link.rotation, link.translation, link.mass, link.com,
+         link.inertia, link.rotor_inertia);
 }
 template <class File>
 void field(File& file, WrenchFrame& frame) {
-  field(file, frame.name);
-  field(file, frame.link);
-  field(file, frame.rotation);
-  field(file, frame.translation);
+  fields(file, frame.name, frame.link, frame.rotation, frame.translation);
 }
 template <class File>
 void field(File& file, Capsule& capsule) {
-  field(file, capsule.link);
-  field(file, capsule.start);
-  field(file, capsule.end);
-  field(file, capsule.radius_m);
+  fields(file, capsule.link, capsule.start, capsule.end, capsule.radius_m);
 }
 template <class File>
 void field(File& file, ServoConstants& joint) {
-  field(file, joint.volts);
-  field(file, joint.ohm);
-  field(file, joint.back_emf_v_s);
-  field(file, joint.nm_per_ampere);
-  field(file, joint.duty_per_rad);
-  field(file, joint.most_duty);
-  field(file, joint.count_rad);
+  fields(file, joint.volts, joint.ohm, joint.back_emf_v_s, joint.nm_per_ampere, joint.duty_per_rad, joint.most_duty,
+         joint.count_rad);
 }
 template <class File>
 void field(File& file, Term& term) {
-  field(file, term.kind);
-  field(file, term.a);
-  field(file, term.b);
-  field(file, term.c);
-  field(file, term.form);
-  field(file, term.speed);
+  fields(file, term.kind, term.a, term.b, term.c, term.form, term.speed);
 }
 template <class File, class T>
 void field(File& file, std::vector<T>& list) {
@@ -130,102 +110,42 @@ void field(File& file, std::vector<T>& list) {
 }
 
 template <class File>
-void fields(File& file, Bundle& b) {
-  field(file, b.name);
-  field(file, b.provenance);
-  field(file, b.links);
-  field(file, b.gravity);
-  field(file, b.observer.gain_per_s);
-  field(file, b.observer.timing);
-  field(file, b.observer.sample_period_ns);
-  field(file, b.observer.network_stride);
-  field(file, b.observer.method);
-  field(file, b.observer.high_pass_per_s);
-  field(file, b.observer.low_pass_per_s);
-  field(file, b.observer.nm_per_unit);
-  field(file, b.units.given);
-  field(file, b.units.relative_to);
-  field(file, b.units.unknown);
-  field(file, b.window_steps);
-  field(file, b.inputs);
-  field(file, b.input_factors);
-  field(file, b.shape.inputs);
-  field(file, b.shape.hidden);
-  field(file, b.shape.outputs);
-  field(file, b.parameters);
-  field(file, b.output_scale_nm);
-  field(file, b.prior.widths_rad);
-  field(file, b.prior.terms);
-  field(file, b.prior.weights);
-  field(file, b.prior.corrected_links);
-  field(file, b.limits.near_stiction_rad_s);
-  field(file, b.limits.region_width);
+void field(File& file, Bundle& b) {
+  fields(file, b.name, b.provenance, b.links, b.gravity);
+  fields(file, b.observer.gain_per_s, b.observer.timing, b.observer.sample_period_ns, b.observer.network_stride,
+         b.observer.method, b.observer.high_pass_per_s, b.observer.low_pass_per_s, b.observer.nm_per_unit);
+  fields(file, b.units.given, b.units.relative_to, b.units.unknown);
+  fields(file, b.window_steps, b.inputs, b.input_factors);
+  fields(file, b.shape.inputs, b.shape.hidden, b.shape.outputs);
+  fields(file, b.parameters, b.output_scale_nm);
+  fields(file, b.prior.widths_rad, b.prior.terms, b.prior.weights, b.prior.corrected_links);
+  fields(file, b.limits.near_stiction_rad_s, b.limits.region_width);
   for (Level* level : {&b.limits.collision, &b.limits.contact}) {
-    field(file, level->sliding_nm);
-    field(file, level->near_stiction_nm);
-    field(file, level->hold_s);
+    fields(file, level->sliding_nm, level->near_stiction_nm, level->hold_s);
   }
-  field(file, b.limits.contact_release_s);
-  field(file, b.limits.after_contact_factor);
-  field(file, b.limits.near_memory_s);
-  field(file, b.drift.time_constant_s);
-  field(file, b.drift.size_nm);
-  field(file, b.drift.rate_share_per_s);
-  field(file, b.drift.freeze_share);
-  field(file, b.drift.freeze_s);
-  field(file, b.drift.freeze_floor_nm);
-  field(file, b.error_scale.features);
-  field(file, b.error_scale.limit_weights);
-  field(file, b.error_scale.largest);
-  field(file, b.error_scale.sigma_weights);
-  field(file, b.error_scale.sigma_near_weights);
-  field(file, b.error_scale.largest_sigma);
-  field(file, b.coverage.fastest_rad_s);
-  field(file, b.coverage.turns);
-  field(file, b.coverage.centre_rad);
-  field(file, b.coverage.span_rad);
-  field(file, b.coverage.seen);
-  field(file, b.coverage.reach);
-  field(file, b.coverage.seen_together);
-  field(file, b.coverage.reach_together);
-  field(file, b.signals.torque_limit_nm);
-  field(file, b.signals.largest_torque_nm);
-  field(file, b.signals.possible_torque_nm);
-  field(file, b.signals.possible_speed_rad_s);
-  field(file, b.signals.rate_tolerance);
+  fields(file, b.limits.contact_release_s, b.limits.after_contact_factor, b.limits.near_memory_s);
+  fields(file, b.drift.time_constant_s, b.drift.size_nm, b.drift.rate_share_per_s, b.drift.freeze_share,
+         b.drift.freeze_s, b.drift.freeze_floor_nm);
+  fields(file, b.error_scale.features, b.error_scale.limit_weights, b.error_scale.largest, b.error_scale.sigma_weights,
+         b.error_scale.sigma_near_weights, b.error_scale.largest_sigma);
+  fields(file, b.coverage.fastest_rad_s, b.coverage.turns, b.coverage.centre_rad, b.coverage.span_rad, b.coverage.seen,
+         b.coverage.reach, b.coverage.seen_together, b.coverage.reach_together);
+  fields(file, b.signals.torque_limit_nm, b.signals.largest_torque_nm, b.signals.possible_torque_nm,
+         b.signals.possible_speed_rad_s, b.signals.rate_tolerance);
   field(file, b.prior.branches);
-  field(file, b.load.frame);
-  field(file, b.load.link);
-  field(file, b.load.rotation);
-  field(file, b.load.translation);
-  field(file, b.load.largest_mass_kg);
-  field(file, b.load.largest_reach_m);
-  field(file, b.load.refused);
+  fields(file, b.load.frame, b.load.link, b.load.rotation, b.load.translation, b.load.largest_mass_kg,
+         b.load.largest_reach_m, b.load.refused);
   field(file, b.drift.friction_share);
   field(file, b.prior.most_load_nm);
-  field(file, b.prior.temperature.reference_c);
-  field(file, b.prior.temperature.reach_k);
-  field(file, b.prior.temperature.coulomb_per_10k);
-  field(file, b.prior.temperature.viscous_per_10k);
-  field(file, b.wrench.frames);
-  field(file, b.wrench.correlation);
-  field(file, b.wrench.torque_share);
-  field(file, b.wrench.common_share);
-  field(file, b.wrench.radius);
-  field(file, b.wrench.residual_radius);
+  fields(file, b.prior.temperature.reference_c, b.prior.temperature.reach_k, b.prior.temperature.coulomb_per_10k,
+         b.prior.temperature.viscous_per_10k);
+  fields(file, b.wrench.frames, b.wrench.correlation, b.wrench.torque_share, b.wrench.common_share, b.wrench.radius,
+         b.wrench.residual_radius);
   field(file, b.capsules);
-  field(file, b.servo.torque_from);
-  field(file, b.servo.velocity_steps);
-  field(file, b.servo.sample_period_ns);
-  field(file, b.servo.goal_delay_ns);
-  field(file, b.servo.joints);
-  field(file, b.reference.t_ns);
-  field(file, b.reference.q);
-  field(file, b.reference.dq);
-  field(file, b.reference.tau);
-  field(file, b.reference.residual);
-  field(file, b.reference.prior);
-  field(file, b.reference.network);
+  fields(file, b.servo.torque_from, b.servo.velocity_steps, b.servo.sample_period_ns, b.servo.goal_delay_ns,
+         b.servo.joints);
+  fields(file, b.reference.t_ns, b.reference.q, b.reference.dq, b.reference.tau, b.reference.residual,
+         b.reference.prior, b.reference.network);
 }
 
 }  // namespace
@@ -242,7 +162,7 @@ std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
 std::vector<char> to_bytes(const Bundle& bundle) {
   bundle.validate();
   Writer payload, file;
-  fields(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
+  field(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
   const std::uint32_t version[] = {kBundleMajor, kMinor};
   const std::uint64_t size = payload.bytes.size();
   const std::uint32_t crc = crc32(payload.bytes);
@@ -274,7 +194,7 @@ Bundle from_bytes(std::span<const char> bytes) {
   if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
   Reader reader(payload);
   Bundle bundle;
-  fields(reader, bundle);
+  field(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");
   bundle.validate();
   return bundle;

@@ -157,6 +157,23 @@ void say(const char* text, char* message, std::size_t message_size) noexcept {
   message[length] = '\0';
 }
 
+// TAUEXT_OK once `act` returns; else the status and the message of what it threw.
+template <class Act>
+tauext_status attempt(Act act, const char* no_memory, const char* failed, char* message, std::size_t message_size) noexcept {
+  try {
+    act();
+    return TAUEXT_OK;
+  } catch (const std::bad_alloc&) {
+    say(no_memory, message, message_size);
+    return TAUEXT_NO_MEMORY;
+  } catch (const std::exception& e) {
+    say(e.what(), message, message_size);
+  } catch (...) {
+    say(failed, message, message_size);
+  }
+  return TAUEXT_BAD_BUNDLE;
+}
+
 // What both ways to open have in common; load() gives the bundle, or throws.
 template <class Load>
 tauext_status open(Load load, bool arguments, tauext_network_rate rate, tauext_monitor** monitor, char* message,
@@ -171,18 +188,8 @@ tauext_status open(Load load, bool arguments, tauext_network_rate rate, tauext_m
     say("the network rate must be TAUEXT_EVERY_SAMPLE (0) or TAUEXT_NETWORK_PERIOD (1)", message, message_size);
     return TAUEXT_BAD_ARGUMENT;
   }
-  try {
-    *monitor = new tauext_monitor{tauext::Monitor(load(), static_cast<NetworkRate>(rate))};
-    return TAUEXT_OK;
-  } catch (const std::bad_alloc&) {
-    say("not enough memory for the monitor", message, message_size);
-    return TAUEXT_NO_MEMORY;
-  } catch (const std::exception& e) {
-    say(e.what(), message, message_size);
-  } catch (...) {
-    say("the bundle cannot be read", message, message_size);
-  }
-  return TAUEXT_BAD_BUNDLE;
+  return attempt([&] { *monitor = new tauext_monitor{tauext::Monitor(load(), static_cast<NetworkRate>(rate))}; },
+                 "not enough memory for the monitor", "the bundle cannot be read", message, message_size);
 }
 
 }  // namespace
@@ -444,19 +451,11 @@ tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monito
     say("a null pointer where the bundle, the monitor or the new bundle belongs", message, message_size);
     return TAUEXT_BAD_ARGUMENT;
   }
-  try {
+  const auto refit = [&] {
     const tauext::RefitSource source{monitor->monitor.refit_motion(), {}};
     tauext::save_bundle(tauext::refit(tauext::load_bundle(bundle_path), {&source, 1}).bundle, out_path);
-    return TAUEXT_OK;
-  } catch (const std::bad_alloc&) {
-    say("not enough memory for the refit", message, message_size);
-    return TAUEXT_NO_MEMORY;
-  } catch (const std::exception& e) {
-    say(e.what(), message, message_size);
-  } catch (...) {
-    say("the refit failed", message, message_size);
-  }
-  return TAUEXT_BAD_BUNDLE;
+  };
+  return attempt(refit, "not enough memory for the refit", "the refit failed", message, message_size);
 }
 
 tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size) {

@@ -12,6 +12,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
+#include "refused.hpp"
 #include "temporary_folder.hpp"
 
 using namespace tauext;
@@ -60,19 +61,6 @@ void every_truncation_and_every_flipped_byte_is_refused() {
     flipped[at] = static_cast<char>(flipped[at] ^ 0x10);
     write(bad, flipped);
     CHECK_THROWS(load_bundle(bad), Error);
-  }
-}
-
-// `make` must throw an Error whose message holds the part.
-template <class Make>
-void refused(const char* part_of_message, Make make) {
-  try {
-    make();
-    check::that(false, part_of_message, __FILE__, __LINE__);
-  } catch (const Error& e) {
-    const bool said = std::strstr(e.what(), part_of_message) != nullptr;
-    if (!said) std::printf("message was: %s\n", e.what());
-    check::that(said, part_of_message, __FILE__, __LINE__);
   }
 }
 

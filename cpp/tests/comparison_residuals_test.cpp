@@ -7,6 +7,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
+#include "refused.hpp"
 
 using namespace tauext;
 
@@ -263,16 +264,6 @@ void both_are_a_band_pass() {
     CHECK(filter.warm() == (t >= 10 / l));
     last_t = t;
   });
-}
-
-template <class Body>
-void refused(const char* part_of_message, Body&& body) {
-  try {
-    body();
-    check::that(false, part_of_message, __FILE__, __LINE__);
-  } catch (const Error& e) {
-    check::that(std::strstr(e.what(), part_of_message) != nullptr, e.what(), __FILE__, __LINE__);
-  }
 }
 
 void bad_settings_are_refused_by_name() {

@@ -294,29 +294,30 @@ void a_fault_in_the_window_hides_nothing() {
   CHECK(alarm && nothing == 0);
 }
 
-void acknowledging_swallows_nothing() {
+// An arm that is pushed after the command raises the alarm, whatever `meanwhile(monitor, time)` does.
+template <class Meanwhile>
+void swallows_nothing(Meanwhile meanwhile) {
   Cell cell(pushed({0, -25, 0}, kStep_s, 0.2));
   Monitor monitor(arm());
   bool alarm = false;
   while (cell.time_s() < 4) {
-    const double t = cell.time_s();
-    if (t >= kCommand_s && t < kCommand_s + 1e-3) CHECK(monitor.expect_load(3, 4));
-    if (monitor.last().load_phase == LoadPhase::deciding) monitor.acknowledge();
+    meanwhile(monitor, cell.time_s());
     alarm = monitor.step(cell.next()).alarm != Alarm::none || alarm;
   }
   CHECK(alarm);
 }
 
+void acknowledging_swallows_nothing() {
+  swallows_nothing([](Monitor& monitor, double t) {
+    if (t >= kCommand_s && t < kCommand_s + 1e-3) CHECK(monitor.expect_load(3, 4));
+    if (monitor.last().load_phase == LoadPhase::deciding) monitor.acknowledge();
+  });
+}
+
 void asking_again_swallows_nothing() {
-  Cell cell(pushed({0, -25, 0}, kStep_s, 0.2));
-  Monitor monitor(arm());
-  bool alarm = false;
-  while (cell.time_s() < 4) {
-    const double t = cell.time_s();
+  swallows_nothing([](Monitor& monitor, double t) {
     if (t >= kCommand_s && t < 2) CHECK(monitor.expect_load(3, 4));
-    alarm = monitor.step(cell.next()).alarm != Alarm::none || alarm;
-  }
-  CHECK(alarm);
+  });
 }
 
 // Saved at any time of a window, and gone on with elsewhere.

@@ -4,6 +4,7 @@
 #include <random>
 
 #include "check.hpp"
+#include "momentum_of.hpp"
 
 using namespace tauext;
 
@@ -11,17 +12,6 @@ namespace {
 
 constexpr std::array<double, 9> kTurned = {0, -1, 0, 1, 0, 0, 0, 0, 1};      // about z
 constexpr std::array<double, 9> kQuarterTurn = {1, 0, 0, 0, 0, -1, 0, 1, 0};  // about x
-
-struct Answer {
-  JointVector p{}, beta{};
-};
-
-Answer sweep(const Tree& tree, const JointVector& q, const JointVector& dq) {
-  Answer a;
-  const auto n = static_cast<std::size_t>(tree.size());
-  tree.momentum({q.data(), n}, {dq.data(), n}, {a.p.data(), n}, {a.beta.data(), n});
-  return a;
-}
 
 // Branched, with a slide in the chain of the load, links out of order.
 std::vector<Link> arm() {
@@ -44,48 +34,30 @@ std::vector<Link> arm() {
   return links;
 }
 
-struct Body {
-  double mass;
-  std::array<double, 3> com;
-  std::array<double, 6> about_com;
-
-  std::array<double, LoadRegressor::kParameters> parameters() const {
-    const auto& [x, y, z] = com;
-    const auto& i = about_com;
-    return {mass, mass * x, mass * y, mass * z,
-            i[0] + mass * (y * y + z * z), i[1] + mass * (x * x + z * z), i[2] + mass * (x * x + y * y),
-            i[3] - mass * x * y, i[4] - mass * x * z, i[5] - mass * y * z};
-  }
-};
-
-// The same arm with the body fixed to a link by a joint that never moves: p and beta of the others are those of both.
-std::vector<Link> carrying(std::vector<Link> links, const LoadFrame& frame, const Body& body) {
-  Link link;
-  link.joint_name = "load";
-  link.parent = frame.link;
-  link.rotation = frame.rotation;
-  link.translation = frame.translation;
-  link.mass = body.mass;
-  link.com = body.com;
-  link.inertia = body.about_com;
-  links.push_back(link);
-  return links;
+// Its mass, first moment and inertia, about the frame's origin.
+std::array<double, LoadRegressor::kParameters> parameters(const Load& load) {
+  const auto& [x, y, z] = load.com;
+  const double m = load.mass;
+  const auto& i = load.inertia;
+  return {m, m * x, m * y, m * z,
+          i[0] + m * (y * y + z * z), i[1] + m * (x * x + z * z), i[2] + m * (x * x + y * y),
+          i[3] - m * x * y, i[4] - m * x * z, i[5] - m * y * z};
 }
 
 void columns_are_what_a_load_adds_to_p_and_beta() {
   const Tree tree(arm(), {1.0, -2.0, -9.0});
-  const Body body{1.7, {0.03, -0.05, 0.11}, {0.004, 0.005, 0.006, 0.0003, -0.0002, 0.0001}};
-  const auto phi = body.parameters();
+  const Load body{1.7, {0.03, -0.05, 0.11}, {0.004, 0.005, 0.006, 0.0003, -0.0002, 0.0001}};
+  const auto phi = parameters(body);
   std::mt19937 random(1);
   std::uniform_real_distribution<double> uniform(-2, 2);
   for (const LoadFrame& frame : {LoadFrame{4, kQuarterTurn, {0.1, 0.2, -0.3}}, LoadFrame{4, kTurned, {}},
                                  LoadFrame{3, kQuarterTurn, {0, 0, 0.1}}, LoadFrame{2, kTurned, {0.4, 0, 0}}}) {
-    const Tree loaded(carrying(arm(), frame, body), tree.gravity());
+    const Tree loaded(with_fixed_body(arm(), frame, body), tree.gravity());
     LoadRegressor regressor(tree, frame);
     for (int trial = 0; trial < 50; ++trial) {
       JointVector q{}, dq{};
       for (std::size_t j = 0; j < 5; ++j) q[j] = uniform(random), dq[j] = uniform(random);
-      const Answer with = sweep(loaded, q, dq), without = sweep(tree, q, dq);
+      const Momentum with = momentum_of(loaded, q, dq), without = momentum_of(tree, q, dq);
       regressor.look({q.data(), 5}, {dq.data(), 5});
       for (std::size_t j = 0; j < 5; ++j) {
         double p = 0, beta = 0;

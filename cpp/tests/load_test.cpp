@@ -12,6 +12,7 @@
 #include "check.hpp"
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
+#include "momentum_of.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;
@@ -68,20 +69,6 @@ Bundle bundle(int hidden = 0) {
   b.load = flange(kJoints - 1);
   answer_reference(b);
   return b;
-}
-
-std::vector<Link> with_fixed_body(std::vector<Link> links, const LoadSettings& at, const Load& load) {
-  Link body;
-  body.joint_name = "held still";
-  body.parent = at.link;
-  body.type = JointType::prismatic;
-  body.rotation = at.rotation;
-  body.translation = at.translation;
-  body.mass = load.mass;
-  body.com = load.com;
-  body.inertia = load.inertia;
-  links.push_back(body);
-  return links;
 }
 
 // One rigid body of the link's own mass and the load, by Steiner's theorem about their common centre of mass.

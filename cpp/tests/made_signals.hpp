@@ -1,11 +1,13 @@
-// The made motion as samples one by one and as a recording.
+// The made motion as samples one by one and as a recording, and that a monitor gives the same on both.
 #pragma once
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <random>
 #include <span>
 #include <vector>
 
+#include "check.hpp"
 #include "made_bundle.hpp"
 #include "tauext/monitor.hpp"
 
@@ -43,6 +45,50 @@ inline Signals sampled(int joints, const std::vector<std::int64_t>& t_ns) {
     s.tau.insert(s.tau.end(), tau, tau + joints);
   }
   return s;
+}
+
+// Jittering stamps, bridged gaps of one to ten ticks, and some gaps that restart.
+inline Signals irregular(int joints, std::size_t samples) {
+  std::mt19937 random(5);
+  std::vector<std::int64_t> t_ns{12345};
+  while (t_ns.size() < samples) {
+    const auto draw = random() % 400;
+    std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
+    if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
+    if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
+    t_ns.push_back(t_ns.back() + step);
+  }
+  return sampled(joints, t_ns);
+}
+
+inline bool same(double a, double b) { return a == b || (std::isnan(a) && std::isnan(b)); }
+
+struct Replayed {
+  int healthy = 0, detections = 0;
+};
+
+// Steps a new monitor through the recording: every estimate must equal the offline one to the last bit.
+// also(estimate, joint, index of sample and joint) checks what only some bundles have.
+template <class Also>
+Replayed online_equals_offline(tauext::Monitor& monitor, const Signals& s, const tauext::Estimates& offline, Also also) {
+  Replayed counts;
+  for (std::int64_t k = 0; k < s.samples(); ++k) {
+    const tauext::Estimate& e = monitor.step(s.at(k));
+    const auto row = static_cast<std::size_t>(k);
+    CHECK(static_cast<std::uint8_t>(e.health) == offline.health[row] && e.causes == offline.causes[row]);
+    CHECK(e.detection == (offline.detection[row] == 1));
+    counts.healthy += e.health == tauext::Health::ok;
+    counts.detections += e.detection;
+    for (std::size_t j = 0; j < static_cast<std::size_t>(s.joints); ++j) {
+      const std::size_t at = row * static_cast<std::size_t>(s.joints) + j;
+      CHECK(e.residual[j] == offline.residual[at]);
+      CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
+      CHECK(e.limit_nm[j] == offline.limit_nm[at]);
+      CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
+      also(e, j, at);
+    }
+  }
+  return counts;
 }
 
 // As if training had seen the first 0.2 s of the made motion, and none that is quite as fast.

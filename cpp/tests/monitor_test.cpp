@@ -11,7 +11,7 @@
 #include "made_signals.hpp"
 
 using namespace tauext;
-using made::kMs, made::sampled, made::Signals;
+using made::irregular, made::kMs, made::sampled, made::Signals;
 
 namespace {
 
@@ -34,7 +34,7 @@ Bundle covered(Bundle bundle) {
   return bundle;
 }
 
-bool same(double a, double b) { return a == b || (std::isnan(a) && std::isnan(b)); }
+using made::same;
 
 bool same(const Estimate& a, const Estimate& b) {
   bool equal = a.t_ns == b.t_ns && a.health == b.health && a.causes == b.causes && a.cause_joint == b.cause_joint &&
@@ -49,46 +49,19 @@ bool same(const Estimate& a, const Estimate& b) {
   return equal;
 }
 
-// Jittering stamps, bridged gaps of one to ten ticks, and some gaps that restart.
-Signals irregular(int joints) {
-  std::mt19937 random(5);
-  std::vector<std::int64_t> t_ns{12345};
-  while (t_ns.size() < 3500) {
-    const auto draw = random() % 400;
-    std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
-    if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
-    if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
-    t_ns.push_back(t_ns.back() + step);
-  }
-  return sampled(joints, t_ns);
-}
-
 void online_equals_offline(const Bundle& bundle) {
   const int joints = bundle.joints();
-  const Signals s = irregular(joints);
+  const Signals s = irregular(joints, 3500);
   const Estimates offline = estimate(bundle, s.view(), 2);
   Monitor monitor(bundle);
-  int healthy = 0, detections = 0;
   double largest_drift = 0;
-  for (std::int64_t k = 0; k < s.samples(); ++k) {
-    const Estimate& e = monitor.step(s.at(k));
-    const auto row = static_cast<std::size_t>(k);
-    CHECK(static_cast<std::uint8_t>(e.health) == offline.health[row] && e.causes == offline.causes[row]);
-    CHECK(e.detection == (offline.detection[row] == 1));
-    healthy += e.health == Health::ok;
-    detections += e.detection;
-    for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
-      const std::size_t at = row * static_cast<std::size_t>(joints) + j;
-      CHECK(e.residual[j] == offline.residual[at]);
-      CHECK(same(e.uncertainty[j], offline.network[at] + offline.drift[at]));
-      CHECK(e.drift[j] == offline.drift[at]);
-      largest_drift = std::max(largest_drift, std::fabs(e.drift[j]));
-      CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
-      CHECK(e.limit_nm[j] == offline.limit_nm[at]);
-      CHECK(same(e.margin_nm[j], e.limit_nm[j] - std::fabs(e.tau_ext[j])));
-      CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
-    }
-  }
+  const auto also = [&](const Estimate& e, std::size_t j, std::size_t at) {
+    CHECK(same(e.uncertainty[j], offline.network[at] + offline.drift[at]));
+    CHECK(e.drift[j] == offline.drift[at]);
+    largest_drift = std::max(largest_drift, std::fabs(e.drift[j]));
+    CHECK(same(e.margin_nm[j], e.limit_nm[j] - std::fabs(e.tau_ext[j])));
+  };
+  const auto [healthy, detections] = made::online_equals_offline(monitor, s, offline, also);
   CHECK(healthy > 1000 && healthy < 3400 && detections > 0);
   CHECK(bundle.drift.on() ? largest_drift > 0.01 : largest_drift == 0);
   CHECK(monitor.samples() == 3500 && monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
@@ -104,14 +77,19 @@ void online_equals_offline_to_the_last_bit() {
     }
 }
 
+// The same limits for contacts and collisions, whatever the speed.
+void limit(Bundle& bundle, const std::vector<double>& limit_nm) {
+  for (Level* level : {&bundle.limits.collision, &bundle.limits.contact})
+    level->sliding_nm = level->near_stiction_nm = limit_nm;
+}
+
 // The made bundle of two joints with another residual and both filters; its limits are low enough to be crossed.
 Bundle compared(ResidualMethod method, int hidden) {
   Bundle bundle = made::bundle(2, hidden, kSteps, kStride, 3);
   bundle.observer.method = method;
   bundle.observer.high_pass_per_s = 2;
   bundle.observer.low_pass_per_s = 40;
-  for (Level* level : {&bundle.limits.collision, &bundle.limits.contact})
-    level->sliding_nm = level->near_stiction_nm = {0.5, 0.5};
+  limit(bundle, {0.5, 0.5});
   answer_reference(bundle);
   return bundle;
 }
@@ -439,20 +417,23 @@ void reset_equals_fresh_and_acknowledge_ends_the_alarm_alone() {
   for (std::int64_t k = 0; k < 2000; ++k) CHECK(same(used.step(s.at(k)), fresh.step(s.at(k))));
 }
 
+// `other` takes over the state of `one` after so many samples, and gives the same estimates from there on.
+void takes_over(Monitor& one, Monitor& other, const Signals& s, std::int64_t stop) {
+  one.reset();
+  feed(one, s, 0, stop);
+  std::vector<std::byte> state(one.state_bytes());
+  CHECK(one.save_state(state));
+  feed(other, s, 5, 99);
+  CHECK(other.restore_state(state));
+  for (std::int64_t k = stop; k < stop + 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
+}
+
 void a_restored_monitor_goes_on_as_if_nothing_had_been() {
   for (const NetworkRate rate : {NetworkRate::every_sample, NetworkRate::network_period}) {
     const Bundle bundle = covered(tracking(made::bundle(2, 20, kSteps, kStride, 3)));
     const Signals s = regular(2, 3000);
     Monitor one(bundle, rate), other(bundle, rate);
-    for (std::int64_t stop : {0, 1, 333, 1777}) {
-      one.reset();
-      feed(one, s, 0, stop);
-      std::vector<std::byte> state(one.state_bytes());
-      CHECK(one.save_state(state));
-      feed(other, s, 5, 99);
-      CHECK(other.restore_state(state));
-      for (std::int64_t k = stop; k < stop + 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
-    }
+    for (std::int64_t stop : {0, 1, 333, 1777}) takes_over(one, other, s, stop);
     std::vector<std::byte> state(one.state_bytes());
     CHECK(one.save_state(state));
     const Estimate before = other.last();
@@ -474,13 +455,7 @@ void a_restored_monitor_goes_on_with_every_method() {
   for (const ResidualMethod method : kMethods) {
     Monitor one(compared(method, 0)), other(compared(method, 0));
     for (std::int64_t stop : {1, 333, 777}) {
-      one.reset();
-      feed(one, s, 0, stop);
-      std::vector<std::byte> state(one.state_bytes());
-      CHECK(one.save_state(state));
-      feed(other, s, 5, 99);
-      CHECK(other.restore_state(state));
-      for (std::int64_t k = stop; k < stop + 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
+      takes_over(one, other, s, stop);
       CHECK(one.last().health == Health::ok);
     }
     std::vector<std::byte> state(one.state_bytes());
@@ -574,8 +549,7 @@ struct StickyArm {
     b.prior.weights = {-5, 0};
     b.limits.near_stiction_rad_s = 0.01;
     b.limits.region_width = 0;
-    for (Level* level : {&b.limits.collision, &b.limits.contact})
-      level->sliding_nm = level->near_stiction_nm = {2, 2};
+    limit(b, {2, 2});
     answer_reference(b);
     return b;
   }
@@ -641,8 +615,7 @@ void a_joint_that_breaks_away_keeps_its_limit_for_a_while() {
 // The same signals, all of them known or none: what is unknown teaches the drift tracker nothing.
 void drift_is_not_learned_from_motion_that_training_never_saw() {
   Bundle known = tracking(made::bundle(2, 0, kSteps, kStride, 7)), unknown = known;
-  for (Level* level : {&known.limits.collision, &known.limits.contact})
-    level->sliding_nm = level->near_stiction_nm = {1e3, 1e3};
+  limit(known, {1e3, 1e3});
   unknown.limits = known.limits;
   known.coverage = unknown.coverage = made::half_seen(2);
   for (CoverageSettings* coverage : {&known.coverage, &unknown.coverage}) {  // by the speed alone

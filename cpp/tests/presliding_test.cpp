@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <random>
 #include <vector>
 
 #include "check.hpp"
+#include "refused.hpp"
 
 using namespace tauext;
 
@@ -232,28 +232,19 @@ void no_widths_make_no_states() {
   bank.write({});
 }
 
-// Building a bank must throw an Error whose message holds the part.
-void refused(const char* part_of_message, int joints, const std::vector<double>& widths) {
-  try {
-    const Presliding bank(joints, widths);
-    check::that(false, part_of_message, __FILE__, __LINE__);
-  } catch (const Error& e) {
-    const bool said = std::strstr(e.what(), part_of_message) != nullptr;
-    if (!said) std::printf("message was: %s\n", e.what());
-    check::that(said, part_of_message, __FILE__, __LINE__);
-  }
-}
-
 void bad_widths_are_refused() {
-  refused("need 1 to 32 joints, not 0", 0, {1e-3});
-  refused("need 1 to 32 joints, not 33", kMaxJoints + 1, {1e-3});
-  refused("at most 8 presliding states, not 9", 1, {1, 2, 3, 4, 5, 6, 7, 8, 9});
-  refused("must be > 0", 1, {0.0});
-  refused("must be > 0", 1, {-1e-3});
-  refused("presliding width nan", 1, {NAN});
-  refused("presliding width inf", 1, {INFINITY});
-  refused("must be > 0.003", 1, {3e-3, 1e-3});
-  refused("must be > 0.003", 1, {3e-3, 3e-3});
+  const auto refuses = [](const char* part_of_message, int joints, const std::vector<double>& widths) {
+    refused(part_of_message, [&] { Presliding(joints, widths); });
+  };
+  refuses("need 1 to 32 joints, not 0", 0, {1e-3});
+  refuses("need 1 to 32 joints, not 33", kMaxJoints + 1, {1e-3});
+  refuses("at most 8 presliding states, not 9", 1, {1, 2, 3, 4, 5, 6, 7, 8, 9});
+  refuses("must be > 0", 1, {0.0});
+  refuses("must be > 0", 1, {-1e-3});
+  refuses("presliding width nan", 1, {NAN});
+  refuses("presliding width inf", 1, {INFINITY});
+  refuses("must be > 0.003", 1, {3e-3, 1e-3});
+  refuses("must be > 0.003", 1, {3e-3, 3e-3});
   const Presliding largest(kMaxJoints, std::vector<double>{1, 2, 3, 4, 5, 6, 7, 8});
   CHECK(largest.columns() == kMaxJoints * kMaxWidths);
 }
@@ -331,13 +322,8 @@ void states_with_local_memory_are_bounded_symmetric_and_kept() {
 
 void bad_branches_are_refused() {
   const double widths[] = {1e-3, 1e-2};
-  const auto refuses = [&](const char* part, std::vector<double> branches) {
-    try {
-      Presliding(1, widths, branches);
-      CHECK(false);
-    } catch (const Error& e) {
-      CHECK(std::strstr(e.what(), part) != nullptr);
-    }
+  const auto refuses = [&](const char* part_of_message, std::vector<double> branches) {
+    refused(part_of_message, [&] { Presliding(1, widths, branches); });
   };
   refuses("presliding branches are 3 where 2 belong", {0.5, 0.5, 0});
   refuses("presliding branch -0.5 must be 0 to 1", {-0.5, 1});

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <functional>
 #include <random>
 #include <vector>
@@ -10,11 +9,12 @@
 #include "check.hpp"
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
+#include "refused.hpp"
 #include "tauext/monitor.hpp"
 #include "observation.hpp"
 
 using namespace tauext;
-using made::kMs, made::sampled, made::Signals;
+using made::kMs, made::irregular, made::same, made::sampled, made::Signals;
 
 namespace {
 
@@ -225,19 +225,6 @@ void the_weighted_regressors_are_the_prior() {
     }
 }
 
-// `make` must throw an Error whose message holds the part.
-template <class Make>
-void refused(const char* part_of_message, Make make) {
-  try {
-    make();
-    check::that(false, part_of_message, __FILE__, __LINE__);
-  } catch (const Error& e) {
-    const bool said = std::strstr(e.what(), part_of_message) != nullptr;
-    if (!said) std::printf("message was: %s\n", e.what());
-    check::that(said, part_of_message, __FILE__, __LINE__);
-  }
-}
-
 void regressors_of_samples_that_do_not_rise_or_do_not_exist_are_refused() {
   const Bundle b = made::bundle(2, 0, kSteps, kStride, 1);
   const Tree tree(b.links, b.gravity);
@@ -398,52 +385,24 @@ Bundle with_everything(int joints, int hidden) {
   return b;
 }
 
-// Jittering stamps, bridged gaps of one to ten ticks, and some gaps that restart.
-Signals uneven(int joints, int samples) {
-  std::mt19937 random(5);
-  std::vector<std::int64_t> t_ns{12345};
-  while (static_cast<int>(t_ns.size()) < samples) {
-    const auto draw = random() % 400;
-    std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
-    if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
-    if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
-    t_ns.push_back(t_ns.back() + step);
-  }
-  return sampled(joints, t_ns);
-}
-
-bool same(double a, double b) { return a == b || (std::isnan(a) && std::isnan(b)); }
-
 void online_equals_offline_to_the_last_bit_with_a_prior_of_every_kind() {
   for (const int joints : {1, 2, 7}) {
     for (const int hidden : {0, 20}) {
       const Bundle bundle = with_everything(joints, hidden);
-      const Signals s = uneven(joints, 3500);
+      const Signals s = irregular(joints, 3500);
       const Estimates offline = estimate(bundle, s.view(), 2);
       Monitor monitor(bundle);
-      int healthy = 0, detections = 0, near = 0;
+      int near = 0;
       double largest_prior = 0, largest_network = 0;
-      for (std::int64_t k = 0; k < s.samples(); ++k) {
-        const Estimate& e = monitor.step(s.at(k));
-        const auto row = static_cast<std::size_t>(k);
-        CHECK(static_cast<std::uint8_t>(e.health) == offline.health[row] && e.causes == offline.causes[row]);
-        CHECK(e.detection == (offline.detection[row] == 1));
-        healthy += e.health == Health::ok;
-        detections += e.detection;
-        for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
-          const std::size_t at = row * static_cast<std::size_t>(joints) + j;
-          CHECK(e.residual[j] == offline.residual[at]);
-          CHECK(e.prior[j] == offline.prior[at]);
-          CHECK(e.doubt[j] == offline.doubt[at]);
-          CHECK(same(e.uncertainty[j], offline.prior[at] + offline.network[at]));
-          CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
-          CHECK(e.limit_nm[j] == offline.limit_nm[at]);
-          CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
-          near += offline.near_stiction[at];
-          largest_prior = std::max(largest_prior, std::fabs(e.prior[j]));
-          if (e.health == Health::ok) largest_network = std::max(largest_network, std::fabs(offline.network[at]));
-        }
-      }
+      const auto also = [&](const Estimate& e, std::size_t j, std::size_t at) {
+        CHECK(e.prior[j] == offline.prior[at]);
+        CHECK(e.doubt[j] == offline.doubt[at]);
+        CHECK(same(e.uncertainty[j], offline.prior[at] + offline.network[at]));
+        near += offline.near_stiction[at];
+        largest_prior = std::max(largest_prior, std::fabs(e.prior[j]));
+        if (e.health == Health::ok) largest_network = std::max(largest_network, std::fabs(offline.network[at]));
+      };
+      const auto [healthy, detections] = made::online_equals_offline(monitor, s, offline, also);
       CHECK(healthy > 1000 && healthy < 3400 && detections > 0 && near > 0 && near < 3500 * joints);
       CHECK(largest_prior > 1 && (largest_network > 1) == (hidden > 0));
       CHECK(monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
@@ -467,7 +426,7 @@ void the_network_sees_the_presliding_states() {
 
 void a_restored_monitor_goes_on_with_prior_and_presliding_states() {
   const Bundle bundle = with_everything(2, 20);
-  const Signals s = uneven(2, 3000);
+  const Signals s = irregular(2, 3000);
   for (std::int64_t stop : {0, 1, 333, 1777}) {
     Monitor one(bundle), other(bundle);
     for (std::int64_t k = 0; k < stop; ++k) one.step(s.at(k));
@@ -537,14 +496,20 @@ void a_saved_bundle_keeps_its_prior() {
   refused("replaying its reference differs", [&] { to_bytes(spoilt); });
 }
 
-// At rest from an unknown start: the magnitudes of all that hangs on presliding states, filtered, and nothing else.
-void the_doubt_at_rest_has_its_closed_form() {
+PriorSettings of_two_widths(std::vector<Term> terms, std::vector<double> weights) {
   PriorSettings settings;
   settings.widths_rad = {1e-3, 3e-3};
-  settings.terms = {{TermKind::presliding, 0, 0, 0, 0, 0},
-                    {TermKind::load_presliding, 1, 1, 0, 0, 0},
-                    {TermKind::constant, 0, 0, 0, 0, 0}};
-  settings.weights = {-4, 0.5, 7, 0, -0.25, 1};
+  settings.terms = std::move(terms);
+  settings.weights = std::move(weights);
+  return settings;
+}
+
+// At rest from an unknown start: the magnitudes of all that hangs on presliding states, filtered, and nothing else.
+void the_doubt_at_rest_has_its_closed_form() {
+  const PriorSettings settings = of_two_widths({{TermKind::presliding, 0, 0, 0, 0, 0},
+                                                {TermKind::load_presliding, 1, 1, 0, 0, 0},
+                                                {TermKind::constant, 0, 0, 0, 0, 0}},
+                                               {-4, 0.5, 7, 0, -0.25, 1});
   Presliding presliding(2, settings.widths_rad, settings.branches);
   Prior prior(settings, kGravity, 2, kGain);
   const double zero[2] = {0, 0}, beta[2] = {3, -20};
@@ -562,12 +527,10 @@ void the_doubt_at_rest_has_its_closed_form() {
 // An arm that was seen to come to rest, and one that is first seen at rest and then creeps: what the second cannot know
 // lies within its doubt at every sample, and the doubt goes when the joint has travelled.
 void the_doubt_bounds_what_an_unknown_start_may_hide() {
-  PriorSettings settings;
-  settings.widths_rad = {1e-3, 3e-3};
-  settings.terms = {{TermKind::presliding, 0, 0, 0, 0, 0},
-                    {TermKind::presliding, 0, 1, 0, 0, 0},
-                    {TermKind::viscous, 0, 0, 0, 0, 0}};
-  settings.weights = {-4, 3, -2};
+  const PriorSettings settings = of_two_widths({{TermKind::presliding, 0, 0, 0, 0, 0},
+                                                {TermKind::presliding, 0, 1, 0, 0, 0},
+                                                {TermKind::viscous, 0, 0, 0, 0, 0}},
+                                               {-4, 3, -2});
   const std::array<double, 3> gravity{0, 0, 0};
   for (const double before : {0.01, -0.01, 0.002}) {  // where it came from
     Presliding known(1, settings.widths_rad), fresh(1, settings.widths_rad);

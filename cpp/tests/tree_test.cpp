@@ -7,6 +7,7 @@
 #include <random>
 
 #include "check.hpp"
+#include "momentum_of.hpp"
 
 using namespace tauext;
 
@@ -38,17 +39,6 @@ Link make_link(const std::string& name, int parent, JointType type, double mass,
   return link;
 }
 
-struct Answer {
-  JointVector p{}, beta{};
-};
-
-Answer sweep(const Tree& tree, const JointVector& q, const JointVector& dq) {
-  Answer a;
-  const auto n = static_cast<std::size_t>(tree.size());
-  tree.momentum({q.data(), n}, {dq.data(), n}, {a.p.data(), n}, {a.beta.data(), n});
-  return a;
-}
-
 // Two links in the x-y plane, gravity along -y, the second joint 0.3 m out on the first link.
 std::vector<Link> planar_links() {
   std::vector<Link> links{make_link("shoulder", -1, JointType::revolute, 8.191, {0.12079, 0, 0}),
@@ -70,7 +60,7 @@ void two_links_in_a_plane_follow_their_closed_form() {
     const double m1 = 8.191, m2 = 9.920, c1 = 0.12079, c2 = 0.16078, l = 0.3;
     const double coupling = m2 * l * c2 * std::cos(q2), distal = 0.08 + m2 * c2 * c2;
     const double m11 = 0.07 + m1 * c1 * c1 + m2 * l * l + distal + 2 * coupling + 0.6, m12 = distal + coupling;
-    const Answer a = sweep(tree, {q1, q2}, {w1, w2});
+    const Momentum a = momentum_of(tree, {q1, q2}, {w1, w2});
     CHECK_CLOSE(a.p[0], m11 * w1 + m12 * w2, 1e-13);
     CHECK_CLOSE(a.p[1], m12 * w1 + (distal + 0.3) * w2, 1e-13);
     const double outer = m2 * c2 * kGravity * std::cos(q1 + q2);
@@ -83,7 +73,7 @@ void a_vertical_slide_feels_its_weight_and_that_of_what_it_carries() {
   std::vector<Link> links{make_link("lift", -1, JointType::prismatic, 3, {0.1, 0.2, 0.3}),
                           make_link("turn", 0, JointType::revolute, 2, {0, 0, 0.4})};
   links[0].rotor_inertia = 5;
-  const Answer a = sweep(Tree(links, {0, 0, -kGravity}), {0.7, 0.2}, {1.5, 0});
+  const Momentum a = momentum_of(Tree(links, {0, 0, -kGravity}), {0.7, 0.2}, {1.5, 0});
   CHECK_CLOSE(a.p[0], (3 + 2 + 5) * 1.5, 1e-14);
   CHECK_CLOSE(a.beta[0], (3 + 2) * kGravity, 1e-14);
   CHECK_CLOSE(a.p[1], 0, 1e-14);
@@ -94,7 +84,7 @@ void a_mass_sliding_on_a_turning_arm_feels_the_centrifugal_force() {
   std::vector<Link> links{make_link("turn", -1, JointType::revolute, 0, {}),
                           make_link("slide", 0, JointType::prismatic, 2, {})};
   links[1].rotation = {0, 0, 1, 0, 1, 0, -1, 0, 0};  // the slide's z is the arm's x
-  const Answer a = sweep(Tree(links, {0, 0, 0}), {0.4, 0.5}, {3, 0.7});
+  const Momentum a = momentum_of(Tree(links, {0, 0, 0}), {0.4, 0.5}, {3, 0.7});
   CHECK_CLOSE(a.p[0], 2 * 0.5 * 0.5 * 3, 1e-14);
   CHECK_CLOSE(a.p[1], 2 * 0.7, 1e-14);
   CHECK_CLOSE(a.beta[0], 0, 1e-14);
@@ -119,8 +109,8 @@ void links_may_stand_in_any_order() {
     shuffled_q[i] = q[order[i]];
     shuffled_dq[i] = dq[order[i]];
   }
-  const Answer a = sweep(Tree(links, {1, -9, 2}), q, dq);
-  const Answer b = sweep(Tree(shuffled, {1, -9, 2}), shuffled_q, shuffled_dq);
+  const Momentum a = momentum_of(Tree(links, {1, -9, 2}), q, dq);
+  const Momentum b = momentum_of(Tree(shuffled, {1, -9, 2}), shuffled_q, shuffled_dq);
   for (int i = 0; i < 4; ++i) {
     CHECK_CLOSE(b.p[i], a.p[order[i]], 1e-13);
     CHECK_CLOSE(b.beta[i], a.beta[order[i]], 1e-13);
@@ -129,13 +119,13 @@ void links_may_stand_in_any_order() {
 
 void no_model_gives_zero_and_a_faulty_state_no_number() {
   std::vector<Link> links = planar_links();
-  const Answer faulty = sweep(Tree(links, {0, -kGravity, 0}), {std::nan(""), 0}, {1, 1});
+  const Momentum faulty = momentum_of(Tree(links, {0, -kGravity, 0}), {std::nan(""), 0}, {1, 1});
   CHECK(std::isnan(faulty.beta[0]));
   for (Link& link : links) {
     link.mass = link.rotor_inertia = 0;
     link.inertia = {};
   }
-  const Answer a = sweep(Tree(links, {0, -kGravity, 0}), {0.3, 0.4}, {1, 2});
+  const Momentum a = momentum_of(Tree(links, {0, -kGravity, 0}), {0.3, 0.4}, {1, 2});
   CHECK(a.p[0] == 0 && a.p[1] == 0 && a.beta[0] == 0 && a.beta[1] == 0);
 }
 
@@ -144,7 +134,7 @@ void the_sweep_does_not_allocate() {
   const Tree tree(planar_links(), {0, -kGravity, 0});
   CHECK(allocations > 0);  // the counter counts
   allocations = 0;
-  sweep(tree, {0.3, 0.4}, {1, 2});
+  momentum_of(tree, {0.3, 0.4}, {1, 2});
   CHECK(allocations == 0);
 }
 

@@ -47,10 +47,8 @@ class Setting:
     kind: str
     name: str
     change: Change
-    joints: int = 0
-    """So many are drawn; 0: all."""
-    files: int = 0
-    """So many training recordings are drawn; 0: all recordings, also those that the bundle is judged on."""
+    joints: int = 0  # number of joints to draw; 0: all
+    files: int = 0  # number of training recordings to draw; 0: all recordings, also those that the bundle is judged on
 
 
 @dataclass(frozen=True)

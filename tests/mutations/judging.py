@@ -122,8 +122,8 @@ def worth_of(folder: Path, out: Path, judged: Iterable[Recording]) -> Worth:
         estimates = estimate_recording(bundle, recording, 1)
         measures.add_estimates(recording, estimates)
         limits.append(estimates.limit_nm[~event_time(recording, 0.5) & estimates.healthy])
-    counts = measures.summary()["all"]
-    return Worth(np.median(np.concatenate(limits), axis=0).tolist(), counts["found"], counts["events"])
+    counts = measures.summary().all
+    return Worth(np.median(np.concatenate(limits), axis=0).tolist(), counts.found, counts.events)
 
 
 def verdict_before(

@@ -21,31 +21,15 @@ class MockArmConfig(RobotConfig):
     max_relative_target: float | None = None
 
 
-class MockArm(Robot):
-    """Positions in degrees; a tick of the clock passes with every action."""
+class Plug:
+    """How a mock connects: nothing needs to be opened, calibrated or configured."""
 
-    config_class = MockArmConfig
-    name = "mock_arm"
-
-    def __init__(self, config: MockArmConfig):
-        super().__init__(config)
-        self.config = config
-        self.arm = arms.ServoArm("deg")
-        self.ticks, self.connected, self.sent = 0, False, []
-
-    @cached_property
-    def observation_features(self) -> dict:
-        return dict.fromkeys(NAMES, float)
-
-    @cached_property
-    def action_features(self) -> dict:
-        return dict.fromkeys(NAMES, float)
+    is_calibrated = True
+    connected = False
 
     @property
     def is_connected(self) -> bool:
         return self.connected
-
-    is_calibrated = True
 
     def connect(self, calibrate: bool = True) -> None:
         self.connected = True
@@ -58,6 +42,27 @@ class MockArm(Robot):
 
     def disconnect(self) -> None:
         self.connected = False
+
+
+class MockArm(Plug, Robot):
+    """Positions in degrees; a tick of the clock passes with every action."""
+
+    config_class = MockArmConfig
+    name = "mock_arm"
+
+    def __init__(self, config: MockArmConfig):
+        super().__init__(config)
+        self.config = config
+        self.arm = arms.ServoArm("deg")
+        self.ticks, self.sent = 0, []
+
+    @cached_property
+    def observation_features(self) -> dict:
+        return dict.fromkeys(NAMES, float)
+
+    @cached_property
+    def action_features(self) -> dict:
+        return dict.fromkeys(NAMES, float)
 
     def get_observation(self) -> dict:
         return dict(zip(NAMES, map(float, self.arm.state()[0]), strict=True))

@@ -17,7 +17,7 @@ replay_command = pytest.importorskip("lerobot.scripts.lerobot_replay", exc_type=
 
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
-from mock_arm import NAMES, Player
+from mock_arm import NAMES, Player, Plug
 
 import tauext
 from tauext.data.description import load_arm
@@ -32,35 +32,21 @@ class MockLeaderConfig(TeleoperatorConfig):
     """A leader that plays a demonstration."""
 
 
-class MockLeader(Teleoperator):
+class MockLeader(Plug, Teleoperator):
     config_class = MockLeaderConfig
     name = "mock_leader"
     action_features = dict.fromkeys(NAMES, float)
     feedback_features: dict = {}
-    is_calibrated = True
-    is_connected = False
 
     def __init__(self, config: MockLeaderConfig):
         super().__init__(config)
         self._player = Player(101)
-
-    def connect(self, calibrate: bool = True) -> None:
-        self.is_connected = True
-
-    def calibrate(self) -> None:
-        pass
-
-    def configure(self) -> None:
-        pass
 
     def get_action(self) -> dict:
         return self._player.action()
 
     def send_feedback(self, feedback: dict) -> None:
         pass
-
-    def disconnect(self) -> None:
-        self.is_connected = False
 
 
 def run(command, monkeypatch, *options: object) -> None:

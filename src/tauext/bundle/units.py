@@ -29,10 +29,9 @@ def of_all(units: Sequence[str]) -> str:
     return short(different.pop()) if len(different) == 1 else SEVERAL
 
 
-def left_out(bundle: Bundle) -> dict[str, list[str]]:
-    """For facts: names of the joints that do not answer in N m, which loads and forces leave out; {} if all do."""
-    names = not_in_newtons([link.joint_name for link in bundle.links], bundle.estimate_units)
-    return {"left_out": list(names)} if names else {}
+def left_out(bundle: Bundle) -> tuple[str, ...]:
+    """Names of the joints that do not answer in N m, which loads and forces leave out."""
+    return not_in_newtons([link.joint_name for link in bundle.links], bundle.estimate_units)
 
 
 def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -47,6 +47,21 @@ REMEDIES = {
     "gap": "record without losing samples",
 }
 """By cause; of any other one `tauext check` reports more."""
+
+
+@dataclass(frozen=True)
+class WorstRecording:
+    recording: str
+    share: float
+
+
+@dataclass(frozen=True)
+class RejectedTime:
+    """Share of the time in which the monitor was not healthy."""
+
+    share: float | None
+    causes: dict[str, float]
+    worst: WorstRecording | None
 
 
 class Rejected:
@@ -88,17 +103,14 @@ class Rejected:
     def share(self) -> float:
         return self.rejected / self.samples if self.samples else 0.0
 
-    def facts(self) -> dict[str, Any]:
-        """For JSON: share of the samples, share of each cause, and the worst recording with its share."""
+    def summary(self) -> RejectedTime:
         worst = max(self._shares, key=self._shares.__getitem__, default="")
-        return {
-            "share": round(self.share, 4),
-            "causes": {
-                name: round(count / self.samples, 4)
-                for name, count in sorted(self._causes.items(), key=lambda cause: -cause[1])
-            },
-            "worst": {"recording": worst, "share": round(self._shares.get(worst, 0.0), 4)},
-        }
+        causes = sorted(self._causes.items(), key=lambda cause: -cause[1])
+        return RejectedTime(
+            share=round(self.share, 4),
+            causes={name: round(count / self.samples, 4) for name, count in causes},
+            worst=WorstRecording(worst, round(self._shares.get(worst, 0.0), 4)),
+        )
 
     def warning(self, motion: str, accept: Collection[str] = (REJECTED,)) -> str:
         """A sentence with cause, recording and remedy; empty where hardly anything is rejected.
@@ -112,13 +124,14 @@ class Rejected:
         """
         if self.share <= WORTH_A_WARNING:
             return ""
-        facts = self.facts()
-        causes, worst = facts["causes"], facts["worst"]
+        found = self.summary()
+        causes, worst = found.causes, found.worst
+        assert worst is not None
         named = ", ".join(f"{name} {share:.1%}" for name, share in causes.items()) or "warming up"
         remedy = next((REMEDIES[name] for name in causes if name in REMEDIES), "inspect the data with `tauext check`")
         words = (
-            f"a monitor with this bundle rejects {self.share:.1%} of {motion} ({named}), {worst['share']:.0%} of "
-            f"'{worst['recording']}'"
+            f"a monitor with this bundle rejects {self.share:.1%} of {motion} ({named}), {worst.share:.0%} of "
+            f"'{worst.recording}'"
         )
         if self.share > TOO_MUCH and REJECTED not in accept:
             raise TrainingError(f"{words}: {remedy}; --accept {REJECTED} goes on with the rest")

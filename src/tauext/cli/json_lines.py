@@ -68,7 +68,7 @@ class JsonLines(PrintContext):
         changes = [change for change in chunk.changes if not isinstance(change, HiddenCollision)]
         lines = [(change.row, change.t_ns, *change_facts(change, self._joints)) for change in changes]
         for k in self._clock.rows(chunk.t_ns) if self._clock else ():
-            lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.said, k)))
+            lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.estimates, k)))
         for row, t_ns, event, content in sorted(lines, key=lambda line: line[0]):
             self._write(event, row=row, **self._when(t_ns), **content)
 

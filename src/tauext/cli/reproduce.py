@@ -137,8 +137,8 @@ def reproduce(
         out: folder for data, bundles, results and report.
         scale: how much is done. smoke: seconds, numbers mean nothing. quick: two minutes on two cores; every model case
             by 10,000 steps of the dense recipe, the exact model by tauext's own from 10 minutes of the motion. full:
-            every model case by the whole dense recipe (5 minutes), then by the paper's whole recipe too (half an hour
-            each on two cores, one after another).
+            every model case by the whole dense recipe (5 minutes), then by the paper's whole recipe too (15
+            minutes each on two idle cores, one after another).
         cases: model cases to train.
         seed: seed of everything that is drawn.
     """

@@ -183,7 +183,7 @@ def describe_bundle(file: Place) -> Content:
             content[f"temperature_{name}"] = of_joints(getattr(warm, name))
     if bundle.observer.nm_per_unit:
         content["torque_constants"] = of_joints(bundle.observer.nm_per_unit)
-    if (names_left := left_out(bundle).get("left_out", [])) and not bundle.too_few_in_newtons(""):
+    if (names_left := left_out(bundle)) and not bundle.too_few_in_newtons(""):
         content["without_loads_and_forces"] = names_left
     content |= describe_servo(bundle, names) | describe_drift(bundle, names) | describe_coverage(bundle, names)
     if found := situations(bundle):

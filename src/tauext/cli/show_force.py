@@ -12,6 +12,7 @@ from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
+    from tauext.evaluate.results import NoticedAt, NoticedForce
 
 USUAL_TORQUE_SHARE = 0.05
 """Torque error of bundles without wrench settings, as a share (WrenchSettings::kUsualTorqueShare)."""
@@ -23,16 +24,23 @@ def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequen
     if file.suffix != ".tauext":
         raise ConfigError(f"{file}: --force is of a bundle (*.tauext)")
     expect_picture(picture)
-    found = describe_force(file, data, frames)
+    conditions, found = describe_force(file, data, frames)
     if picture is not None:
         from tauext.report.force_figures import write_noticed_picture
 
         write_noticed_picture(found, picture)
-    print(json.dumps(found, indent=1) if as_json else "\n".join(force_lines(found)))
+    if as_json:
+        from tauext.evaluate.results import to_json
+
+        print(json.dumps(conditions | to_json(found), indent=1))
+    else:
+        print("\n".join(force_lines(conditions, found)))
 
 
-def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) -> dict:
+def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) -> tuple[dict, NoticedForce]:
     """Forces that a bundle's limits notice, over the poses of recordings or over those that it keeps.
+
+    Before them the bundle, the origin of the poses, and the torque error.
 
     Raises:
         BundleError: it estimates no forces, or keeps no poses and no recording is given.
@@ -53,10 +61,10 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
             "speeds up they are higher; --data shows them)"
         )
     share = max(bundle.wrench_settings.torque_share or [USUAL_TORQUE_SHARE])
-    return {"bundle": bundle.name, "poses_of": of, "torque_share": share, **found}
+    return {"bundle": bundle.name, "poses_of": of, "torque_share": share}, found
 
 
-def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> dict:
+def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> NoticedForce:
     """Recordings are loaded one at a time."""
     from tauext.data.recording_file import load_recording
     from tauext.evaluate.comparison import free_part
@@ -86,30 +94,30 @@ def expect_picture(picture: Place | None) -> None:
         expect_new_file(picture)
 
 
-def force_lines(found: dict) -> list[str]:
+def force_lines(conditions: dict, found: NoticedForce) -> list[str]:
     """The tables, with the conditions under which they hold."""
     from tauext.report.force_figures import CLOSING, joined, left_out_words, surely
 
     lines = [
-        f"{found['bundle']}: smallest force [N] that goes over a limit, "
-        f"over {found['poses']} poses {found['poses_of']}.",
+        f"{conditions['bundle']}: smallest force [N] that goes over a limit, "
+        f"over {found.poses} poses {conditions['poses_of']}.",
         "x, y, z (of the base) and the worst way: median pose / worst pose. "
         "Every way: median over poses and ways / 9 of 10 are below it.",
         f"{BLIND}: more than 1000 N, or no joint feels it at all.",
     ]
-    for name, entries in joined(found["limits"]).items():
+    for name, entries in joined(found.limits).items():
         lines += ["", f"limit: {name}", *aligned([HEADING, *map(cells, entries)])]
-    after, hold = found["twice_after_s"], found["hold_s"]
-    levels = [f"{level} after {1e3 * after[level]:.0f} ms (held for {1e3 * hold[level]:g} ms)" for level in after]
+    holds, error_share = found.hold_s, found.error_share or 0.0
+    levels = [f"{k} after {1e3 * s:.0f} ms (held for {1e3 * holds[k]:g} ms)" for k, s in found.twice_after_s.items()]
     return [
         *lines,
         "",
-        f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found['gain_per_s']:g} 1/s. "
+        f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found.gain_per_s:g} 1/s. "
         f"Twice such a force is reported as a {' and as a '.join(levels)}. A shorter impact may peak higher unnoticed.",
-        f"The estimate errs, by {found['error_share']:.0%} of a limit (one standard error): 19 of 20 forces go over it "
-        f"from {surely(found['error_share']):.2g} times these on. Torque constants and gears: up to "
-        f"{found['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",
-        *([without] if (without := left_out_words(found.get("left_out", []))) else []),
+        f"The estimate errs, by {error_share:.0%} of a limit (one standard error): 19 of 20 forces go over it "
+        f"from {surely(error_share):.2g} times these on. Torque constants and gears: up to "
+        f"{conditions['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",
+        *([without] if (without := left_out_words(found.left_out)) else []),
         CLOSING,
     ]
 
@@ -117,13 +125,11 @@ def force_lines(found: dict) -> list[str]:
 HEADING = ["", "every way", "x", "y", "z", "worst way", "blind in"]
 
 
-def cells(entry: dict) -> list[str]:
+def cells(at: NoticedAt) -> list[str]:
     """A row of the table."""
-    every = entry["every_way"]
-    row = [entry["place"], f"{force(every['median_n'])} / {force(every['nine_of_ten_n'])}"]
-    for way in ("x", "y", "z", "worst_way"):
-        row.append(f"{force(entry[way]['median_n'])} / {force(entry[way]['worst_n'])}")
-    return [*row, f"{entry['worst_way']['blind_share']:.0%} of poses"]
+    every = f"{force(at.every_way.median_n)} / {force(at.every_way.nine_of_ten_n)}"
+    ways = (f"{force(way.median_n)} / {force(way.worst_n)}" for way in (at.x, at.y, at.z, at.worst_way))
+    return [at.place, every, *ways, f"{at.worst_way.blind_share:.0%} of poses"]
 
 
 def force(value: float | None) -> str:

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
+from tauext.evaluate.results import (
+    FoundBin,
+    LabelledCollision,
+    Latched,
+    LinkProbability,
+    LinkTable,
+    Number,
+    StrengthBin,
+    Touches,
+    TouchEstimate,
+    Verdict,
+)
 from tauext.monitor.places import FOLLOWED_S, newtons, strongest_place
 
 # --- Collisions in a recording, and whether and when they were found.
@@ -39,18 +51,9 @@ class Collision:
     true_peak_nm: np.ndarray
     sensor_peak_nm: np.ndarray
 
-    def summary(self) -> dict:
-        """Its entry in results.json."""
-        return {
-            "id": self.id,
-            "recording": self.recording,
-            "kind": self.kind,
-            "start_s": self.start_s,
-            "end_s": self.end_s,
-            "link": self.link,
-            "true_peak_nm": self.true_peak_nm.tolist(),
-            "sensor_peak_nm": self.sensor_peak_nm.tolist(),
-        }
+    def summary(self) -> LabelledCollision:
+        peaks = (tuple(peak.tolist()) for peak in (self.true_peak_nm, self.sensor_peak_nm))
+        return LabelledCollision(self.id, self.recording, self.kind, self.start_s, self.end_s, self.link, *peaks)
 
 
 def find_collisions(recording: Recording) -> list[Collision]:
@@ -88,7 +91,7 @@ def find_collisions(recording: Recording) -> list[Collision]:
     ]
 
 
-def judge(collision: Collision, recording: Recording, estimates: Estimates) -> dict:
+def judge(collision: Collision, recording: Recording, estimates: Estimates) -> Verdict:
     """Was it found, by which joint, how long after its onset, and how long after the sensor at the same limit?
 
     The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it.
@@ -104,15 +107,19 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> d
         over = ratio > 1
         sensor = first_rise(over[collision.begin - before :], bool(over[0]))
         peak = float(ratio[collision.begin - before :].max())
-    result = {"id": collision.id, "found": found is not None, "joint": None, "delay_s": None}
+    joint = None
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit_nm[window][found]
-        result |= {"joint": recording.joints[int(np.argmax(margin))], "delay_s": float(seconds[found])}
-    result["peak_over_limit"] = peak
-    result["sensor_delay_s"] = None if sensor is None else float(seconds[sensor])
-    both = found is not None and sensor is not None
-    result["delay_against_sensor_s"] = float(seconds[found] - seconds[sensor]) if both else None
-    return result
+        joint = recording.joints[int(np.argmax(margin))]
+    return Verdict(
+        id=collision.id,
+        found=found is not None,
+        joint=joint,
+        delay_s=None if found is None else float(seconds[found]),
+        peak_over_limit=peak,
+        sensor_delay_s=None if sensor is None else float(seconds[sensor]),
+        delay_against_sensor_s=None if found is None or sensor is None else float(seconds[found] - seconds[sensor]),
+    )
 
 
 def first_rise(flags: np.ndarray, before: bool) -> int | None:
@@ -141,24 +148,14 @@ def choose_ten(
     return [strong[k] for k in sorted(np.random.default_rng([seed, 10]).choice(len(strong), 10, replace=False))]
 
 
-def found_curve(verdicts: Sequence[dict]) -> list[dict]:
+def found_curve(verdicts: Sequence[Verdict]) -> tuple[FoundBin, ...]:
     """Found collisions over `peak_over_limit`; those without a sensor are left out."""
-    sensed = [verdict for verdict in verdicts if verdict["peak_over_limit"]]
-    ratio = np.array([verdict["peak_over_limit"] for verdict in sensed])
-    found = np.array([verdict["found"] for verdict in sensed], dtype=bool)
-    upper = [*CURVE_EDGES[1:], np.inf]
+    sensed = [(verdict.peak_over_limit, verdict.found) for verdict in verdicts if verdict.peak_over_limit]
     curve = []
-    for low, high in zip(CURVE_EDGES, upper, strict=True):
-        inside = (ratio >= low) & (ratio < high)
-        curve.append(
-            {
-                "peak_over_limit_from": low,
-                "peak_over_limit_to": None if np.isinf(high) else high,
-                "collisions": int(inside.sum()),
-                "found": int(found[inside].sum()),
-            }
-        )
-    return curve
+    for low, high in zip(CURVE_EDGES, (*CURVE_EDGES[1:], None), strict=True):
+        inside = [found for ratio, found in sensed if low <= ratio < (high or np.inf)]
+        curve.append(FoundBin(low, high, len(inside), sum(inside)))
+    return tuple(curve)
 
 
 # --- Collisions as a monitor would have latched them: hold time and all, against a sensor with the same limit and hold.
@@ -170,9 +167,20 @@ STRONG_FOR_S = 0.02
 """... for so long beside the hold time: then it must be found."""
 
 
+@dataclass(frozen=True)
+class LatchVerdict:
+    """Whether a monitor would have latched one collision; None where a delay does not exist."""
+
+    latched: bool
+    strong: bool
+    unhealthy: bool
+    delay_s: Number
+    delay_against_sensor_s: Number
+
+
 def judge_latched(
     collision: Collision, recording: Recording, estimates: Estimates, hold_s: float, reference: np.ndarray | None
-) -> dict:
+) -> LatchVerdict:
     """Was it latched, how long after its onset, how long after the sensor would have been, and was it strong?
 
     The reference is low-passed as the observer is (`sensor_reference`), so that the observer's own lag is not held
@@ -192,15 +200,13 @@ def judge_latched(
         sensor = _first_rise_in(np.asarray(held(size > limit, hold).any(axis=1)), window)
         strong = bool(held(size > STRONG * limit, long)[window].any())
     seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
-    both = latched is not None and sensor is not None
-    return {
-        "id": collision.id,
-        "latched": latched is not None,
-        "strong": strong,
-        "unhealthy": bool(np.mean(estimates.healthy[collision.begin : collision.end]) < 0.5),
-        "delay_s": None if latched is None else float(seconds[latched]),
-        "delay_against_sensor_s": float(seconds[latched] - seconds[sensor]) if both else None,
-    }
+    return LatchVerdict(
+        latched=latched is not None,
+        strong=strong,
+        unhealthy=bool(np.mean(estimates.healthy[collision.begin : collision.end]) < 0.5),
+        delay_s=None if latched is None else float(seconds[latched]),
+        delay_against_sensor_s=None if latched is None or sensor is None else float(seconds[latched] - seconds[sensor]),
+    )
 
 
 def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
@@ -211,24 +217,22 @@ def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
     return runs - before == hold_samples + 1
 
 
-def latched_summary(verdicts: Sequence[dict]) -> dict:
-    """The entry `latched` of a bundle in results.json."""
-    return {
-        "collisions": len(verdicts),
-        "latched": sum(v["latched"] for v in verdicts),
-        "strong": sum(v["strong"] for v in verdicts),
-        "unhealthy": sum(v["unhealthy"] for v in verdicts),
-        "strong_latched": sum(v["strong"] and v["latched"] for v in verdicts),
-        **delay_quantiles(verdicts, "delay"),
-        **delay_quantiles(verdicts, "delay_against_sensor"),
-    }
+def latched_summary(verdicts: Sequence[LatchVerdict]) -> Latched:
+    return Latched(
+        len(verdicts),
+        sum(v.latched for v in verdicts),
+        sum(v.strong for v in verdicts),
+        sum(v.unhealthy for v in verdicts),
+        sum(v.strong and v.latched for v in verdicts),
+        *delay_quantiles(v.delay_s for v in verdicts),
+        *delay_quantiles(v.delay_against_sensor_s for v in verdicts),
+    )
 
 
-def delay_quantiles(verdicts: Sequence[dict], key: str) -> dict[str, float | None]:
-    """Median and 95 % quantile of the verdicts' delays, as KEY_median_s and KEY_p95_s."""
-    known = [verdict[f"{key}_s"] for verdict in verdicts if verdict[f"{key}_s"] is not None]
-    quantiles = {"median": 0.5, "p95": 0.95}
-    return {f"{key}_{name}_s": float(np.quantile(known, q)) if known else None for name, q in quantiles.items()}
+def delay_quantiles(delays_s: Iterable[Number]) -> tuple[Number, Number]:
+    """Median and 95 % quantile of the delays that exist."""
+    known = [delay for delay in delays_s if delay is not None]
+    return (float(np.quantile(known, 0.5)), float(np.quantile(known, 0.95))) if known else (None, None)
 
 
 def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
@@ -242,29 +246,22 @@ def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
 EDGES_NM = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0)
 
 
-def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[dict]:
-    """The entry `by_strength` of a bundle in results.json.
+def by_strength(touches: Sequence[Collision], verdicts: Sequence[LatchVerdict]) -> tuple[StrengthBin, ...]:
+    """Latched collisions over their strength.
 
     Args:
         touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].
         verdicts: their results of `judge_latched`, in the same order; those in unhealthy time are in no bin.
     """
-    unseen = [v["unhealthy"] for v in verdicts]
+    unseen = [v.unhealthy for v in verdicts]
     # NaN: no sensor, in no bin
     peak_nm = np.where(unseen, np.nan, [touch.sensor_peak_nm.max() or np.nan for touch in touches])
-    entries = []
-    for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
-        inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high)).tolist()]
-        entries.append(
-            {
-                "peak_nm_from": low,
-                "peak_nm_to": None if np.isinf(high) else high,
-                "collisions": len(inside),
-                "latched": sum(v["latched"] for v in inside),
-                **delay_quantiles(inside, "delay"),
-            }
-        )
-    return entries
+    bins = []
+    for low, high in zip(EDGES_NM, (*EDGES_NM[1:], None), strict=True):
+        inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < (high or np.inf))).tolist()]
+        delays = delay_quantiles(v.delay_s for v in inside)
+        bins.append(StrengthBin(low, high, len(inside), sum(v.latched for v in inside), *delays))
+    return tuple(bins)
 
 
 # --- When an event really began: labels are late or early by tens of milliseconds.
@@ -339,7 +336,7 @@ class TouchMeasures:
     """One bundle's links and kinds, collision by collision."""
 
     bundle: _core.Bundle
-    _reported: list[dict] = field(default_factory=list)
+    _reported: list[TouchEstimate] = field(default_factory=list)
     _labels: list[tuple[int, str]] = field(default_factory=list)
     """Touched link, -1 where unknown, and the recording's word for the kind of its contacts."""
 
@@ -350,48 +347,44 @@ class TouchMeasures:
             rows = alarm_rows(touch, recording, estimates)
             if model is None or len(rows) == 0:
                 continue
-            place = {} if model.refused else place_of(model, rows, recording, estimates)
-            self._reported.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
+            estimate = TouchEstimate(touch.id, kind_of(touch, recording, estimates))
+            self._reported.append(estimate if model.refused else placed(estimate, model, rows, recording, estimates))
             self._labels.append((touch.link, touch.kind))
 
-    def summary(self) -> dict:
-        """The entry `touches` of a bundle in results.json."""
-        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "told": self._reported}
+    def summary(self) -> Touches:
+        return Touches(STATED, self._links(), self._kinds(), tuple(self._reported))
 
-    def _links(self) -> dict | None:
-        """The entry `links`; None if no place was estimated for a collision whose link is labelled."""
-        names = [link.joint_name for link in self.bundle.links]
+    def _links(self) -> LinkTable | None:
+        """None if no place was estimated for a collision whose link is labelled."""
+        names = tuple(link.joint_name for link in self.bundle.links)
         known = [
-            (names[link], place)
-            for (link, _), place in zip(self._labels, self._reported, strict=True)
-            if 0 <= link < len(names) and place.get("links")
+            (names[link], [one.joint for one in estimate.links], estimate.links[0].probability)
+            for (link, _), estimate in zip(self._labels, self._reported, strict=True)
+            if 0 <= link < len(names) and estimate.links
         ]
         if not known:
             return None
-        ranked_links = [
-            (true, [one["joint"] for one in place["links"]], place["links"][0]["probability"]) for true, place in known
-        ]
-        stated = [true == ranked[0] for true, ranked, probability in ranked_links if probability >= STATED]
-        return {
-            "joints": names,
-            "table": [
-                [sum(true == row and ranked[0] == name for true, ranked, _ in ranked_links) for name in names]
+        stated = [true == ranked[0] for true, ranked, probability in known if probability >= STATED]
+        return LinkTable(
+            joints=names,
+            table=tuple(
+                tuple(sum(true == row and ranked[0] == name for true, ranked, _ in known) for name in names)
                 for row in names
-            ],
-            "collisions": len(ranked_links),
-            "first": sum(true == ranked[0] for true, ranked, _ in ranked_links),
-            "first_two": sum(true in ranked[:2] for true, ranked, _ in ranked_links),
-            "stated": len(stated),
-            "stated_right": sum(stated),
-        }
+            ),
+            collisions=len(known),
+            first=sum(true == ranked[0] for true, ranked, _ in known),
+            first_two=sum(true in ranked[:2] for true, ranked, _ in known),
+            stated=len(stated),
+            stated_right=sum(stated),
+        )
 
     def _kinds(self) -> dict[str, dict[str, int]]:
         """Number of collisions estimated to be of each kind, by the recording's word."""
         counts: dict[str, dict[str, int]] = {}
         for (_, word), reported in zip(self._labels, self._reported, strict=True):
-            if reported["kind"] is not None:
+            if reported.kind is not None:
                 row = counts.setdefault(word, {})
-                row[reported["kind"]] = row.get(reported["kind"], 0) + 1
+                row[reported.kind] = row.get(reported.kind, 0) + 1
         return counts
 
 
@@ -402,22 +395,23 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
     return rows[recording.t_ns[rows] <= recording.t_ns[rows[0]] + FOLLOWED_S * 1e9] if len(rows) else rows
 
 
-def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
-    """Estimated links and force at the row with the largest tau_ext over its standard error; empty if none."""
+def placed(
+    estimate: TouchEstimate, model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates
+) -> TouchEstimate:
+    """The estimate with links and force of the row with the largest tau_ext over its standard error, if any."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
     found = strongest_place(model, *(signal[rows] for signal in signals))
     if found is None or found.best is None:
-        return {}
-    return {
-        "links": [
-            {"joint": recording.joints[link], "probability": found.probability[link]} for link in found.ranked[:3]
-        ],
-        "force_n": newtons(found.best),
-        "point_m": list(found.best.point),
-        "spread_m": found.best.spread_m,
-        "consistent": found.consistent,
-    }
+        return estimate
+    return replace(
+        estimate,
+        links=tuple(LinkProbability(recording.joints[link], found.probability[link]) for link in found.ranked[:3]),
+        force_n=newtons(found.best),
+        point_m=tuple(found.best.point),
+        spread_m=found.best.spread_m,
+        consistent=found.consistent,
+    )
 
 
 def kind_of(touch: Collision, recording: Recording, estimates: Estimates) -> str:

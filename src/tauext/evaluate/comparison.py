@@ -24,6 +24,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.collisions import (
     STRONG_PEAK,
     Collision,
+    LatchVerdict,
     TouchMeasures,
     by_strength,
     choose_ten,
@@ -41,13 +42,14 @@ from tauext.evaluate.free_motion import (
     FreeMotionErrors,
     LimitsHeld,
     Sanity,
-    check_promise,
     promised_per_hour,
     sanity_detectors,
 )
 from tauext.evaluate.injected import EVENTS, Injection, estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve
+from tauext.evaluate.results import EvaluatedBundle, Injected, Limits, NoticedForce, Results, Verdict
 from tauext.files.checkpoint import Checkpoint
+from tauext.files.plain_file import FORMAT
 
 # --- Everything that is measured of one bundle, taken in recording by recording.
 
@@ -75,8 +77,8 @@ class BundleMeasures:
         self._rejected = Rejected()
         self._events = EventMeasures(events, bundle.near_stiction_rad_s)
         self._touches = touches or TouchMeasures(bundle)
-        self._verdicts: list[dict] = []
-        self._latched: list[dict] = []
+        self._verdicts: list[Verdict] = []
+        self._latched: list[LatchVerdict] = []
 
     def add_events(self, recording: Recording, estimates: Estimates) -> None:
         """Take in any recording, for events, free time and health; once each."""
@@ -104,10 +106,17 @@ class BundleMeasures:
 
     def peaks_over_limit(self) -> dict[str, float | None]:
         """How often its own limits go into the sensor's peak, by the ids of the collisions taken in."""
-        return {verdict["id"]: verdict["peak_over_limit"] for verdict in self._verdicts}
+        return {verdict.id: verdict.peak_over_limit for verdict in self._verdicts}
 
-    def summary(self, touches: Sequence[Collision], ten: Sequence[str], loss_history: LossHistory | None) -> dict:
-        """Its entry in `bundles` of results.json.
+    def summary(
+        self,
+        touches: Sequence[Collision],
+        ten: Sequence[str],
+        loss_history: LossHistory | None,
+        noticed: NoticedForce | None = None,
+        injected: Injected | None = None,
+    ) -> EvaluatedBundle:
+        """All its numbers.
 
         Args:
             touches: all that were taken in, in their order.
@@ -115,36 +124,32 @@ class BundleMeasures:
         """
         bundle = self._bundle
         trained = json.loads(bundle.provenance or "{}")
-        found = {verdict["id"]: verdict["found"] for verdict in self._verdicts}
-        promised = promised_per_hour(trained)
-        errors = self._errors
-        return {
-            "name": self._name,
-            "bundle": f"{bundle.name}.tauext",
-            "estimate_units": list(bundle.estimate_units),
+        losses = tuple((int(step), training, check) for step, training, check in loss_history or ())
+        sliding, near = tuple(bundle.sliding_limit_nm), tuple(bundle.near_stiction_limit_nm)
+        return EvaluatedBundle(
+            name=self._name,
+            bundle=f"{bundle.name}.tauext",
+            estimate_units=tuple(bundle.estimate_units),
             **{key: trained.get(key) for key in COPIED},
-            "free_motion": errors.summary()
-            | check_promise(promised, errors.false_collisions, float(errors.seconds) / 3600),
-            "limits": {
-                "sliding_nm": bundle.sliding_limit_nm,
-                "near_stiction_nm": bundle.near_stiction_limit_nm,
-                "moving": bundle.error_scale.follows,
-            },
-            "collisions": self._verdicts,
-            "ten_found": sum(found[one] for one in ten),
-            "found_curve": found_curve(self._verdicts),
-            "rejected": self._rejected.facts(),
-            "latched": latched_summary(self._latched),
-            "by_strength": by_strength(touches, self._latched),
-            "missed_curve": self._curve.summary(),
-            "after_contact": self._after.summary(),
-            "rmse_during_contact_nm": self._during.rmse_nm(),
-            "error_against_sigma": self._sigma.summary(),
-            "events": self._events.summary(),
-            "touches": self._touches.summary(),
-            "loss_history": loss_history,
-            "changed_since_training": changed_since_training(trained),
-        }
+            free_motion=self._errors.summary(promised_per_hour(trained)),
+            limits=Limits(sliding, near, bundle.error_scale.follows),
+            collisions=tuple(self._verdicts),
+            ten_found=sum(verdict.found for verdict in self._verdicts if verdict.id in ten),
+            found_curve=found_curve(self._verdicts),
+            rejected=self._rejected.summary(),
+            latched=latched_summary(self._latched),
+            by_strength=by_strength(touches, self._latched),
+            missed_curve=self._curve.summary(),
+            after_contact=self._after.summary(),
+            rmse_during_contact_nm=self._during.rmse_nm(),
+            error_against_sigma=self._sigma.summary(),
+            events=self._events.summary(),
+            touches=self._touches.summary(),
+            loss_history=losses or None,
+            changed_since_training=changed_since_training(trained),
+            noticed_force=noticed,
+            injected=injected,
+        )
 
 
 # --- All bundles on all recordings.
@@ -168,8 +173,8 @@ def evaluate(
     quiet: Sequence[Loader] = (),
     kept: Checkpoint | None = None,
     inject: bool = False,
-) -> dict:
-    """Results of every bundle: the content of results.json but for its provenance.
+) -> Results:
+    """Results of every bundle, without provenance.
 
     Recordings are loaded one at a time, so that hours of them need the memory of one.
 
@@ -183,11 +188,11 @@ def evaluate(
         loss_histories: of the bundles' training, by their names; only passed on.
         keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
             a disk, and figures need minutes.
-        sanity: add detectors without information, see sanity.py.
-        events: how labels are read, see events.py.
+        sanity: add detectors without information, see `Sanity`.
+        events: how labels are read, see `labelled_events`.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
         kept: where the work of a killed process goes on; its estimates are on disk already.
-        inject: add forces to free test motion, see injected.py.
+        inject: add forces to free test motion, see `Injection`.
 
     Raises:
         BundleError: a recording does not fit a bundle.
@@ -279,8 +284,8 @@ class Comparison:
             else:
                 detector.add_collisions(number, found, recording, estimates)
 
-    def summary(self, seed: int, histories: Mapping[str, LossHistory | None]) -> dict:
-        """The content of results.json but for its provenance.
+    def summary(self, seed: int, histories: Mapping[str, LossHistory | None]) -> Results:
+        """All results, without provenance.
 
         Args:
             seed: of the choice of ten collisions.
@@ -291,20 +296,26 @@ class Comparison:
             self._measures[name].peaks_over_limit() for name, one in self._bundles.items() if one.error_scale.follows
         ]
         ten = ten_for_all(touches, self._bundles, moving, seed)
-        return {
-            "joints": [link.joint_name for link in first.links],
-            "near_stiction_rad_s": first.near_stiction_rad_s,
-            "ten_collisions": ten,
-            "collisions": [collision.summary() for collision in touches],
-            "bundles": [
-                measured.summary(touches, ten, histories.get(name))
-                | {"noticed_force": self._limits_held[name].summary(self._bundles[name])}
-                | ({"injected": self._injection.summary(name)} if self._injection is not None else {})
+        return Results(
+            format=FORMAT,
+            provenance={},
+            joints=tuple(link.joint_name for link in first.links),
+            near_stiction_rad_s=first.near_stiction_rad_s,
+            ten_collisions=tuple(ten),
+            collisions=tuple(collision.summary() for collision in touches),
+            bundles=tuple(
+                measured.summary(
+                    touches,
+                    ten,
+                    histories.get(name),
+                    self._limits_held[name].summary(self._bundles[name]),
+                    None if self._injection is None else self._injection.summary(name),
+                )
                 for name, measured in self._measures.items()
-            ],
-            "own_torque": None if self._own is None else self._own.summary(),
-            "sanity": [detector.summary() for detector in self._ignorant],
-        }
+            ),
+            own_torque=None if self._own is None else self._own.summary(),
+            sanity=tuple(detector.summary() for detector in self._ignorant),
+        )
 
 
 def expect_work(

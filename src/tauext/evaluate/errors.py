@@ -9,6 +9,7 @@ import numpy as np
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision
+from tauext.evaluate.results import Number, SigmaBin, SigmaRegion
 
 # --- The torque that an ideal sensor would show behind the observer's own low-pass: what estimates are held against.
 
@@ -117,38 +118,30 @@ class ErrorAgainstSigma:
         for k, weights in enumerate((None, error <= sigma, error <= 2 * sigma, sigma**2, error**2)):
             sums[k] += np.bincount(at, weights, places * bins).reshape(places, bins)
 
-    def summary(self) -> dict | None:
-        """The entry `error_against_sigma` of a bundle in results.json; null without an error scale."""
+    def summary(self) -> dict[str, tuple[SigmaRegion, ...]] | None:
+        """By region, a joint each; None without an error scale."""
         if not self._known:
             return None
         parts = [(REGIONS, self._sums)] + ([(CONTACT, self._contact_sums)] if self._touched else [])
         return {
-            name: [self._entry(sums[:, k, j]) for j in range(self._shape[1])]
+            name: tuple(sigma_region(sums[:, k, j]) for j in range(self._shape[1]))
             for names, sums in parts
             for k, name in enumerate(names)
         }
 
-    @staticmethod
-    def _entry(sums: np.ndarray) -> dict:
-        total = sums.sum(axis=1)
-        bins = [
-            {
-                "sigma_nm_from": float(EDGES_NM[k]),
-                "sigma_nm_to": float(EDGES_NM[k + 1]),
-                **shares(sums[:, k]),
-                "sigma_rms_nm": float(np.sqrt(sums[3, k] / sums[0, k])),
-                "error_rms_nm": float(np.sqrt(sums[4, k] / sums[0, k])),
-            }
-            for k in np.flatnonzero(sums[0]).tolist()
-        ]
-        return {**shares(total), "bins": bins}
+
+def sigma_region(sums: np.ndarray) -> SigmaRegion:
+    """Of one joint's sums, (5, bins)."""
+    rms = np.sqrt(sums[3:] / np.maximum(sums[0], 1)).tolist()
+    edges = EDGES_NM.tolist()
+    bins = (
+        SigmaBin(edges[k], edges[k + 1], *shares(sums[:, k]), rms[0][k], rms[1][k])
+        for k in np.flatnonzero(sums[0]).tolist()
+    )
+    return SigmaRegion(*shares(sums.sum(axis=1)), tuple(bins))
 
 
-def shares(sums: np.ndarray) -> dict:
-    """Samples, and the shares of them within one and two sigma; null without any."""
+def shares(sums: np.ndarray) -> tuple[int, Number, Number]:
+    """Samples, and the shares of them within one and two sigma; None without any."""
     samples, one, two = sums[:3].tolist()
-    return {
-        "samples": int(samples),
-        "within_one_sigma": one / samples if samples else None,
-        "within_two_sigma": two / samples if samples else None,
-    }
+    return (int(samples), one / samples, two / samples) if samples else (0, None, None)

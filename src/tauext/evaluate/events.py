@@ -13,6 +13,7 @@ from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import delay_quantiles, onset_s
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
+from tauext.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OwnTorqueEvents
 
 # --- Alarms against labelled events whose edges are uncertain: found, false and how late, moving and resting apart.
 
@@ -83,8 +84,8 @@ class EventMeasures:
 
     config: EventsConfig
     near_stiction_rad_s: float
-    _verdicts: list[dict] = field(default_factory=list)
-    _false_alarms: list[dict] = field(default_factory=list)
+    _verdicts: list[EventVerdict] = field(default_factory=list)
+    _false_alarms: list[FalseAlarm] = field(default_factory=list)
     _left_out: int = 0
     _free_s: np.ndarray = field(default_factory=lambda: np.zeros(2))  # resting, moving
 
@@ -109,14 +110,8 @@ class EventMeasures:
             self._free_s[state] += (free & (moving == bool(state))).sum() / recording.rate_hz
         since_s = np.full(recording.samples, np.nan) if recording.contact is None else time_since_touch(recording)
         for k in begun[free[begun]].tolist():
-            self._false_alarms.append(
-                {
-                    "recording": recording.name,
-                    "start_s": float(recording.time_s[k]),
-                    "moving": bool(moving[k]),
-                    "since_contact_s": float(since_s[k]) if np.isfinite(since_s[k]) else None,
-                }
-            )
+            since = float(since_s[k]) if np.isfinite(since_s[k]) else None
+            self._false_alarms.append(FalseAlarm(recording.name, float(recording.time_s[k]), bool(moving[k]), since))
         rises = np.flatnonzero(alarm & ~np.append(False, alarm[:-1]))
         time_s, tolerance_s = recording.time_s, self.config.tolerance_s
         onsets = onset_s(recording, [(e.start_s - tolerance_s, e.end_s) for e in events], r, ~busy & healthy)
@@ -127,18 +122,18 @@ class EventMeasures:
             window = (event.start_s - tolerance_s <= time_s[rises]) & (time_s[rises] <= event.end_s + tolerance_s)
             found = rises[window][0] if window.any() else None
             self._verdicts.append(
-                {
-                    "id": event.id,
-                    "recording": event.recording,
-                    "start_s": event.start_s,
-                    "end_s": event.end_s,
-                    "onset_s": onset,
-                    "moving": event.moving,
-                    "found": found is not None,
-                    "joint": None if found is None else recording.joints[int(np.argmax(share[found]))],
-                    "delay_s": None if found is None else float(time_s[found] - event.start_s),
-                    "delay_from_onset_s": None if found is None or onset is None else float(time_s[found] - onset),
-                }
+                EventVerdict(
+                    id=event.id,
+                    recording=event.recording,
+                    start_s=event.start_s,
+                    end_s=event.end_s,
+                    onset_s=onset,
+                    moving=event.moving,
+                    found=found is not None,
+                    joint=None if found is None else recording.joints[int(np.argmax(share[found]))],
+                    delay_s=None if found is None else float(time_s[found] - event.start_s),
+                    delay_from_onset_s=None if found is None or onset is None else float(time_s[found] - onset),
+                )
             )
 
     def add_estimates(self, recording: Recording, estimates: Estimates) -> None:
@@ -147,31 +142,25 @@ class EventMeasures:
         share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit_nm
         self.add(recording, alarm, estimates.healthy, share, estimates.residual)
 
-    def summary(self) -> dict:
-        """The entry `events` of a bundle in results.json."""
-        states_of = {"all": (0, 1), "resting": (0,), "moving": (1,)}
-        return {
-            "shortest_event_s": self.config.shortest_event_s,
-            "tolerance_s": self.config.tolerance_s,
-            "left_out": self._left_out,
-            **{name: self._counts(states) for name, states in states_of.items()},
-            "verdicts": self._verdicts,
-            "false_alarms_at": self._false_alarms,
-        }
+    def summary(self) -> Events:
+        return Events(
+            shortest_event_s=self.config.shortest_event_s,
+            tolerance_s=self.config.tolerance_s,
+            left_out=self._left_out,
+            all=self._counts((0, 1)),
+            resting=self._counts((0,)),
+            moving=self._counts((1,)),
+            verdicts=tuple(self._verdicts),
+            false_alarms_at=tuple(self._false_alarms),
+        )
 
-    def _counts(self, states: Sequence[int]) -> dict:
-        chosen = [v for v in self._verdicts if v["moving"] in states]
+    def _counts(self, states: Sequence[int]) -> EventCounts:
+        chosen = [v for v in self._verdicts if v.moving in states]
         hours = float(self._free_s[list(states)].sum()) / 3600
-        false = sum(alarm["moving"] in states for alarm in self._false_alarms)
-        return {
-            "events": len(chosen),
-            "found": sum(v["found"] for v in chosen),
-            **delay_quantiles(chosen, "delay"),
-            **delay_quantiles(chosen, "delay_from_onset"),
-            "free_hours": hours,
-            "false_alarms": false,
-            "false_alarms_per_hour": false / hours if hours else None,
-        }
+        false = sum(alarm.moving in states for alarm in self._false_alarms)
+        delays = delay_quantiles(v.delay_s for v in chosen) + delay_quantiles(v.delay_from_onset_s for v in chosen)
+        found = sum(v.found for v in chosen)
+        return EventCounts(len(chosen), found, *delays, hours, false, false / hours if hours else None)
 
 
 # --- The robot's own external torque as one more method: what a bundle must be compared with where there is one.
@@ -194,9 +183,9 @@ class OwnTorque:
         healthy = np.ones(recording.samples, dtype=bool)
         self._measures.add(recording, (share > 1).any(axis=1), healthy, share, recording.tau_ext)
 
-    def summary(self) -> dict | None:
-        """The entry `own_torque` of results.json; None where some recording with events has no tau_ext."""
-        return {"limit_nm": self.limit_nm.tolist(), "events": self._measures.summary()} if self._complete else None
+    def summary(self) -> OwnTorqueEvents | None:
+        """None where some recording with events has no tau_ext."""
+        return OwnTorqueEvents(tuple(self.limit_nm.tolist()), self._measures.summary()) if self._complete else None
 
 
 def own_limits(recordings: Iterable[Recording]) -> np.ndarray | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision, judge_latched
 from tauext.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
+from tauext.evaluate.results import AfterContacts, Aftermath, FreeMotion, NoticedForce, Numbers, SanityRow
 from tauext.train.tail import is_consistent, is_kept, rate_interval
 
 # --- How wrong the estimate is where nothing touches the arm: there tau_ext is the error.
@@ -61,29 +63,49 @@ class FreeMotionErrors:
         self.false_alarms += count_episodes(estimates.detection, quiet)
         self.false_collisions += count_episodes(estimates.held_alarm == COLLISION, quiet)
 
-    def summary(self) -> dict:
-        """The entry `free_motion` of results.json."""
+    def summary(self, promised: float | None) -> FreeMotion:
+        """Errors, and whether the promised rate of false collisions was kept.
+
+        promise_consistent: the promised rate lies in the interval of 95 %; promise_kept: so many false collisions or
+        more are no surprise at that rate. None without a promise, or without healthy hours.
+        """
         sliding = self.samples - self._near
         with np.errstate(invalid="ignore", divide="ignore"):
             mse = self._square / self.samples
             near_rmse = np.sqrt(self._near_square / self._near)
             sliding_rmse = np.sqrt((self._square - self._near_square) / sliding)
-        hours = self.seconds / 3600
-        return {
-            "recordings": self.recordings,
-            "hours": hours,
-            "samples": self.samples,
-            "l1_nm": numbers(self._l1 / max(self.samples, 1)),
-            "l2_nm": numbers(np.sqrt(mse)),
-            "mse_nm2": numbers(mse),
-            "rmse_near_stiction_nm": numbers(near_rmse),
-            "rmse_sliding_nm": numbers(sliding_rmse),
-            "near_stiction_share": numbers(self._near / max(self.samples, 1)),
-            "observer_peak_nm": numbers(self._largest_r),
-            "false_alarms": self.false_alarms,
-            "false_alarms_per_hour": self.false_alarms / hours if hours else None,
-            "false_collisions": self.false_collisions,
-        }
+        hours, false = float(self.seconds) / 3600, self.false_collisions
+        known = promised if hours else None
+        return FreeMotion(
+            recordings=tuple(self.recordings),
+            hours=hours,
+            samples=self.samples,
+            l1_nm=numbers(self._l1 / max(self.samples, 1)),
+            l2_nm=numbers(np.sqrt(mse)),
+            mse_nm2=numbers(mse),
+            rmse_near_stiction_nm=numbers(near_rmse),
+            rmse_sliding_nm=numbers(sliding_rmse),
+            near_stiction_share=numbers(self._near / max(self.samples, 1)),
+            observer_peak_nm=numbers(self._largest_r),
+            false_alarms=self.false_alarms,
+            false_alarms_per_hour=self.false_alarms / hours if hours else None,
+            false_collisions=false,
+            promised_per_hour=promised,
+            false_collisions_interval_per_hour=rate_interval(false, hours) if hours else None,
+            promise_consistent=None if known is None else is_consistent(false, hours, known),
+            promise_kept=None if known is None else is_kept(false, hours, known),
+        )
+
+
+def promised_per_hour(provenance: Mapping) -> float | None:
+    """False collisions an hour that the bundle's limits are set for, [1/h]; None where they come from no budget.
+
+    The requested budget; if the calibration was too short for it, the smallest budget that it supports.
+    """
+    promise = (provenance.get("limits") or {}).get("promise")
+    if promise is None:
+        return None
+    return promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"]
 
 
 def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
@@ -92,9 +114,9 @@ def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
     return 0 if len(at) == 0 else 1 + int((np.diff(at) > quiet_samples).sum())
 
 
-def numbers(values: np.ndarray) -> list[float | None]:
-    """Values for JSON, which has no NaN: null where a number does not exist."""
-    return [float(v) if np.isfinite(v) else None for v in values]
+def numbers(values: np.ndarray) -> Numbers:
+    """Values for JSON, which has no NaN: None where a number does not exist."""
+    return tuple(float(v) if np.isfinite(v) else None for v in values)
 
 
 # --- What a contact leaves behind: alarms that begin, and errors, when nothing touches the arm any more.
@@ -142,22 +164,25 @@ class AfterContact:
             begun = where[beginnings(estimates.held_alarm >= level, round(QUIET_S * recording.rate_hz))]
             self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
 
-    def summary(self) -> dict:
-        """The entry `after_contact` of a bundle in results.json."""
-        entries = [self._entry(k) for k in range(len(EDGES_S))]
-        ends = zip(EDGES_S[:-1], EDGES_S[1:], strict=True)
-        bins = [{"from_s": a, "to_s": b} | entry for (a, b), entry in zip(ends, entries[:-1], strict=True)]
-        return {"bins": bins, "free_motion": entries[-1]}
+    def summary(self) -> AfterContacts:
+        *bins, free = (self._aftermath(k, *ends) for k, ends in enumerate((*pairwise(EDGES_S), (None, None))))
+        return AfterContacts(tuple(bins), free)
 
-    def _entry(self, k: int) -> dict:
+    def _aftermath(self, k: int, from_s: float | None, to_s: float | None) -> Aftermath:
         hours = float(self._seconds[k]) / 3600
-        entry: dict = {"hours": hours}
-        for name, begun in self._begun.items():
-            entry[f"{name}s"] = int(begun[k])
-            entry[f"{name}s_per_hour"] = int(begun[k]) / hours if hours else None
+        contacts, collisions = (int(begun[k]) for begun in self._begun.values())
         with np.errstate(invalid="ignore"):
-            entry["rmse_nm"] = numbers(np.sqrt(self._square[k] / self._samples[k]))
-        return entry
+            rmse = np.sqrt(self._square[k] / self._samples[k])
+        return Aftermath(
+            from_s=from_s,
+            to_s=to_s,
+            hours=hours,
+            contacts=contacts,
+            contacts_per_hour=contacts / hours if hours else None,
+            collisions=collisions,
+            collisions_per_hour=collisions / hours if hours else None,
+            rmse_nm=numbers(rmse),
+        )
 
 
 def time_since_touch(recording: Recording) -> np.ndarray:
@@ -199,8 +224,7 @@ class DuringContact:
             self._square += (error**2).sum(axis=0)
             self._samples += len(error)
 
-    def rmse_nm(self) -> list[float | None]:
-        """The entry `rmse_during_contact_nm` of a bundle in results.json."""
+    def rmse_nm(self) -> Numbers:
         with np.errstate(invalid="ignore"):
             return numbers(np.sqrt(self._square / self._samples))
 
@@ -229,10 +253,10 @@ class LimitsHeld:
         at = np.flatnonzero(counted)[:: max(1, round(ROW_S * recording.rate_hz))]
         self._rows.append(np.stack([recording.q[at], *(one[at] for one in columns)], axis=1).astype(np.float32))
 
-    def summary(self, bundle: _core.Bundle, frames: Sequence[str] = ()) -> dict | None:
-        """The result of noticed(); {"refused": why} of a bundle that cannot estimate forces, null without any pose."""
+    def summary(self, bundle: _core.Bundle, frames: Sequence[str] = ()) -> NoticedForce | None:
+        """The result of noticed(); why there is none of a bundle that cannot estimate forces; None without any pose."""
         if refused := _core.WrenchModel(bundle).refused:
-            return {"refused": refused}
+            return NoticedForce(refused)
         rows = np.concatenate(self._rows) if self._rows else np.empty((0, 4, bundle.joints))
         if len(rows) == 0:
             return None
@@ -287,7 +311,7 @@ class Sanity:
         alarm = self.alarms(number, recording)
         alarmed = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
         for touch in touches:
-            self._latched.append(judge_latched(touch, recording, alarmed, 0.0, None)["latched"])
+            self._latched.append(judge_latched(touch, recording, alarmed, 0.0, None).latched)
             self._found.append(bool(alarm[touch.begin : touch.end + round(GRACE_S * recording.rate_hz)].any()))
 
     def alarms(self, number: int, recording: Recording) -> np.ndarray:
@@ -305,48 +329,18 @@ class Sanity:
         )
         return np.cumsum(steps)[:-1] > 0
 
-    def summary(self) -> dict:
-        """Its entry in `sanity` of results.json."""
-        return {
-            "name": self.name,
-            "false_per_hour": self._false / self._hours if self._hours else None,
-            "time_in_alarm_share": self._alarmed / self._samples if self._samples else None,
-            "collisions": len(self._found),
-            "found": sum(self._found),
-            "latched": sum(self._latched),
-            "worth": WORTH[self.name],
-        }
+    def summary(self) -> SanityRow:
+        return SanityRow(
+            name=self.name,
+            false_per_hour=self._false / self._hours if self._hours else None,
+            time_in_alarm_share=self._alarmed / self._samples if self._samples else None,
+            collisions=len(self._found),
+            found=sum(self._found),
+            latched=sum(self._latched),
+            worth=WORTH[self.name],
+        )
 
 
 def sanity_detectors(seed: int) -> list[Sanity]:
     """One of each."""
     return [Sanity(name, seed) for name in WORTH]
-
-
-# --- Whether a test leaves standing what a bundle's calibration promised.
-
-
-def promised_per_hour(provenance: Mapping) -> float | None:
-    """False collisions an hour that the bundle's limits are set for, [1/h]; None where they come from no budget.
-
-    The requested budget; if the calibration was too short for it, the smallest budget that it supports.
-    """
-    promise = (provenance.get("limits") or {}).get("promise")
-    if promise is None:
-        return None
-    return promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"]
-
-
-def check_promise(promised: float | None, false_collisions: int, hours: float) -> dict:
-    """Entries of `free_motion` in results.json: the promised rate, the interval that the test found, and the verdicts.
-
-    promise_consistent: the promised rate lies in the interval of 95 %; promise_kept: so many false collisions or more
-    are no surprise at that rate. null without a promise, or without healthy hours.
-    """
-    known = promised if promised is not None and hours > 0 else None
-    return {
-        "promised_per_hour": promised,
-        "false_collisions_interval_per_hour": list(rate_interval(false_collisions, hours)) if hours > 0 else None,
-        "promise_consistent": is_consistent(false_collisions, hours, known) if known is not None else None,
-        "promise_kept": is_kept(false_collisions, hours, known) if known is not None else None,
-    }

@@ -19,6 +19,7 @@ from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision, judge_latched
 from tauext.evaluate.noticed_force import Point, noticed_force, points
+from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin
 
 # --- Runs bundles on recordings: the same chain as the monitor's.
 
@@ -149,30 +150,30 @@ class Injection:
                 )
                 found = judge_latched(touch, touched, estimates, bundle.hold_s, None)
                 # The first sample of an event stands for the middle of its own period.
-                delay_s = None if found["delay_s"] is None else found["delay_s"] + 0.5 / recording.rate_hz
-                row = (event.shape, event.place, event.peak, found["latched"], found["unhealthy"], delay_s)
+                delay_s = None if found.delay_s is None else found.delay_s + 0.5 / recording.rate_hz
+                row = (event.shape, event.place, event.peak, found.latched, found.unhealthy, delay_s)
                 self.seen[name].append(row)
 
-    def summary(self, name: str) -> dict:
-        """The entry `injected` of a bundle in results.json."""
+    def summary(self, name: str) -> Injected:
         rows = self.seen[name]
-        entry: dict = {"unit": of_all(self.reference.estimate_units) if self.refused else "N", "events": len(rows)}
-        entry["unhealthy"] = sum(unhealthy for *_, unhealthy, _ in rows)
-        if self.refused:
-            entry["without_forces"] = self.refused
-        entry |= {} if self.refused else left_out(self.reference)
         by: dict[tuple[int, str], list] = defaultdict(list)
         for shape, place, *row in rows:
             by[place, shape].append(row)
         names = self._names()
-        entry["blind"] = [place for k, place in enumerate(names) if rows and not any(row[1] == k for row in rows)]
-        entry["curves"] = [
-            {"place": names[place], "shape": shape} | curve(by[place, shape])
-            for place in range(len(names))
-            for shape in SHAPES
-            if by[place, shape]
-        ]
-        return entry
+        return Injected(
+            unit=of_all(self.reference.estimate_units) if self.refused else "N",
+            events=len(rows),
+            unhealthy=sum(unhealthy for *_, unhealthy, _ in rows),
+            without_forces=self.refused or None,
+            left_out=() if self.refused else left_out(self.reference),
+            blind=tuple(place for k, place in enumerate(names) if rows and not any(row[1] == k for row in rows)),
+            curves=tuple(
+                curve(names[place], shape, by[place, shape])
+                for place in range(len(names))
+                for shape in SHAPES
+                if by[place, shape]
+            ),
+        )
 
     def _names(self) -> list[str]:
         if not self.refused:
@@ -187,7 +188,7 @@ class Injection:
             return dict(enumerate(limit.tolist()))
         q = recording.q[np.linspace(0, recording.samples - 1, POSES).round().astype(int)]
         entries = noticed_force(bundle, q, np.tile(limit, (len(q), 1)), self.places)
-        median_n = {place: entry["every_way"]["median_n"] for place, entry in enumerate(entries)}
+        median_n = {place: entry.every_way.median_n for place, entry in enumerate(entries)}
         return {place: force_n for place, force_n in median_n.items() if force_n is not None}
 
     def _event(self, recording: Recording, at_s: float, scale: Mapping[int, float], rng: np.random.Generator) -> Event:
@@ -224,11 +225,11 @@ def profile(shape: str, rate_hz: float) -> np.ndarray:
     return np.sin(np.pi * s) * min(1.0, length * rate_hz / samples)
 
 
-def curve(rows: Sequence[tuple[float, bool, bool, float | None]]) -> dict:
+def curve(place: str, shape: str, rows: Sequence[tuple[float, bool, bool, float | None]]) -> InjectedCurve:
     """Share and delay over the peak, of (peak, latched, unhealthy, delay); what came while unhealthy counts as missed.
 
     nine_of_ten: the smallest peak from which on 9 of 10 are detected by the best rising curve (isotonic regression);
-    null where there is none.
+    None where there is none.
     """
     rows = sorted(rows, key=lambda row: row[0])
     peaks, latched = np.array([row[0] for row in rows]), np.array([row[1] for row in rows], dtype=float)
@@ -236,25 +237,28 @@ def curve(rows: Sequence[tuple[float, bool, bool, float | None]]) -> dict:
     edges = np.geomspace(peaks[0], peaks[-1] * (1 + 1e-9), BINS + 1)
     which = np.clip(np.searchsorted(edges, peaks, side="right") - 1, 0, BINS - 1)
     delays = [row[3] for row, over in zip(rows, sure, strict=True) if over and row[3] is not None]
-    return {
-        "events": len(rows),
-        "latched": int(latched.sum()),
-        "nine_of_ten": float(peaks[sure.argmax()]) if sure.any() else None,
-        "delay_median_s": median(delays),
-        "delay_p95_s": float(np.quantile(delays, 0.95)) if delays else None,
-        "bins": [
-            {
-                "peak_from": float(edges[k]),
-                "peak_to": float(edges[k + 1]),
-                "events": int((which == k).sum()),
-                "latched": int(latched[which == k].sum()),
-                "delay_median_s": median([rows[i][3] for i in np.flatnonzero(which == k)]),
-            }
-            for k in range(BINS)
-        ],
-    }
+    bins = (
+        PeakBin(
+            peak_from=float(edges[k]),
+            peak_to=float(edges[k + 1]),
+            events=int((which == k).sum()),
+            latched=int(latched[which == k].sum()),
+            delay_median_s=median([rows[i][3] for i in np.flatnonzero(which == k)]),
+        )
+        for k in range(BINS)
+    )
+    return InjectedCurve(
+        place=place,
+        shape=shape,
+        events=len(rows),
+        latched=int(latched.sum()),
+        nine_of_ten=float(peaks[sure.argmax()]) if sure.any() else None,
+        delay_median_s=median(delays),
+        delay_p95_s=float(np.quantile(delays, 0.95)) if delays else None,
+        bins=tuple(bins),
+    )
 
 
-def median(delays: Sequence[float | None]) -> float | None:
+def median(delays: Sequence[Number]) -> Number:
     known = [delay for delay in delays if delay is not None]
     return float(np.median(known)) if known else None

@@ -11,6 +11,7 @@ from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
+from tauext.evaluate.results import CurvePoint
 from tauext.train.held_peaks import held_minimum, hold_lengths
 
 SCALES = np.sort(np.append(np.geomspace(0.05, 10, 60), 1.0))
@@ -52,17 +53,13 @@ class MissedCurve:
             grace = round(GRACE_S * recording.rate_hz)
             self._peaks += [float(rho[touch.begin : touch.end + grace].max()) for touch in touches]
 
-    def summary(self) -> list[dict]:
-        """The entry `missed_curve` of a bundle in results.json."""
-        peaks = np.array(self._peaks)
-        return [
-            {
-                "scale": float(scale),
-                "false_per_hour": int(false) / self._hours if self._hours else None,
-                "missed": int((peaks <= scale).sum()),
-            }
-            for scale, false in zip(SCALES, self._false, strict=True)
-        ]
+    def summary(self) -> tuple[CurvePoint, ...]:
+        """A point a factor."""
+        peaks, hours = np.array(self._peaks), self._hours
+        return tuple(
+            CurvePoint(scale, false / hours if hours else None, int((peaks <= scale).sum()))
+            for scale, false in zip(SCALES.tolist(), self._false.tolist(), strict=True)
+        )
 
 
 def held_ratio(estimates: Estimates, hold_s: float) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.units import left_out, situations
 from tauext.errors import BundleError, ConfigError
+from tauext.evaluate.results import EveryWay, NoticedAt, NoticedForce, OverPoses
 
 MOST_N = 1000.0
 """A direction in which it takes more is called blind: no touch that an arm survives is far beyond it
@@ -20,7 +21,6 @@ MOST_N = 1000.0
 WAYS = 100
 """Directions on half a sphere; the other half is the same by symmetry. Each stands for a cone of 8 degrees."""
 NINE_OF_TEN = 0.9
-AXES = ("x", "y", "z")
 LEAST_LIMIT_NM = 1e-9
 """A limit of 0 is over at the first torque."""
 
@@ -66,8 +66,10 @@ def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
     return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
 
 
-def noticed_force(bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at: Sequence[Point]) -> list[dict]:
-    """An entry a point: forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
+def noticed_force(
+    bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at: Sequence[Point]
+) -> tuple[NoticedAt, ...]:
+    """Of each point, forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
 
     None stands for blind: no joint notices MOST_N in that direction. Joints that do not answer in N m notice nothing
     here: their limits in N m are unknown.
@@ -84,28 +86,17 @@ def noticed_force(bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at:
         per_limit = (lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None])[:, in_newtons]
         every = least_force(per_limit, ways)
         along = least_force(per_limit, np.eye(3))
-        entry: dict = {
-            "place": point.name,
-            "frame": point.frame,
-            "point_m": list(point.point_m),
-            "every_way": {
-                "median_n": known(float(np.median(every))),
-                "nine_of_ten_n": known(float(np.quantile(every, NINE_OF_TEN, method="higher"))),
-            },
-        }
-        entry |= {axis: over_poses(along[:, k]) for k, axis in enumerate(AXES)}
-        entry["worst_way"] = over_poses(worst_force(per_limit))
-        entries.append(entry)
-    return entries
+        nine_of_ten = float(np.quantile(every, NINE_OF_TEN, method="higher"))
+        every_way = EveryWay(known(float(np.median(every))), known(nine_of_ten))
+        ways_n = (*along.T, worst_force(per_limit))
+        entries.append(NoticedAt(point.name, point.frame, point.point_m, every_way, *map(over_poses, ways_n)))
+    return tuple(entries)
 
 
-def over_poses(force_n: np.ndarray) -> dict:
-    """Median, largest and blind share of a force a pose."""
-    return {
-        "median_n": known(float(np.median(force_n))),
-        "worst_n": known(float(force_n.max())),
-        "blind_share": float(np.isinf(force_n).mean()),
-    }
+def over_poses(force_n: np.ndarray) -> OverPoses:
+    """Of a force a pose."""
+    median, worst = float(np.median(force_n)), float(force_n.max())
+    return OverPoses(known(median), known(worst), float(np.isinf(force_n).mean()))
 
 
 def known(force_n: float) -> float | None:
@@ -165,26 +156,14 @@ def even_ways() -> np.ndarray:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
-def shown_after(bundle: _core.Bundle) -> dict:
-    """Delay until a lasting force is reported: the observer's rate and the hold times; filters come on top."""
-    return {
-        "gain_per_s": bundle.observer.gain_per_s,
-        "hold_s": {"collision": bundle.hold_s, "contact": bundle.contact_hold_s},
-        "twice_after_s": {
-            "collision": math.log(2) / bundle.observer.gain_per_s + bundle.hold_s,
-            "contact": math.log(2) / bundle.observer.gain_per_s + bundle.contact_hold_s,
-        },
-    }
-
-
 def noticed(
     bundle: _core.Bundle,
     q: np.ndarray,
     limits: Mapping[str, np.ndarray],
     error_share: float,
     frames: Sequence[str] = (),
-) -> dict:
-    """All noticed forces as plain JSON; docs/files.md describes it.
+) -> NoticedForce:
+    """All noticed forces, and the delay until a lasting force is reported; filters come on top of the delay.
 
     Args:
         q: poses, (poses, joints), one at least.
@@ -194,10 +173,17 @@ def noticed(
     Raises:
         BundleError, ConfigError: as points.
     """
-    at = points(bundle, frames)
-    entries = {name: noticed_force(bundle, q, limit, at) for name, limit in limits.items()}
-    facts = {"poses": len(q), "limits": entries, "error_share": error_share}
-    return facts | left_out(bundle) | shown_after(bundle)
+    at, gain_per_s = points(bundle, frames), bundle.observer.gain_per_s
+    hold_s = {"collision": bundle.hold_s, "contact": bundle.contact_hold_s}
+    return NoticedForce(
+        poses=len(q),
+        limits={name: noticed_force(bundle, q, limit, at) for name, limit in limits.items()},
+        error_share=error_share,
+        left_out=left_out(bundle),
+        gain_per_s=gain_per_s,
+        hold_s=hold_s,
+        twice_after_s={level: math.log(2) / gain_per_s + hold for level, hold in hold_s.items()},
+    )
 
 
 # --- What force is noticed at the poses that a bundle keeps, with its limits in usual motion: no recording is needed.
@@ -209,7 +195,7 @@ NO_POSES = (
 )
 
 
-def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) -> dict:
+def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) -> NoticedForce:
     """The result of noticed() by level and region: all joints sliding, or all near stiction.
 
     Raises:

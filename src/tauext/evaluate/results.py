@@ -9,6 +9,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from tauext.bundle.units import of_all, short
+from tauext.check.preflight import RejectedTime
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_text
@@ -262,21 +263,6 @@ class Limits:
     """They are multiplied by what the motion announces; those named are of usual motion."""
 
 
-@dataclass(frozen=True)
-class WorstRecording:
-    recording: str
-    share: float
-
-
-@dataclass(frozen=True)
-class RejectedTime:
-    """Share of the time in which the monitor was not healthy."""
-
-    share: Number
-    causes: dict[str, float]
-    worst: WorstRecording | None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Aftermath:
     """Alarms that begin, and errors, in a time after a touch; without times, in free motion."""
@@ -425,9 +411,6 @@ class Injected:
 
 
 # --- Labelled events: found, how late, false alarms an hour of free time, moving and resting apart.
-
-
-STATES = ("all", "resting", "moving")
 
 
 @dataclass(frozen=True)

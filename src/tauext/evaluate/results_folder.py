@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ from tauext.config import EventsConfig
 from tauext.data.dataset import Dataset
 from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.results import EvaluatedBundle, to_json
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.places import Place
-from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 
@@ -99,24 +99,25 @@ def evaluate_bundles(
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    results = {"format": FORMAT, "provenance": source | keep} | results
-    write_json(results, out / "results.json")
-    for entry in results["bundles"]:
-        if words := unhealthy_words(entry):
+    content: dict[str, Any] = to_json(replace(results, provenance=source | keep))
+    write_json(content, out / "results.json")
+    for bundle in results.bundles:
+        if words := unhealthy_words(bundle):
             report.say(words)
     kept.end()
-    return results
+    return content
 
 
-def unhealthy_words(entry: dict[str, Any]) -> str:
+def unhealthy_words(bundle: EvaluatedBundle) -> str:
     """What a bundle's monitor rejected of the recordings; empty where it is next to nothing."""
-    rejected, latched = entry["rejected"], entry["latched"]
-    if rejected["share"] <= WORTH_A_WARNING and not latched["unhealthy"]:
+    rejected, latched = bundle.rejected, bundle.latched
+    assert rejected.share is not None and latched is not None
+    if rejected.share <= WORTH_A_WARNING and not latched.unhealthy:
         return ""
-    causes = ", ".join(f"{name} {share:.1%}" for name, share in rejected["causes"].items()) or "warming up"
+    causes = ", ".join(f"{name} {share:.1%}" for name, share in rejected.causes.items()) or "warming up"
     return (
-        f"{entry['name']}: healthy for {1 - rejected['share']:.1%} of the time ({causes}); {latched['unhealthy']} of "
-        f"{latched['collisions']} collisions fell into the rest, where nothing is detected"
+        f"{bundle.name}: healthy for {1 - rejected.share:.1%} of the time ({causes}); {latched.unhealthy} of "
+        f"{latched.collisions} collisions fell into the rest, where nothing is detected"
     )
 
 

@@ -20,7 +20,7 @@ from tauext.files.provenance import json_text, write_json
 from tauext.fit.prior import bound_loads, branches_of
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.regression import inverse
-from tauext.fit.ridge import MapRegression, WeightPrior, gather, solved
+from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, solved
 from tauext.fit.temperature import with_temperature
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.robot.inertial import PARAMETERS
@@ -275,10 +275,8 @@ def links_digest(tree: _core.Tree) -> str:
 class FleetErrors:
     """Errors of arms that had a minute of their own and the prior of the others, on the rest of their motion."""
 
-    minutes: float
-    """Of its own that each arm had."""
-    hours: float
-    """Of motion that was judged."""
+    minutes: float  # of its own motion that each arm had
+    hours: float  # of motion in which errors were counted
     arms: int
     features: tuple[str, ...]
     limit_weights: np.ndarray  # (n, features), of an arm whose errors are as large as the fleet's
@@ -292,8 +290,7 @@ class FleetErrors:
     contact_near_stiction_limit_nm: np.ndarray
     hold_s: float
     contact_hold_s: float
-    facts: Mapping[str, Any]
-    """What the limits promise, as a training's provenance has it."""
+    facts: Mapping[str, Any]  # what the limits promise, as in a training's provenance
 
 
 @dataclass(frozen=True)
@@ -538,10 +535,11 @@ def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig,
         TrainingError: no recording is longer than the observer's warm-up.
     """
     bent = with_presliding(setup, like.widths_rad)
-    found = gather(bent, recordings, like.own, [], bent.tree)
+    regressors = Regressors(like.own, corrected=bent.tree)
+    found = gather(bent, recordings, regressors)
     period_s = 1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride
     regression = MapRegression([problem for problem, _ in found], like.weights, period_s)
-    fit = solved(bent, regression, found, like.own, [], bent.tree)
+    fit = solved(bent, regression, found, regressors)
     for settings in (fit.settings, *(one.settings for one in fit.left_out)):
         settings.branches = branches_of(settings)
     bound_loads(bent, recordings, fit)

@@ -16,7 +16,7 @@ from tauext.data.servo import derives_velocity
 from tauext.fit.find_kinematics import LEAST_ROWS, Kinematics, KinematicSample, can_be_found, find_kinematics
 from tauext.fit.prior_terms import CORRECTED, ESTIMATED, Kind, PriorFit, has_model, idle_widths, own_terms, shared_terms
 from tauext.fit.regression import LEAST_SQUARE
-from tauext.fit.ridge import fit_ridge
+from tauext.fit.ridge import Regressors, fit_ridge
 from tauext.fit.temperature import with_temperature
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import Setup, with_presliding
@@ -50,7 +50,7 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
         ]
         for joint in range(setup.tree.size)
     ]
-    return fit_ridge(setup, recordings, own, shared=[])
+    return fit_ridge(setup, recordings, Regressors(own))
 
 
 # --- Torque ripple of motor and gear, searched for in what a fit leaves.
@@ -460,4 +460,4 @@ def fit_terms(
         for j, top in enumerate(tops.tolist())
     ]
     shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
-    return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads, memory_nm)
+    return fit_ridge(setup, recordings, Regressors(own, shared, inertia.tree, inertia.loads), memory_nm)

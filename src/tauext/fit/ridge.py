@@ -24,14 +24,29 @@ AT_A_TIME = 4
 """Recordings whose regressors are held at a time, at most."""
 
 
+@dataclass(frozen=True)
+class Regressors:
+    """What r is regressed on.
+
+    Args:
+        own: terms of each joint alone.
+        shared: terms with a weight for every joint.
+        corrected: the arm whose inertial parameters are corrected too; None: none is.
+        loads: links whose beta the load terms of form CORRECTED see; they are fitted anew here, with little difference.
+    """
+
+    own: Sequence[Sequence[_core.Term]]
+    shared: Sequence[_core.Term] = ()
+    corrected: _core.Tree | None = None
+    loads: Sequence[_core.Link] = ()
+
+    @property
+    def terms(self) -> list[_core.Term]:
+        return [term for group in self.own for term in group] + list(self.shared)
+
+
 def fit_ridge(
-    setup: Setup,
-    recordings: Sequence[Recording],
-    own: Sequence[Sequence[_core.Term]],
-    shared: Sequence[_core.Term],
-    corrected: _core.Tree | None = None,
-    loads: Sequence[_core.Link] = (),
-    local_memory_nm: Sequence[float] = (),
+    setup: Setup, recordings: Sequence[Recording], regressors: Regressors, local_memory_nm: Sequence[float] = ()
 ) -> PriorFit:
     """Ridge regression of r on regressors that went through the observer's filter.
 
@@ -43,21 +58,17 @@ def fit_ridge(
     out one part of the recordings after the other (jackknife).
 
     Args:
-        own: terms of each joint alone.
-        shared: terms with a weight for every joint.
-        corrected: the arm whose inertial parameters are corrected too; None: none is.
-        loads: links whose beta the load terms of form CORRECTED see; they are fitted anew here, with little difference.
         local_memory_nm: the presliding friction of each joint, (n,), which bounds the part of it that has local memory.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    found = gather(setup, recordings, own, shared, corrected, loads)
+    found = gather(setup, recordings, regressors)
     regression = Regression([problem for problem, _ in found])
-    for m, term in enumerate(term for group in own for term in group):
+    for m, term in enumerate(term for group in regressors.own for term in group):
         if term.kind == _core.TermKind.local_memory:  # r shows minus the friction
             regression.bound(np.array([m]), np.array([-local_memory_nm[term.a]]), np.array([0.0]))
-    return solved(setup, regression, found, own, shared, corrected)
+    return solved(setup, regression, found, regressors)
 
 
 Found = tuple[NormalEquations, tuple[Recording, slice]]
@@ -65,13 +76,7 @@ Found = tuple[NormalEquations, tuple[Recording, slice]]
 
 
 def gather(
-    setup: Setup,
-    recordings: Sequence[Recording],
-    own: Sequence[Sequence[_core.Term]],
-    shared: Sequence[_core.Term],
-    corrected: _core.Tree | None = None,
-    loads: Sequence[_core.Link] = (),
-    pieces: int | None = None,
+    setup: Setup, recordings: Sequence[Recording], regressors: Regressors, pieces: int | None = None
 ) -> list[Found]:
     """The equations of all recordings that are longer than the warm-up; see fit_ridge.
 
@@ -85,7 +90,7 @@ def gather(
     count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
     with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
-        each = pool.map(lambda one: _problems(setup, one, own, shared, corrected, loads, count), chosen)
+        each = pool.map(lambda one: _problems(setup, one, regressors, count), chosen)
         found = [
             (problem, (recording, span))
             for recording, problems in zip(chosen, each, strict=True)
@@ -96,16 +101,9 @@ def gather(
     return found
 
 
-def solved(
-    setup: Setup,
-    regression: Regression,
-    found: Sequence[Found],
-    own: Sequence[Sequence[_core.Term]],
-    shared: Sequence[_core.Term],
-    corrected: _core.Tree | None = None,
-) -> PriorFit:
+def solved(setup: Setup, regression: Regression, found: Sequence[Found], regressors: Regressors) -> PriorFit:
     """The fit that a regression of these equations makes, within the bounds of links that can be."""
-    excited = regression.used.copy()
+    corrected, excited = regressors.corrected, regression.used.copy()
     if corrected:
         bound_links(regression, corrected)
     while True:
@@ -118,9 +116,9 @@ def solved(
     for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
         one = solve_possible(regression.copy(), regression.without(k), ridge, corrected)
         where = [where for _, where in found[k::FOLDS]]
-        left_out.append(LeftOut(_settings(setup, own, shared, corrected, one), where))
-    settings = _settings(setup, own, shared, corrected, solution)
-    weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
+        left_out.append(LeftOut(_settings(setup, regressors, one), where))
+    settings = _settings(setup, regressors, solution)
+    weights, errors, shares = (_by_joint(setup, regressors, values) for values in (solution, spread, determined))
     moved, moved_errors, moved_shares = [np.zeros((setup.tree.size, 0))] * 3
     held = np.zeros((setup.tree.size, 0), dtype=bool)
     if corrected:
@@ -132,16 +130,10 @@ def solved(
 
 
 def _problems(
-    setup: Setup,
-    recording: Recording,
-    own: Sequence[Sequence[_core.Term]],
-    shared: Sequence[_core.Term],
-    corrected: _core.Tree | None,
-    loads: Sequence[_core.Link],
-    pieces: int,
+    setup: Setup, recording: Recording, regressors: Regressors, pieces: int
 ) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
-    n = setup.tree.size
+    n, own, shared, corrected = setup.tree.size, regressors.own, regressors.shared, regressors.corrected
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
     observation = _core.observe(setup.tree, setup.observer, *signals)
     stride = setup.observer.network_stride
@@ -150,9 +142,9 @@ def _problems(
         return []
     settings = _core.PriorSettings()
     settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
-    settings.terms = terms = [term for group in own for term in group] + list(shared)
+    settings.terms = terms = regressors.terms
     settings.weights = [0.0] * (n * len(terms))
-    settings.corrected_links = list(loads)
+    settings.corrected_links = list(regressors.loads)
     values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
     ends = np.cumsum([len(group) for group in own])
     mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
@@ -181,8 +173,9 @@ def _problems(
     return problems
 
 
-def _by_joint(setup: Setup, own: Sequence, shared: Sequence, solution: np.ndarray) -> np.ndarray:
+def _by_joint(setup: Setup, regressors: Regressors, solution: np.ndarray) -> np.ndarray:
     """Values of all columns as one row of terms a joint, (n, terms); 0 for the terms of other joints."""
+    own, shared = regressors.own, regressors.shared
     ends = np.cumsum([len(group) for group in own])
     values = np.zeros((setup.tree.size, ends[-1] + len(shared)))
     for i, (end, group) in enumerate(zip(ends, own, strict=True)):
@@ -192,18 +185,12 @@ def _by_joint(setup: Setup, own: Sequence, shared: Sequence, solution: np.ndarra
     return values
 
 
-def _settings(
-    setup: Setup,
-    own: Sequence[Sequence[_core.Term]],
-    shared: Sequence[_core.Term],
-    corrected: _core.Tree | None,
-    solution: np.ndarray,
-) -> _core.PriorSettings:
+def _settings(setup: Setup, regressors: Regressors, solution: np.ndarray) -> _core.PriorSettings:
     """The prior that these coefficients make."""
-    settings = _core.PriorSettings()
+    corrected, settings = regressors.corrected, _core.PriorSettings()
     settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
-    settings.terms = [term for group in own for term in group] + list(shared)
-    settings.weights = _by_joint(setup, own, shared, solution).ravel().tolist()
+    settings.terms = regressors.terms
+    settings.weights = _by_joint(setup, regressors, solution).ravel().tolist()
     if corrected:
         by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))
         parameters = [inertial_parameters(link) + by for link, by in zip(corrected.links, by_link, strict=True)]

@@ -260,8 +260,7 @@ class Line:
     arm: str
     at: tuple[int, ...]
     x: tuple[float, ...]
-    way: int
-    """1: named for more, -1: for less, 0: not named."""
+    way: int  # 1: named for more, -1: for less, 0: not named
 
 
 def trends(group: Mapping[str, Any], arms: Sequence[Mapping[str, Any]], labels: Sequence[str]) -> list[dict[str, str]]:

@@ -23,7 +23,7 @@ from tauext.fit.fleet_prior import (
     learn_hierarchy,
 )
 from tauext.fit.regression import NormalEquations, Regression
-from tauext.fit.ridge import MapRegression, WeightPrior, gather, solved
+from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, solved
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import with_presliding
 from tauext.fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
@@ -179,12 +179,13 @@ def evidence_of(
     """The arm's motion read again, at the fleet's gain and on the fleet's terms."""
     job = job_of(own.arm, settings_of(own, config, gain_per_s))
     setup, recordings = with_presliding(observe(job), widths_rad), job.motion.uncut
-    found = gather(setup, recordings, terms, [], setup.tree)
+    regressors = Regressors(terms, corrected=setup.tree)
+    found = gather(setup, recordings, regressors)
     equations = [one for one, _ in found]
     regression = Regression(equations)
-    fit = solved(setup, regression, found, terms, [], setup.tree)
+    fit = solved(setup, regression, found, regressors)
     weights = regression.solve(regression.whole, fit.ridge)
-    minute = gather(setup, first_minutes(recordings, MINUTES), terms, [], setup.tree)
+    minute = gather(setup, first_minutes(recordings, MINUTES), regressors)
     return ArmEvidence(
         name=own.arm.name,
         minutes=total_s(recordings) / 60,

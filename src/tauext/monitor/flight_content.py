@@ -38,10 +38,8 @@ class Replayed(Protocol):
 class FlightSource:
     """The origin of flights: what their files state beside the samples."""
 
-    recording: str
-    """Its name."""
-    bundle: str
-    """Its name."""
+    recording: str  # name of the recording or of the live source
+    bundle: str  # name of the bundle
     joints: tuple[str, ...]
     start_ns: int
     """Stamp of the first sample of all, [ns]: event times count from it."""

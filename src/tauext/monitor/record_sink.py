@@ -38,14 +38,10 @@ class RecordCount:
     """Counts of samples."""
 
     files: int = 0
-    samples: int = 0
-    """On disk."""
-    unfit: int = 0
-    """Not finite, or not newer than the one before: a recording cannot hold them."""
-    lost: int = 0
-    """Of segments that could not be written."""
-    error: str = ""
-    """Of the first that could not."""
+    samples: int = 0  # on disk
+    unfit: int = 0  # not finite, or not newer than the sample before: a recording cannot hold them
+    lost: int = 0  # in segments that could not be written
+    error: str = ""  # of the first segment that could not be written
 
 
 class RecordSink:
@@ -87,7 +83,7 @@ class RecordSink:
         self._thread.start()
 
     def verdict(self, verdict: Verdict) -> None:
-        sample, estimates, k = verdict.sample, verdict.said, self._row
+        sample, estimates, k = verdict.sample, verdict.estimates, self._row
         if sample is None:
             return
         if not self._names:  # the other signals of a servo arm, taken from its first sample

@@ -45,12 +45,9 @@ class SourceCounts:
     """Counts of samples before they reach the loop, since open()."""
 
     received: int = 0
-    lost: int = 0
-    """Never received: detected by a gap of stamps or numbers."""
-    overrun: int = 0
-    """Received while the loop was late, and replaced by newer ones."""
-    refused: int = 0
-    """Received but unusable: of another arm, or without velocity or torque."""
+    lost: int = 0  # never received: detected by a gap of stamps or numbers
+    overrun: int = 0  # received while the loop was late, and replaced by newer ones
+    refused: int = 0  # received but unusable: of another arm, or without velocity or torque
 
 
 @dataclass(frozen=True)

@@ -81,12 +81,10 @@ def short_training(ripples: int, steps: int) -> dict[str, TrainConfig]:
 class Lesson:
     """How much free motion is simulated, and what is trained on it."""
 
-    recordings: int
-    """Of which the first train."""
+    recordings: int  # the first of them train, the rest validate
     recording_s: float = 60.0
     validation: int = 4
-    prior_recordings: int = 8
-    """The prior needs less motion, and its fit takes longer with more."""
+    prior_recordings: int = 8  # the prior needs less motion, and its fit takes longer with more
     methods: dict[str, TrainConfig] = field(default_factory=lambda: short_training(ripples=2, steps=3000))
 
 

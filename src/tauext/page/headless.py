@@ -122,10 +122,8 @@ class Carried:
     mass_kg: float
     load_set: bool
     begin_s: float
-    collisions: dict[str, Event]
-    """The first while it was held, of each method that raised one."""
-    refused: dict[str, str]
-    """Why methods refused the load."""
+    collisions: dict[str, Event]  # of each method that raised one: the first while the weight was held
+    refused: dict[str, str]  # why methods refused the load
     weighed: str
 
 

@@ -205,12 +205,11 @@ class Verdict:
 
     health: str
     alarm: str
-    joint: int
-    """That raised the alarm, -1 for none."""
+    joint: int  # the joint that raised the alarm; -1: none
     kind: str = "none"
-    """Of the touch: impact, push, clamp or load; unknown, or none without an alarm."""
+    """Kind of the touch: impact, push, clamp or load; unknown, or none without an alarm."""
     force_n: float = float("nan")
-    """Of the touch at its most probable place, when it was last found; NaN where unknown."""
+    """Force of the touch at its most probable place, when it was last found; NaN where unknown."""
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tauext.errors import ConfigError
-from tauext.evaluate.results import EvaluatedBundle, Injected, JsonReader, NoticedForce
+from tauext.evaluate.results import EvaluatedBundle, Injected, NoticedForce
 from tauext.files.atomic_write import atomic_files
 from tauext.files.places import Place
 from tauext.report.signals import NotAvailable
@@ -167,14 +167,14 @@ def newtons(force_n: float | None) -> str:
 # --- The figure of noticed forces as a file of its own.
 
 
-def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
-    """Draw what stands in an entry `noticed_force`, as a PNG.
+def write_noticed_picture(noticed: NoticedForce, picture: Place) -> None:
+    """Draw noticed forces as a PNG.
 
     Raises:
         ConfigError: it cannot be written.
     """
     with matplotlib.rc_context(RC):
-        drawing = draw_noticed_force(JsonReader(0).object(NoticedForce, noticed, str(picture)))
+        drawing = draw_noticed_force(noticed)
         try:
             picture.parent.mkdir(parents=True, exist_ok=True)
             with atomic_files(picture) as (part,):

@@ -87,10 +87,8 @@ class FirstScreen:
     """Its parts in their order on the page."""
 
     tested: str
-    method: str
-    """Of which the numbers are; by its label."""
-    why: str
-    """It is shown."""
+    method: str  # label of the method whose numbers are shown
+    why: str  # why this method is shown
     glances: tuple[Glance, ...]
     unseen: tuple[str, ...]
     steps: tuple[Step, ...]

@@ -9,9 +9,9 @@ function redraw() {
 }
 
 async function open(index) {
-  const chosen = told.recordings[index], mine = ++ready;
-  const before = told.recordings.slice(0, index).reduce((sum, one) => sum + one.tiers.length, 0);
-  const quanta = chosen.traces.map(([signal, , joint]) => told.quanta[signal][joint]);
+  const chosen = content.recordings[index], mine = ++ready;
+  const before = content.recordings.slice(0, index).reduce((sum, one) => sum + one.tiers.length, 0);
+  const quanta = chosen.traces.map(([signal, , joint]) => content.quanta[signal][joint]);
   const starts = [0, chosen.windows.length ? chosen.windows[0][0] : 0];
   const tiers = await Promise.all(chosen.tiers.map((tier, k) => readTier(tier, texts[before + k].textContent, starts[k], quanta)));
   if (mine !== ready) return;
@@ -51,13 +51,13 @@ function go(direction) {
   const before = place >= 0 ? place : direction > 0 ? all.filter((e) => e.a <= here).length - 1 : all.filter((e) => e.a < here).length;
   const event = all[before + direction];
   if (!event) {
-    said.textContent = all.length ? `No ${direction > 0 ? "later" : "earlier"} event in this recording.` : "This recording has no contact, and no alarm of the methods shown.";
+    message.textContent = all.length ? `No ${direction > 0 ? "later" : "earlier"} event in this recording.` : "This recording has no contact, and no alarm of the methods shown.";
     return;
   }
   const wide = whole || span > 4 ? 2 : span;
   show(event.a - wide / 2, event.a + wide / 2);
   current = event;
-  said.textContent = `Event ${all.indexOf(event) + 1} of ${all.length}: ${event.words} at ${text(event.a, 3)} s${event.b > event.a ? `, for ${text(event.b - event.a, 3)} s` : ""}.`;
+  message.textContent = `Event ${all.indexOf(event) + 1} of ${all.length}: ${event.words} at ${text(event.a, 3)} s${event.b > event.a ? `, for ${text(event.b - event.a, 3)} s` : ""}.`;
 }
 
 // Values of every visible trace of a joint at a time; a range where only buckets are kept.
@@ -69,7 +69,7 @@ function valuesAt(joint, t) {
   if (Math.abs(t - Math.min(Math.max(t, first[k]), last[k])) > recording().gap_s) return { time: t, lines: ["no samples: a gap"] };
   const lines = curves().filter((c) => c.joint === joint).reverse().map((c) => {
     const [low, high] = tier.trace(c.index, 0).map((v) => v[k]);
-    const unit = told.units[c.joint];
+    const unit = content.units[c.joint];
     const number = Number.isNaN(low) ? "none" : high - low > 1e-12 ? `${text(low, 3)} to ${text(high, 3)} ${unit}` : `${text(low, 3)} ${unit}`;
     return `${BANDS[c.signal] ? `${c.signal === "limit" ? "limit" : c.label} ±` : c.label}${c.method && methods().length > 1 ? ` (${c.method.label})` : ""}  ${number}`;
   });
@@ -82,7 +82,7 @@ function hover(x, y) {
   if (!row || x < LEFT || x > canvas.clientWidth - RIGHT) return hide();
   const found = valuesAt(row.joint, view.t(x)), last = view.rows[view.rows.length - 1];
   Object.assign(at.style, { display: "block", left: `${x}px`, top: `${view.top}px`, height: `${last.y + last.height - view.top}px` });
-  values.textContent = [`${told.joints[row.joint]} at ${text(found.time, 4)} s${found.until > found.time ? ` to ${text(found.until, 4)} s` : ""}`, ...found.lines].join("\n");
+  values.textContent = [`${content.joints[row.joint]} at ${text(found.time, 4)} s${found.until > found.time ? ` to ${text(found.until, 4)} s` : ""}`, ...found.lines].join("\n");
   values.style.display = "block";
   values.style.left = `${x + 14 + values.offsetWidth > canvas.clientWidth ? Math.max(x - 14 - values.offsetWidth, 0) : x + 14}px`;
   values.style.top = `${Math.min(y + 12, canvas.clientHeight - values.offsetHeight)}px`;
@@ -158,14 +158,14 @@ function tick() {
 // The address: #recording=..&t=from,to&joint=..&method=..&signal=..; what it leaves out stays as it is.
 function remember() {
   const words = new URLSearchParams({ recording: recording().name, t: `${state.from.toFixed(4)},${state.to.toFixed(4)}` });
-  for (const joint of state.joints) words.append("joint", told.joints[joint]);
+  for (const joint of state.joints) words.append("joint", content.joints[joint]);
   for (const method of state.methods) words.append("method", method);
   for (const signal of state.signals) words.append("signal", signal);
   try { history.replaceState(null, "", `#${words}`); } catch { /* some browsers count calls; the next one does it */ }
 }
 async function follow() {
   const words = new URLSearchParams(location.hash.slice(1)), unknown = [];
-  const name = words.get("recording"), index = told.recordings.findIndex((one) => one.name === name);
+  const name = words.get("recording"), index = content.recordings.findIndex((one) => one.name === name);
   if (name === null) return false;
   if (index < 0) unknown.push(`recording '${name}'`);
   await open(Math.max(index, 0));
@@ -175,35 +175,35 @@ async function follow() {
     unknown.push(...found.filter(([, key]) => key === undefined).map(([one]) => `${word} '${one}'`));
     state[kind] = new Set(found.map(([, key]) => key).filter((key) => key !== undefined));
   };
-  choose("joints", "joint", (one) => (told.joints.includes(one) ? told.joints.indexOf(one) : undefined));
-  choose("methods", "method", (one) => told.methods.find((m) => m.name === one)?.name);
+  choose("joints", "joint", (one) => (content.joints.includes(one) ? content.joints.indexOf(one) : undefined));
+  choose("methods", "method", (one) => content.methods.find((m) => m.name === one)?.name);
   choose("signals", "signal", (one) => (SIGNALS[one] ? one : undefined));
   tick();
   const [from, to] = (words.get("t") ?? "").split(",").map(Number);
   if (from < to && index >= 0) show(from, to);
-  said.textContent = unknown.length ? `The address names ${unknown.join(", ")}, not on this page.` : "";
+  message.textContent = unknown.length ? `The address names ${unknown.join(", ")}, not on this page.` : "";
   root.scrollIntoView();
   redraw();
   return true;
 }
 
 async function start() {
-  for (const [k, one] of told.recordings.entries()) {
+  for (const [k, one] of content.recordings.entries()) {
     const touches = one.contacts.length ? `, ${one.contacts.length} contact${one.contacts.length > 1 ? "s" : ""}` : "";
     picker.add(new Option(`${one.name} (${text(one.duration_s, 1)} s${touches})`, k));
   }
-  state.joints = new Set(told.joints.keys());
-  state.methods = new Set(told.methods.filter((m) => m.on).map((m) => m.name));
-  const held = new Set(told.recordings.flatMap((one) => one.traces.map(([signal]) => signal)));
+  state.joints = new Set(content.joints.keys());
+  state.methods = new Set(content.methods.filter((m) => m.on).map((m) => m.name));
+  const held = new Set(content.recordings.flatMap((one) => one.traces.map(([signal]) => signal)));
   boxes("signals", Object.entries(SIGNALS).filter(([key]) => held.has(key)).map(([key, s]) => ({ key, label: s.label, width: s.width + 0.7, colour: s.colour ?? shaded("#0072b2", s.shade) })));
-  boxes("methods", told.methods.map((m) => ({ key: m.name, label: m.label, colour: m.colour })));
-  boxes("joints", told.joints.map((label, key) => ({ key, label })));
-  picker.addEventListener("change", async () => { await open(+picker.value); said.textContent = ""; remember(); redraw(); });
+  boxes("methods", content.methods.map((m) => ({ key: m.name, label: m.label, colour: m.colour })));
+  boxes("joints", content.joints.map((label, key) => ({ key, label })));
+  picker.addEventListener("change", async () => { await open(+picker.value); message.textContent = ""; remember(); redraw(); });
   window.addEventListener("hashchange", follow);
   new ResizeObserver(redraw).observe(canvas.parentElement);
   if (!(await follow())) await open(0);
   draw();
   root.dataset.ready = "yes";
 }
-window.tauextTraces = { told, state, view, show, valuesAt };
-start().catch((error) => { said.textContent = `The traces cannot be shown: ${error.message}. A browser of 2023 or later is needed.`; });
+window.tauextTraces = { content, state, view, show, valuesAt };
+start().catch((error) => { message.textContent = `The traces cannot be shown: ${error.message}. A browser of 2023 or later is needed.`; });

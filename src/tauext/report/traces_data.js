@@ -2,8 +2,8 @@
 
 class Tier {
   // Values in the unit of their joint, NaN where there is a hole; times in s from the recording's first sample; quanta of every trace likewise.
-  constructor(told, bytes, startS, quanta) {
-    const n = told.count;
+  constructor(layout, bytes, startS, quanta) {
+    const n = layout.count;
     const row = (k, read) => {
       for (let i = 0, at = 4 * n * k; i < n; i++, at++)
         read(i, (bytes[at] | (bytes[at + n] << 8) | (bytes[at + 2 * n] << 16) | (bytes[at + 3 * n] << 24)) >>> 0);
@@ -21,11 +21,11 @@ class Tier {
       level.first[i] = t;
       level.last[i] += t;
     }
-    this.size = told.size;
+    this.size = layout.size;
     this.levels = [level];
     this.values = new Map();
     this.read = (index) => {
-      const low = new Float32Array(n), high = new Float32Array(n), whole = new Int32Array(n), at = 5 + 2 * told.rows[index];
+      const low = new Float32Array(n), high = new Float32Array(n), whole = new Int32Array(n), at = 5 + 2 * layout.rows[index];
       let last = 0;
       row(at, (i, v) => (whole[i] = last += (v >>> 1) ^ -(v & 1)));
       row(at + 1, (i, v) => {
@@ -98,9 +98,9 @@ function lowerBound(sorted, value) {
   return low;
 }
 
-async function readTier(told, text, startS, quanta) {
+async function readTier(layout, text, startS, quanta) {
   const characters = atob(text), packed = new Uint8Array(characters.length);
   for (let i = 0; i < packed.length; i++) packed[i] = characters.charCodeAt(i);
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Tier(told, new Uint8Array(await new Response(stream).arrayBuffer()), startS, quanta);
+  return new Tier(layout, new Uint8Array(await new Response(stream).arrayBuffer()), startS, quanta);
 }

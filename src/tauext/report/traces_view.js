@@ -1,15 +1,15 @@
 // The plot: one row a joint over a shared time axis, drawn on one canvas from Tiers (traces_data.js).
 
 const root = document.getElementById("traces"), find = (what) => root.querySelector(what);
-const told = JSON.parse(document.getElementById("traces-told").textContent);
+const content = JSON.parse(document.getElementById("traces-content").textContent);
 const texts = [...root.querySelectorAll(".traces-data")];
-const canvas = find("canvas"), said = find(".said"), picker = document.getElementById("traces-recording");
+const canvas = find("canvas"), message = find(".message"), picker = document.getElementById("traces-recording");
 const SIGNALS = {
   tau_ext: { label: "external torque", width: 1.3, shade: 0 },
   limit: { label: "limits", width: 1, shade: 0.35 },
   sigma: { label: "standard error", width: 0.8, shade: 0.5 },
   r: { label: "observer r", width: 2.6, shade: 0.6 },
-  learned: { label: told.learned, width: 1.1, shade: -0.35 },
+  learned: { label: content.learned, width: 1.1, shade: -0.35 },
   reference: { label: "reference", width: 1, colour: "#000000" },
   tau: { label: "motor torque", width: 0.9, colour: "#7a7a7a" },
 };
@@ -19,8 +19,8 @@ const HEALTH_COLOUR = "#ececec", GAP_COLOUR = "#c4c4c4", CONTACT_COLOUR = "#fbe3
 const LEFT = 74, RIGHT = 8, STRIP = 20, LANE = 11, AXIS = 34, SPACE = 9;
 const state = { recording: 0, from: 0, to: 1, methods: new Set(), signals: new Set(["tau_ext", "limit", "sigma"]), joints: new Set() };
 const view = { rows: [], lanes: [], tiers: null, drawn: {}, ms: 0 };
-const recording = () => told.recordings[state.recording];
-const methods = () => told.methods.filter((m) => state.methods.has(m.name) && recording().alarms[m.name]);
+const recording = () => content.recordings[state.recording];
+const methods = () => content.methods.filter((m) => state.methods.has(m.name) && recording().alarms[m.name]);
 
 function shaded(colour, share) { // towards white, or black where negative
   const to = share < 0 ? 0 : 255;
@@ -32,7 +32,7 @@ function curves() { // traces to be drawn, those on top last
   const found = [];
   for (const signal of ORDER.filter((s) => state.signals.has(s)))
     for (const method of SIGNALS[signal].colour ? [null] : methods().slice().reverse())
-      for (const joint of told.joints.keys()) {
+      for (const joint of content.joints.keys()) {
         const index = known.get(`${signal} ${joint} ${method ? method.name : ""}`);
         if (index !== undefined && state.joints.has(joint))
           found.push({ signal, method, joint, index, ...SIGNALS[signal], colour: SIGNALS[signal].colour ?? shaded(method.colour, SIGNALS[signal].shade) });
@@ -101,7 +101,7 @@ const text = (value, digits) => value.toFixed(digits).replace("-", "−");
 function draw() {
   if (!view.tiers) return;
   const began = performance.now(), ratio = window.devicePixelRatio || 1, width = canvas.clientWidth;
-  const shown = [...told.joints.keys()].filter((j) => state.joints.has(j)), lanes = methods();
+  const shown = [...content.joints.keys()].filter((j) => state.joints.has(j)), lanes = methods();
   const height = shown.length <= 2 ? 200 : shown.length <= 3 ? 170 : 116;
   const top = STRIP + 8 + lanes.length * LANE + 6, total = top + shown.length * (height + SPACE) + AXIS;
   canvas.style.height = `${total}px`;
@@ -158,7 +158,7 @@ function draw() {
   g.fillText("time, s", (LEFT + width - RIGHT) / 2, bottom + 27);
   view.bottom = bottom;
   view.curves = drawn;
-  view.drawn = Object.fromEntries(drawn.map((c) => [`${c.signal} ${told.joints[c.joint]} ${c.method ? c.method.name : ""}`.trim(), [c.least, c.most]]));
+  view.drawn = Object.fromEntries(drawn.map((c) => [`${c.signal} ${content.joints[c.joint]} ${c.method ? c.method.name : ""}`.trim(), [c.least, c.most]]));
   view.ms = performance.now() - began;
 }
 
@@ -170,7 +170,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
     most = Math.max(most, c.most);
   }
   if (!(least <= most)) [least, most] = [-1, 1];
-  const leastSpan = told.quanta_a_row * Math.max(...mine.map((c) => told.quanta[c.signal][joint]), 0);
+  const leastSpan = content.quanta_a_row * Math.max(...mine.map((c) => content.quanta[c.signal][joint]), 0);
   const missing = leastSpan - (most - least) * 1.1, margin = Math.max((most - least) * 0.05, 0) + Math.max(missing, 0) / 2;
   [least, most] = [least - margin, most + margin];
   const at = (value) => y + height - ((value - least) / (most - least)) * height, top = (a) => Math.min(Math.max(at(a), y - 5), y + height + 5);
@@ -214,7 +214,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
   g.translate(9, y + height / 2);
   g.rotate(-Math.PI / 2);
   g.textAlign = "center";
-  g.fillText(`${told.joints[joint]}, ${told.units[joint]}`, 0, 0, height - 4);
+  g.fillText(`${content.joints[joint]}, ${content.units[joint]}`, 0, 0, height - 4);
   g.restore();
   return { joint, y, height, least, most };
 }

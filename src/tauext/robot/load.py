@@ -488,8 +488,21 @@ def no_mujoco_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
 
 
-def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
+@contextmanager
+def reading(path: Path, failed: str) -> Iterator[None]:
+    """What reading a robot file raises becomes a RobotError with its name; `failed` introduces the reader's reason."""
     try:
+        yield
+    except RecursionError as error:
+        raise RobotError(f"{path}: its elements are nested too deeply") from error
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{path}: not readable as XML: {error}") from error
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise RobotError(f"{path}: {failed}: {' '.join(str(error).split())}") from error
+
+
+def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
+    with reading(path, "MuJoCo cannot read it"):
         root, joints = _root_tag(path)
         if joints > MOST_JOINTS:
             raise RobotError(
@@ -511,12 +524,6 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return spec.compile()
-    except RecursionError as error:
-        raise RobotError(f"{path}: its elements are nested too deeply") from error
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{path}: not readable as XML: {error}") from error
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        raise RobotError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
 
 
 def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:

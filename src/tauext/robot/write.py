@@ -13,6 +13,7 @@ import mujoco
 from tauext.errors import RobotError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import expect_file
+from tauext.robot.load import reading
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""
@@ -53,7 +54,9 @@ def write_robot(
     Raises:
         RobotError: the file cannot be read, or has no such joint or link.
     """
-    try:
+    if not source.exists():
+        raise RobotError(f"{source}: no such file; a robot is a URDF or MJCF file")
+    with reading(source, "cannot be read"):
         root = ElementTree.parse(source).getroot()
         if root.tag == "robot":
             if not (rotor_inertia or payload or gravity):
@@ -62,12 +65,6 @@ def write_robot(
             ElementTree.indent(root)
             return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
         return _write(folder / "robot.xml", _changed_mjcf(source, rotor_inertia, payload, gravity).encode())
-    except FileNotFoundError as error:
-        raise RobotError(f"{source}: no such file; a robot is a URDF or MJCF file") from error
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{source}: not readable as XML: {error}") from error
-    except (OSError, ValueError, mujoco.FatalError) as error:
-        raise RobotError(f"{source}: cannot be read: {' '.join(str(error).split())}") from error
 
 
 def write_placeholder(joints: Sequence[str], folder: Path) -> Path:

@@ -138,50 +138,31 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnosti
     status: sequence[DiagnosticStatus] = field(default_factory=list)
 
 
-# Nodes of every participant, published on ros_discovery_info. Ids have 24 bytes up to Humble.
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data: array[uint8, 16]
+def _graph_types(gid_bytes: int) -> tuple[type, type, type]:
+    """Types of the graph messages on ros_discovery_info: id, node and participant."""
+
+    @dataclass
+    class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+        data: array[uint8, gid_bytes]
+
+    @dataclass
+    class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+        node_namespace: bounded_str[256]
+        node_name: bounded_str[256]
+        reader_gid_seq: sequence[Gid]
+        writer_gid_seq: sequence[Gid]
+
+    @dataclass
+    class ParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+        gid: Gid
+        node_entities_info_seq: sequence[NodeEntitiesInfo]
+
+    return Gid, NodeEntitiesInfo, ParticipantEntitiesInfo
 
 
-@dataclass
-class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: bounded_str[256]
-    node_name: bounded_str[256]
-    reader_gid_seq: sequence[Gid]
-    writer_gid_seq: sequence[Gid]
-
-
-@dataclass
-class ParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
-    gid: Gid
-    node_entities_info_seq: sequence[NodeEntitiesInfo]
-
-
-@dataclass
-class LongGid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data: array[uint8, 24]
-
-
-@dataclass
-class LongNodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: bounded_str[256]
-    node_name: bounded_str[256]
-    reader_gid_seq: sequence[LongGid]
-    writer_gid_seq: sequence[LongGid]
-
-
-@dataclass
-class LongParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
-    gid: LongGid
-    node_entities_info_seq: sequence[LongNodeEntitiesInfo]
-
-
-GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
-    16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
-    24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
-}
-"""Types of the graph messages by the length of an id [bytes]."""
+GRAPH_TYPES = {size: _graph_types(size) for size in (16, 24)}
+"""Types of the graph messages by the length of an id [bytes]: 24 up to Humble, then 16."""
+ParticipantEntitiesInfo = GRAPH_TYPES[16][2]
 
 TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",

@@ -86,7 +86,7 @@ def recalibrate(
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
     if words := rejected.warning("the calibration recordings", accept):
         report.say(words)
-        facts["rejected_in_calibration"] = rejected.facts()
+        facts["rejected_in_calibration"] = asdict(rejected.summary())
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:

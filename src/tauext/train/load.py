@@ -127,7 +127,8 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
     elif newtons and fit is not None and fit.kinematics is not None:
         put_found_arm(job, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
-    job.facts["load"] = facts_of(settings) | left_out(bundle)
+    names = left_out(bundle)
+    job.facts["load"] = facts_of(settings) | ({"left_out": names} if names else {})
 
 
 def put_found_arm(

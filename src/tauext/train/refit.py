@@ -394,7 +394,7 @@ def refit_bundle(
     if like is not None:
         facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
     if words:
-        facts["refitted"]["rejected"] = rejected.facts()
+        facts["refitted"]["rejected"] = asdict(rejected.summary())
     refitted.bundle.name = out.stem
     refitted.bundle.provenance = json.dumps(facts, sort_keys=True)
     run = facts | {"loss_history": history}

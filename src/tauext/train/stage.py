@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
@@ -184,7 +185,7 @@ def train_on_recordings(
     # Before a network is trained for hours: what a monitor rejects does not depend on it.
     rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
     if words := rejected.warning("its own training motion", accept):
-        job.facts["rejected"] = rejected.facts()
+        job.facts["rejected"] = asdict(rejected.summary())
         job.notes.append(words)
     network = fit_network(job, with_fit(setup, fit))
     bundle = assemble(job, with_fit(setup, fit), network)

@@ -1,0 +1,131 @@
+"""Tables of the paper's page and of its results at two scales, made from their results.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from made_pages import write_page
+
+from tauext.report import paper
+
+DOCS = Path(__file__).parents[1]
+RECIPES = ("paper", "dense")
+ORDER = list(paper.L1_NM)
+
+
+def load(scale: str) -> dict[str, Any]:
+    return json.loads((DOCS / "results" / scale / "results.json").read_text())
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """The lines of a Markdown table."""
+    lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
+    return lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows]
+
+
+def joined(values: Iterable[float], form: str = ".3f") -> str:
+    return "/".join(format(value, form) for value in values)
+
+
+def by_recipe(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """Bundles of the paper's five cases: first those of recipe paper, each in the paper's order; others last."""
+    recipes = [*RECIPES, "tauext"]
+    return sorted(results["bundles"], key=lambda b: (recipes.index(b["recipe"]), ORDER.index(b["case"])))
+
+
+def table_1(results: dict[str, Any]) -> list[str]:
+    """L1, L2 and MSE of every case beside the paper's."""
+    columns = ["model", "recipe"]
+    columns += [f"{what}: {whose}" for what in ("L1, N m", "L2, N m", "MSE, N m²") for whose in ("tauext", "paper")]
+    rows = []
+    for bundle in by_recipe(results):
+        free, case = bundle["free_motion"], bundle["case"]
+        rows.append(
+            (
+                case,
+                bundle["recipe"],
+                joined(free["l1_nm"]),
+                joined(paper.L1_NM[case]),
+                joined(free["l2_nm"]),
+                joined(paper.L2_NM[case]),
+                joined(free["mse_nm2"]),
+                joined(paper.MSE_NM2[case]),
+            )
+        )
+    return table(columns, rows)
+
+
+def delays(results: dict[str, Any]) -> list[str]:
+    """Delays against the sensor at the same limit: of the ten collisions, and of all that both detect."""
+    columns = ["model", "recipe", "each of the ten, ms", "median of the ten, ms"]
+    columns += ["all: detected by both", "median, ms", "5 % to 95 %, ms", "largest, ms"]
+    rows = []
+    for bundle in by_recipe(results):
+        delay_ms = {
+            verdict["id"]: 1e3 * verdict["delay_against_sensor_s"]
+            for verdict in bundle["collisions"]
+            if verdict["delay_against_sensor_s"] is not None
+        }
+        ten = [delay_ms[name] for name in results["ten_collisions"] if name in delay_ms]
+        low, middle, high = np.percentile(list(delay_ms.values()), [5, 50, 95])
+        row = [bundle["case"], bundle["recipe"], ", ".join(whole(d) for d in ten), f"{np.median(ten):.1f}"]
+        row += [f"{len(delay_ms)} of {len(bundle['collisions'])}", f"{middle:.1f}", f"{low:.0f} to {high:.0f}"]
+        rows.append([cell.replace("-", "−") for cell in [*row, f"{max(delay_ms.values()):.0f}"]])
+    return table(columns, rows)
+
+
+def whole(value: float) -> str:
+    """A rounded number that is never −0."""
+    return f"{round(value):d}"
+
+
+def everything(results: dict[str, Any]) -> list[str]:
+    """One row a bundle: training, errors, limits, alarms and collisions."""
+    hours = results["bundles"][0]["free_motion"]["hours"]
+    columns = ["model", "recipe", "steps", "minutes of training", "L1, N m", "L2, N m", "RMSE near stiction, N m"]
+    columns += [
+        "RMSE sliding, N m",
+        "limit sliding, N m",
+        "limit near stiction, N m",
+        f"false alarms (collisions) in {hours:.3f} h",
+    ]
+    columns += ["of the ten", "strong collisions latched", "latched of 200"]
+    rows = []
+    for bundle in by_recipe(results):
+        free, limits, latched = bundle["free_motion"], bundle["limits"], bundle["latched"]
+        rows.append(
+            (
+                bundle["case"],
+                bundle["recipe"],
+                f"{bundle['steps']:,}",
+                f"{bundle['training_minutes']:.0f}",
+                joined(free["l1_nm"]),
+                joined(free["l2_nm"]),
+                joined(free["rmse_near_stiction_nm"], ".2f"),
+                joined(free["rmse_sliding_nm"], ".2f"),
+                joined(limits["sliding_nm"], ".2f"),
+                joined(limits["near_stiction_nm"], ".2f"),
+                f"{free['false_alarms']} ({free['false_collisions']})",
+                bundle["ten_found"],
+                f"{latched['strong_latched']} of {latched['strong']}",
+                latched["latched"],
+            )
+        )
+    return table(columns, rows)
+
+
+def write(app: Any) -> None:
+    full, quick = load("full"), load("quick")
+    write_page("paper/table-1.inc", table_1(full))
+    write_page("paper/delays.inc", delays(full))
+    write_page("paper/full.inc", everything(full))
+    write_page("paper/quick.inc", everything(quick))
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True}

@@ -152,7 +152,7 @@ def swing(course: Course) -> Swing:
 HEAD = """# Feeling what the follower touches
 
 Written by `python benchmarks/feeling.py OUT --seed {seed}`. All of this is simulated; nothing ran on hardware. What is
-tried here: [feeling](../../feeling.md).
+tried here: [servo arms](../../servo-arms.md).
 
 A hand leads one arm; a second one follows it by position control over a wire of 1 to 3 ticks each way, 50 ticks a
 second, and comes upon a table of 10 N/mm. Both arms have the size of an SO-101, with three joints and 12-bit encoders.

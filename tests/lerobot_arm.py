@@ -128,20 +128,33 @@ def episodes(seeds: range, frames: int, unit: str = "deg", wall: bool = False) -
     return [(np.ascontiguousarray(state), np.ascontiguousarray(action)) for state, action in together]
 
 
-def write_dataset(folder: Path, episodes: list[tuple[np.ndarray, np.ndarray]], version: str, split_at: int = 2) -> Path:
+def six_joints(seeds: range, frames: int, wall: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Episodes of an arm with the joints of an SO-101: those of two arms of three joints, side by side."""
+    both = episodes(seeds, frames, wall=wall), episodes(range(seeds.start + 1000, seeds.stop + 1000), frames)
+    return [tuple(np.hstack(pair) for pair in zip(*two, strict=True)) for two in zip(*both, strict=True)]
+
+
+def write_dataset(
+    folder: Path,
+    episodes: list[tuple[np.ndarray, np.ndarray]],
+    version: str,
+    split_at: int = 2,
+    motors: tuple[str, ...] = MOTORS,
+) -> Path:
     """A dataset as lerobot writes it: v3.0 with several episodes a file, v2.1 with a file an episode; and a video."""
     (folder / "meta").mkdir(parents=True)
-    names = [f"{name}.pos" for name in MOTORS]
+    names = [f"{name}.pos" for name in motors]
+    width = len(motors)
     features = {
-        name: {"dtype": "float32", "shape": [3], "names": names} for name in ("action", "observation.state")
+        name: {"dtype": "float32", "shape": [width], "names": names} for name in ("action", "observation.state")
     } | {
         name: {"dtype": kind, "shape": [1], "names": None}
         for name, kind in (("timestamp", "float32"), ("frame_index", "int64"), ("episode_index", "int64"),
                            ("index", "int64"), ("task_index", "int64"))
     }  # fmt: skip
     hf = {
-        name: {"feature": {"dtype": "float32", "_type": "Value"}, "length": 3, "_type": "Sequence"}
-        if f["shape"] == [3] else {"dtype": f["dtype"], "_type": "Value"}
+        name: {"feature": {"dtype": "float32", "_type": "Value"}, "length": width, "_type": "Sequence"}
+        if f["names"] else {"dtype": f["dtype"], "_type": "Value"}
         for name, f in features.items()
     }  # fmt: skip
     features["observation.images.top"] = {
@@ -153,7 +166,7 @@ def write_dataset(folder: Path, episodes: list[tuple[np.ndarray, np.ndarray]], v
     for number, (state, action) in enumerate(episodes):
         frame = np.arange(len(state))
         fixed = {"action": action, "observation.state": state}
-        columns = {k: pa.FixedSizeListArray.from_arrays(pa.array(v.ravel()), 3) for k, v in fixed.items()}
+        columns = {k: pa.FixedSizeListArray.from_arrays(pa.array(v.ravel()), width) for k, v in fixed.items()}
         columns |= {"timestamp": pa.array((frame / FPS).astype(np.float32)), "frame_index": pa.array(frame)}
         columns |= {"episode_index": pa.array(np.full(len(frame), number)), "index": pa.array(first + frame)}
         columns["task_index"] = pa.array(np.zeros(len(frame), dtype=np.int64))

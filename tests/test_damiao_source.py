@@ -149,7 +149,7 @@ def test_faults_are_told_and_other_frames_are_not_taken_for_states(motors):
     motors.states[1] = state_of(1, 0)
     taken(source, 10)
     source.close()
-    assert source.notes() == ["motor 0x01 (pan) reports: no fault any more"]
+    assert source.notes() == ["motor 0x01 (pan) reports: no fault"]
 
 
 def test_answers_to_another_program_are_overheard_and_nothing_is_sent(motors):
@@ -169,16 +169,16 @@ def test_answers_to_another_program_are_overheard_and_nothing_is_sent(motors):
 def test_a_motor_that_is_not_there_and_what_cannot_fit_is_refused(motors):
     motors.silent = {2}
     with pytest.raises(
-        ConfigError, match=r"motor 0x02 \(lift\) does not answer: has it power, this id, and answers with"
+        ConfigError, match=r"motor 0x02 \(lift\) does not answer: check its power, its id and its answer id"
     ):
         open_it(source_of(motors))
-    with pytest.raises(ConfigError, match="joint 'elbow' of the bundle is missing; there are pan, lift"):
+    with pytest.raises(ConfigError, match="joint 'elbow' of the bundle is missing; the file has pan, lift"):
         source_of(motors).open(SourceSettings(("elbow",), 5_000_000, ("N m",)))
     with pytest.raises(ConfigError, match="reports torque in N m, the bundle takes A, A"):
         source_of(motors).open(SourceSettings(("pan", "lift"), 5_000_000, ("A", "A")))
     with pytest.raises(ConfigError, match="reports torque, the bundle takes its torque from phase-current"):
         source_of(motors).open(servo_settings(2, "phase_current"))
-    with pytest.raises(ConfigError, match="damiao can99: .*; is it up"):
+    with pytest.raises(ConfigError, match="damiao can99: .*; is the interface up"):
         open_it(DamiaoSource("can99", CanBusFile(Path("can.toml"), dict(source_of(motors)._file.motors))))
 
 

@@ -1,6 +1,11 @@
-"""LeRobot datasets with labels: what a dataset gets, that frames alone get the same, and what is refused."""
+"""LeRobot datasets with labels: what a dataset gets, that frames alone get the same, and what is refused.
 
+docs/quickstarts/lerobot.md: its quickstart as printed, on synthetic datasets.
+"""
+
+import ast
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from doc_pages import Page, parses
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
@@ -226,7 +232,7 @@ def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
 
 def test_what_cannot_be_labelled_is_refused_in_words(place, tmp_path):
     bundle, arm = load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml")
-    with pytest.raises(RecordingError, match="is no angle in rad: set in .* whether unit is 'deg' or 'normalised'"):
+    with pytest.raises(RecordingError, match="is no angle in rad: set the unit of .* to 'deg' or 'normalised'"):
         label_dataset(place / "v3.0", bundle, parse_arm(arms.ARM.replace("UNIT", "rad")), tmp_path / "out")
     with pytest.raises(ConfigError, match="is not empty"):
         label_dataset(place / "v3.0", bundle, arm, place)
@@ -285,7 +291,7 @@ DAMAGE = {
     ),
     "columns described by no table": (
         *rewritten(FRAMES_OF_TWO, lambda t: t.replace_schema_metadata({"huggingface": "[null]"})),
-        "its description of its columns cannot be read",
+        "the description of its columns cannot be read",
     ),
     "no frames": (*rewritten(FRAMES_OF_TWO, lambda t: t[:0]), "no data file holds frames of episode 0, 1"),
 }
@@ -302,3 +308,50 @@ def test_a_damaged_dataset_is_refused_by_the_name_of_its_file(place, tmp_path, w
         )
     assert what in ("no frames", "episodes cut off") or file in str(refused.value)
     assert not (tmp_path / "out").exists() and not (tmp_path / "out.part").exists()
+
+
+PAGE = "quickstarts/lerobot.md"
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+INTEGRATIONS = Path(__file__).parent.parent / "integrations"
+
+
+def test_every_command_of_the_page_is_accepted(monkeypatch):
+    commands = Page(PAGE).commands()
+    assert [words[0] for words in commands] == ["import", "check", "train", "label"]
+    for command in commands:
+        assert parses(command, monkeypatch), command
+    assert not parses(["label", "--dataset", "demos", "--bundles", "arm.tauext"], monkeypatch)
+
+
+@pytest.mark.parametrize("text", [Page(PAGE).text, (INTEGRATIONS / "lerobot_robot_tauext" / "README.md").read_text()])
+def test_options_of_the_wrapped_robot_exist(text):
+    """By its settings' source: lerobot need not be installed."""
+    path = INTEGRATIONS / "lerobot_robot_tauext" / "src" / "lerobot_robot_tauext" / "config_tauext.py"
+    (config,) = (node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef))
+    settings = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
+    printed = set(re.findall(r"--robot\.(\w+)", text))
+    assert {"bundle", "arm", "robot"} <= printed
+    assert printed <= settings | {"type", "id"}, printed - settings
+
+
+def test_the_current_is_added_as_the_page_describes():
+    first, current = Page(PAGE).blocks("toml")
+    for made_from in ("goal", "supply-current", "phase-current"):
+        arm = parse_arm(first.replace('torque_from = "goal"', f'torque_from = "{made_from}"') + current)
+        assert set(arm.signals) >= {"q", "q_des", "current"} and arm.servo.torque_from == made_from
+
+
+def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arms.write_dataset(Path("free"), arms.six_joints(range(6), 600), "v3.0", motors=JOINTS)
+    arms.write_dataset(Path("demos"), arms.six_joints(range(100, 103), 240, wall=True), "v3.0", motors=JOINTS)
+    quickstart = Page(PAGE, "Quickstart")
+    (description,), (program,) = quickstart.blocks("toml"), quickstart.blocks("python")
+    Path("arm.toml").write_text(description)
+    for command in quickstart.commands():
+        assert main(command) == 0, command
+    capsys.readouterr()
+    exec(compile(program, PAGE, "exec"), {})
+    printed = re.findall(r"^file-\d+\.parquet (\d+) of (\d+) frames in contact$", capsys.readouterr().out, re.MULTILINE)
+    assert [int(frames) for _, frames in printed] == [480, 240]
+    assert all(0 < int(contact) < int(frames) / 2 for contact, frames in printed)

@@ -190,10 +190,10 @@ def test_nan_silence_and_the_end_take_the_torque_away(leader):
 
 def test_a_follower_that_tells_nothing_is_refused_at_the_first_tick(leader):
     leader.get_action()
-    with pytest.raises(ConfigError, match="has no shoulder.tau_ext: the robot must be one that tells it"):
+    with pytest.raises(ConfigError, match="has no shoulder.tau_ext: use a robot that observes it"):
         leader.send_feedback({"shoulder.pos": 0.0})
     leader.config.dead_band_nm = None
-    with pytest.raises(ConfigError, match="give dead_band_nm"):
+    with pytest.raises(ConfigError, match="set dead_band_nm"):
         leader.send_feedback(observation(0.5))
 
 
@@ -201,10 +201,10 @@ def test_a_follower_that_tells_nothing_is_refused_at_the_first_tick(leader):
     "options, said",
     [
         ({}, "leader needs a type"),
-        ({"type": "tauext_leader"}, "not around itself"),
+        ({"type": "tauext_leader"}, "cannot wrap itself"),
         ({"type": "koch_leader"}, "Missing required field"),
         ({"type": "no_such"}, "Couldn't find a choice class for 'no_such'"),
-        ({"type": "so101_leader", "port": "/dev/none"}, "so_leader cannot take torque: its servos take positions"),
+        ({"type": "so101_leader", "port": "/dev/none"}, "so_leader cannot take torque: its servos accept positions"),
     ],
 )
 def test_leaders_that_cannot_feel_are_refused(options, said, tmp_path):
@@ -287,7 +287,7 @@ def test_positions_of_calibrated_ranges_become_radians():
     found = radians_a_unit(leader, ("a", "b", "c"), "deg")
     assert found == pytest.approx({"a": np.pi / 200, "b": np.pi / 100, "c": np.pi / 180})
     bus.calibration.clear()
-    with pytest.raises(ConfigError, match="'a' says its position in shares of a range that is not calibrated"):
+    with pytest.raises(ConfigError, match="'a' reports its position as a share of a range that is not calibrated"):
         radians_a_unit(leader, ("a",), "deg")
 
 

@@ -260,8 +260,8 @@ def test_a_robot_that_goes_is_waited_for_and_connected_anew(kind, request, const
         arm.number += 100_000
         arm.reachable = True
         taken(source, 3)
-        assert "is gone: " in gone[0] and "trying again" in gone[0] and not source.ended
-        assert source.notes() == [f"{source.name} is there again"]
+        assert "is disconnected: " in gone[0] and "reconnecting" in gone[0] and not source.ended
+        assert source.notes() == [f"{source.name} is reconnected"]
         assert arm.connections == 2 and source.counts.lost == lost  # while it was away nothing was sent
     finally:
         source.close()
@@ -281,7 +281,7 @@ def test_a_library_that_breaks_ends_the_source_and_says_so(kind, request, consta
     monkeypatch.setattr(type(source), "read", read)
     source.open(SourceSettings(joints, period_ns))
     assert broken.wait(20) and source.next_sample(20.0) is None and source.ended
-    assert source.notes() == [f"{source.name} cannot be read any more: ZeroDivisionError: theirs"]
+    assert source.notes() == [f"{source.name} cannot be read: ZeroDivisionError: theirs"]
     source.close()
 
 

@@ -1,10 +1,21 @@
-"""The whole chain over DDS: a robot's joint states in, torques and alarms at a peer, against the monitor offline."""
+"""The whole chain over DDS: a robot's joint states in, torques and alarms at a peer, against the monitor offline.
 
+docs/quickstarts/ros2.md: its quickstart as printed, on a synthetic bag and a synthetic driver.
+"""
+
+import os
+import signal
 import threading
+import time
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
+from doc_pages import Page, parses
+from made_arms import planar_rig, urdf
 from made_bundles import pushed, watching_bundle
+from made_recordings import Drive, made_motion, write_bag
 from made_ros2 import DOMAIN, Robot, until
 
 pytest.importorskip("cyclonedds")
@@ -13,8 +24,9 @@ from tauext import _core
 from tauext.cli import main
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
+from tauext.robot.load import load_tree
 from tauext.sources.ros2 import connect
-from tauext.sources.ros2_messages import Bool, DiagnosticArray, JointState
+from tauext.sources.ros2_messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
 from tauext.sources.ros2_node import Node
 from tauext.sources.ros2_settings import Ros2Settings
 from tauext.sources.ros2_source import LEARNT_FROM
@@ -86,3 +98,113 @@ def test_a_missing_library_names_the_extra(monkeypatch):
     monkeypatch.delitem(__import__("sys").modules, "tauext.sources.ros2_node")
     with pytest.raises(ConfigError, match=r"ROS 2 needs CycloneDDS \(.*\): pip install 'tauext\[ros2\]'"):
         connect(Ros2Settings())
+
+
+PAGE = "quickstarts/ros2.md"
+TYPES = {"std_msgs/msg/Bool": Bool, "geometry_msgs/msg/Inertia": Inertia}
+
+
+def test_every_command_of_the_page_is_accepted(monkeypatch):
+    commands = Page(PAGE).commands()
+    assert len(commands) >= 8
+    for command in commands:
+        assert parses(command, monkeypatch), command
+    assert not parses(["monitor", "arm.tauext", "--source", "ros2", "--ros2.topics", "/joint_states"], monkeypatch)
+
+
+class Driver(threading.Thread):
+    """Publishes a recording at its rate, over and over; `push_nm` is added to the first joint's effort."""
+
+    def __init__(self, recording):
+        super().__init__(daemon=True)
+        self.recording, self.push_nm, self.stopped = recording, 0.0, threading.Event()
+
+    def run(self):
+        made = self.recording
+        robot = Robot(Ros2Settings(domain=DOMAIN, node="driver"), joints=made.joints, step_ns=10_000_000)
+        begin, sent = time.monotonic(), 0
+        way = [*range(made.samples), *range(made.samples - 2, 0, -1)]
+        while not self.stopped.wait(max(0.0, begin + 0.01 * sent - time.monotonic())):
+            k = way[sent % len(way)]
+            back = sent % len(way) >= made.samples
+            effort = made.tau[k].copy()
+            effort[0] += self.push_nm
+            dq = -made.dq[k] if back else made.dq[k]
+            robot.send(position=made.q[k].tolist(), velocity=dq.tolist(), effort=effort.tolist())
+            sent += 1
+
+
+def message_of(name: str, text: str):
+    """A message from the YAML of `ros2 topic pub`."""
+    from ruamel.yaml import YAML
+
+    of, values = TYPES[name], YAML(typ="safe").load(text)
+    assert set(values) <= {field.name for field in fields(of)}
+    return of(**{key: Vector3(**value) if isinstance(value, dict) else value for key, value in values.items()})
+
+
+def used_as_printed(driver: Driver, done: list[str]) -> None:
+    """What the page has a person do beside the running monitor: push the arm, read the topics, resume, set a load."""
+    page, peer = Page(PAGE), Node(Ros2Settings(domain=DOMAIN, node="person"))
+    echoed = [topic for verb, topic in (words[:2] for words in page.commands("ros2 topic")) if verb == "echo"]
+    assert echoed == ["/tauext/collision", "/tauext/external_torque"]
+    collision = peer.inbox(echoed[0], Bool, "reliable", "transient-local", 8).reader
+    torque = peer.inbox(echoed[1], JointState, "reliable", "volatile", 8).reader
+
+    def came(value: bool):
+        return any(m.data is value for m in collision.take(8) if m.sample_info.valid_data)
+
+    until(lambda: came(False), "the monitor")
+    until(lambda: any(m.sample_info.valid_data and np.isfinite(m.effort).all() for m in torque.take(8)), "an estimate")
+    driver.push_nm = 60.0
+    until(lambda: came(True), "a collision")
+    driver.push_nm = 0.0
+    time.sleep(0.3)
+    for verb, once, topic, name, text in (words for words in page.commands("ros2 topic") if words[0] == "pub"):
+        assert (verb, once) == ("pub", "--once")
+        writer = peer.writer(topic, TYPES[name], "reliable", "volatile", 8)
+        until(writer.get_matched_subscriptions, f"a subscriber of {topic}")
+        writer.write(message_of(name, text))
+        done.append(topic)
+        if topic == "/tauext/resume":
+            until(lambda: came(False), "the end of the collision")
+    time.sleep(0.3)
+
+
+def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    Path("robot.urdf").write_text(urdf(planar_rig()))
+    made = made_motion(load_tree(Path("robot.urdf")), 2.0, pieces=1, drive=Drive(presliding_rad=0.02)).recordings[0]
+    signals = zip((10**18 + made.t_ns).tolist(), made.q, made.dq, made.tau, strict=True)
+    rows = [(stamp_ns + 2_000_000, stamp_ns, made.joints, *row) for stamp_ns, *row in signals]
+    write_bag(Path("free"), "mcap", {"/joint_states": rows})
+    driver, done, failed = Driver(made), [], []
+
+    def beside() -> None:
+        try:
+            driver.start()
+            used_as_printed(driver, done)
+        except BaseException as error:  # it fails the test, in the main thread
+            failed.append(error)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    commands = Page(PAGE, "Quickstart").commands()
+    assert [words[0] for words in commands] == ["import", "import", "check", "train", "run", "monitor"]
+    for command in commands:
+        live = command[0] == "monitor"
+        person = threading.Thread(target=beside)
+        if live:
+            person.start()
+        assert main(command) == 0, command
+        if live:
+            person.join()
+            driver.stopped.set()
+            driver.join()
+    if failed:
+        raise failed[0]
+    assert done == ["/tauext/resume", "/tauext/load", "/tauext/load"]
+    shown = capsys.readouterr().out
+    for text in ("0 faults", "COLLISION shoulder", "resumed by ros2 /tauext/resume", "carries 2.8 kg"):
+        assert text in shown

@@ -184,7 +184,7 @@ def test_the_first_of_two_publishers_is_followed_and_the_second_takes_over(liste
     second.send(5)
     first.send(5)
     assert [sample.q[0] for sample in received(live)] == [21, 22, 23, 24, 25]
-    assert live.notes() == [f"{topic}: two publishers: the first is followed"]
+    assert live.notes() == [f"{topic}: two publishers: the first is used"]
     assert live.counts.refused == 5
     last_ns = 10**18 + first.sent * MS
     first.dies()
@@ -194,7 +194,7 @@ def test_the_first_of_two_publishers_is_followed_and_the_second_takes_over(liste
     assert [sample.q[0] for sample in samples] == [25, 26, 27, 28, 29, 30]
     # Half a second of reception, whatever the second's clock says.
     assert 0.5e9 < samples[0].t_ns - last_ns < 30e9
-    assert f"{topic}: another publisher is followed now" in live.notes()
+    assert f"{topic}: another publisher is used now" in live.notes()
 
 
 def test_a_publisher_that_returns_is_followed_again(listen, robot, topic, monkeypatch):
@@ -242,7 +242,7 @@ def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monke
     live = listen(reliability="reliable")
     robot(reliability="best-effort")
     told = until(lambda: live.next_sample(0.02) or [n for n in live.notes() if "offers" in n], "the note")
-    assert told == [f"{topic}: a publisher offers less reliability or durability than is requested"]
+    assert told == [f"{topic}: a publisher offers less reliability or durability than requested"]
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monke
         ({"diagnostics": ""}, "ROS 2 diagnostics '' must consist of"),
         ({"depth": 0}, "ROS 2 depth = 0 must be >= 1"),
         ({"domain": 233}, "ROS 2 domain = 233 must lie between 0 and 232"),
-        ({"names": ("a", "a")}, "ROS 2 names a, a: each joint must have its own"),
+        ({"names": ("a", "a")}, "ROS 2 names a, a: names must be unique"),
     ],
 )
 def test_bad_settings_are_named(settings, message):

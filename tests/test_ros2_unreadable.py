@@ -1,4 +1,4 @@
-"""Messages from a publisher in another process that are no JointState inside: counted, told once, not printed."""
+"""Messages of another process that do not decode as JointState: counted, reported once, not printed."""
 
 import os
 import socket
@@ -71,7 +71,7 @@ def test_a_publisher_of_garbage_is_counted_told_once_and_not_printed(writer, cap
             os.write(2, b"what else is printed\n")
         assert live.counts.received >= 400 and live.counts.refused == 400
         (note,) = live.notes()
-        assert "messages come that are no JointState inside" in note
+        assert "messages do not decode as JointState" in note
         assert capfd.readouterr().err == "what else is printed\n"
     finally:
         live.close()

@@ -101,7 +101,7 @@ def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
         start("elbow", "tool0")
     with pytest.raises(ConfigError, match="without a bundle no force"):
         start("elbow", of=None)
-    with pytest.raises(ConfigError, match="a topic's name of its own"):
+    with pytest.raises(ConfigError, match="two frames have the same topic name"):
         start("tip/1", "tip_1")
     empty = _core.Bundle.from_bytes(bundle.to_bytes())
     links = empty.links

@@ -1,11 +1,19 @@
-"""Bus files of serial servos: ours, LeRobot's calibration, and what is refused."""
+"""Bus files of serial servos: ours, LeRobot's calibration, and what is refused.
+
+docs/servo-arms.md: its commands, its arm.toml, its bus file and its Python.
+"""
 
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+from doc_pages import Page, parses
 from made_servos import ELBOW
 
+from tauext.data.description import parse_arm
 from tauext.sources.servo_bus_file import TEMPLATE, ServoJoint, load_servo_bus
 
 
@@ -30,3 +38,40 @@ def test_a_calibration_of_lerobot_is_a_bus_file_or_the_beginning_of_one(tmp_path
     assert file.baud == 500_000 and list(file.joints) == ["elbow_flex", "grip", "extra"]
     assert file.joints["elbow_flex"] == elbow
     assert file.joints["grip"] == ServoJoint("grip", 6, 1977.5, -1, homing_offset=-1470)
+
+
+PAGE = "servo-arms.md"
+
+
+def test_every_command_of_the_page_is_accepted(monkeypatch):
+    commands = Page(PAGE).commands()
+    assert len(commands) >= 8
+    for command in commands:
+        assert parses(command, monkeypatch), command
+    assert not parses(["monitor", "arm.tauext", "--source", "feetech:x", "--bus-file", "bus.toml"], monkeypatch)
+
+
+def test_the_files_of_the_page_are_valid(tmp_path):
+    arm, bus = Page(PAGE).blocks("toml")
+    assert parse_arm(arm).servo.torque_from == "goal"
+    (tmp_path / "my_follower.json").write_text(json.dumps({"shoulder_pan": ELBOW | {"id": 1}}))
+    (tmp_path / "bus.toml").write_text(bus)
+    joint = load_servo_bus(tmp_path / "bus.toml").joints["shoulder_pan"]
+    assert joint == ServoJoint("shoulder_pan", 1, 2048.0, -1, False, "sts3215", -1470)
+
+
+def test_the_leader_feedback_of_the_page_runs():
+    (program,) = [text for text in Page(PAGE).blocks("python") if "LeaderFeedback" in text]
+    rng = np.random.default_rng(0)
+    ok, ticks = object(), iter([5.0, 5.0])
+
+    def latest():
+        return SimpleNamespace(tau_ext=np.full(6, next(ticks)), sigma_nm=np.full(6, 0.1), health=ok)
+
+    here = {
+        "estimates": SimpleNamespace(tau_ext=0.1 * rng.standard_normal((99, 6)), sigma_nm=np.full((99, 6), 0.1)),
+        "latest": latest, "q_leader": np.zeros(6), "dt_s": 0.02, "Health": SimpleNamespace(ok=ok),
+    }  # fmt: skip
+    with pytest.raises(StopIteration):
+        exec(program, here)
+    assert (here["torque_nm"] > 0).all()

@@ -33,7 +33,7 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
-from tauext.sources.reader import TOLD_AFTER
+from tauext.sources.reader import REPORTED_AFTER
 from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.servo_series import DYNAMIXEL, FEETECH
@@ -122,7 +122,7 @@ def test_a_packet_of_another_length_is_none_of_ours(rig):
     taken(rig.source, 4)
     rig.source.close()
     assert rig.source.counts.refused == 1
-    assert rig.source.notes()[-1].endswith("servo 2 (lift) in 1; 1 packets could not be used")
+    assert rig.source.notes()[-1].endswith("servo 2 (lift) in 1; 1 unusable packets")
 
 
 def test_a_late_answer_is_not_taken_for_one_to_the_next_request(rig):
@@ -161,7 +161,7 @@ def test_a_servo_that_drops_out_is_named_and_waited_for(rig):
         rig.source.next_sample(0.05)
         told = rig.source.notes()
     assert told[0] == "servo 2 (lift) does not answer: no sample until it does"
-    assert rig.source.counts.refused >= TOLD_AFTER and not rig.source.ended
+    assert rig.source.counts.refused >= REPORTED_AFTER and not rig.source.ended
     patient(rig.source)
     rig.bus.sent = lambda one, packet: packet
     while rig.source.counts.received < before + 5 and time.monotonic() < until:
@@ -178,7 +178,9 @@ def test_a_port_that_goes_is_told_and_waited_for(rig, monkeypatch):
     while not told and time.monotonic() < until:
         rig.source.next_sample(0.05)
         told = rig.source.notes()
-    assert told[0].startswith(f"{rig.source.name} is gone: the port has gone: ") and told[0].endswith("; trying again")
+    assert told[0].startswith(f"{rig.source.name} is disconnected: the port is lost: ") and told[0].endswith(
+        "; reconnecting"
+    )
     assert not rig.source.ended
 
 
@@ -188,7 +190,7 @@ def test_a_servo_that_is_not_there_is_told_at_once(rig):
     with pytest.raises(ConfigError, match=r"servo 3 \(elbow\) does not answer; 1, 2 do$"):
         rig.open()
     rig.bus.sent = lambda one, packet: b""
-    with pytest.raises(ConfigError, match=r"nor does any other: is the arm's power on, and are they at 1000000 baud\?"):
+    with pytest.raises(ConfigError, match=r"no servo does: check the arm's power, and that 1000000 baud is set"):
         rig.open()
 
 
@@ -197,7 +199,7 @@ def test_another_servo_or_another_arm_is_refused(rig):
     with pytest.raises(ConfigError, match=r"servo 1 \(pan\) is a (sts3215|xl330-m288), bus.toml names dm4310"):
         rig.open()
     rig.source._file = bus_file(ServoJoint("pan", 1, homing_offset=-7), ServoJoint("lift", 2), ServoJoint("elbow", 3))
-    with pytest.raises(ConfigError, match=r"pan\) has homing offset 0, bus.toml -7: is it another arm's calibration"):
+    with pytest.raises(ConfigError, match=r"pan\) has homing offset 0, bus.toml has -7: the calibration is of"):
         rig.open()
     rig.bus.put(1, *(("H", 31, 0x0807) if rig.kind == "feetech" else ("i", 20, -7)))  # sign in bit 11; in 32 bits
     rig.open()
@@ -209,17 +211,17 @@ def test_another_servo_or_another_arm_is_refused(rig):
 
 
 def test_what_the_bundle_cannot_take_is_refused(rig):
-    with pytest.raises(ConfigError, match="joint 'pan' of the bundle is missing; there are other"):
+    with pytest.raises(ConfigError, match="joint 'pan' of the bundle is missing; the file has other"):
         rig.source._file, kept = bus_file(ServoJoint("other", 1)), rig.source._file
         rig.open()
     rig.source._file = kept
     with pytest.raises(
-        ConfigError, match="a reading of 3 servos takes 1.. ms at 1000000 baud, the bundle takes one every 1"
+        ConfigError, match="a reading of 3 servos takes 1.. ms at 1000000 baud, the bundle needs one every 1"
     ):
         rig.open(period_ns=1_000_000)
     settings = servo_settings(3)
     with pytest.raises(
-        ConfigError, match=r"of which the bundle makes no torque: import its recordings with a \[servo\]"
+        ConfigError, match=r"the bundle does not compute torque from them: import its recordings with a \[servo\]"
     ):
         rig.source.open(type(settings)(settings.joints, settings.period_ns))
     with pytest.raises(ConfigError, match="the bundle takes its torque from torque$"):
@@ -235,7 +237,7 @@ def test_a_port_that_another_process_has_is_refused(rig):
     try:
         other.stdout.readline()
         with pytest.raises(
-            ConfigError, match=rf"another process has the port: python\S* \({other.pid}\); a bus takes one"
+            ConfigError, match=rf"the port is in use by another process: python\S* \({other.pid}\); a bus serves one"
         ):
             rig.open()
     finally:
@@ -246,8 +248,8 @@ def test_a_port_that_another_process_has_is_refused(rig):
 
 def test_a_port_that_is_none_is_refused(tmp_path):
     for path, message in (
-        (str(tmp_path / "ttyACM7"), "there is no such port; there (are|is none)"),
-        ("/dev/null", "this is no serial port"),
+        (str(tmp_path / "ttyACM7"), "there is no such port; (the ports are|there is none)"),
+        ("/dev/null", "this is not a serial port"),
     ):
         source = ServoSource(FEETECH, path, bus_file(ServoJoint("pan", 1)))
         with pytest.raises(ConfigError, match=message):
@@ -524,7 +526,7 @@ def test_what_a_servo_complains_of_is_told_once(two):
         assert note.startswith(f"servo 2 (lift) reports: {text}")
         two.errors[2] = 0
         taken(source, 10)
-        assert source.notes() == ["servo 2 (lift) reports no error any more"]
+        assert source.notes() == ["servo 2 (lift) reports no error"]
     finally:
         source.close()
 

@@ -38,7 +38,7 @@ SERVO_BUS = [
     ("[joints.a]\nid = 1\nmulti_turn = 1\n", "multi_turn = 1 must be true or false"),
     ("[joints.a]\nid = 1\ntype = 1\n", "type = 1 must be a servo's name"),
     ("[joints.a]\nid = 1\nzeros = 1\n", "unknown key 'zeros' in .joints.a."),
-    ("[joints.a]\nid = 1\n[joints.b]\nid = 1\n", "joints 'a' and 'b' have one id, 1"),
+    ("[joints.a]\nid = 1\n[joints.b]\nid = 1\n", "joints 'a' and 'b' have the same id, 1"),
     ("joints = 3\n", r"joints = 3 must be tables \[joints.NAME\]"),
     ("joints.a = 3\n", r"\[joints.a\] is 3, must be a table"),
     ("calibration = 3\n", "calibration = 3 must be the path"),

@@ -1,8 +1,8 @@
-"""Milliseconds that the wrapping adds to a tick of a LeRobot loop, with simulated servos: aim 2.
+"""Time that the wrapper adds to a tick of a LeRobot loop with simulated servos; the aim is 2 ms.
 
     python integrations/lerobot_robot_tauext/benchmarks/added_ms.py --bundle arm.tauext --arm arm.toml [--ticks 20000]
 
-The bundle is one of the simulated arm of tests/lerobot_arm.py; the simulation itself is not in the time.
+The bundle must be of the simulated arm of tests/lerobot_arm.py. The time excludes the simulation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ sys.path[:0] = [str(HERE.parents[1] / "tests"), str(HERE / "tests")]
 
 
 def main() -> None:
-    """Print a line a call: median, 99 %, 99.9 %, worst."""
+    """Print one line per call: median, 99 %, 99.9 %, worst."""
     from lerobot.robots import make_robot_from_config
     from lerobot_robot_tauext import TauextConfig
     from mock_arm import MockArmConfig, Player

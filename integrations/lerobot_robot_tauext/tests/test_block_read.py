@@ -76,7 +76,7 @@ def test_a_lost_answer_is_an_error_as_lerobot_has_it(serial, bus):
 
 def test_a_servo_without_the_register_is_refused(bus):
     bus.motors["lift"] = Motor(2, "scs0009", MotorNormMode.DEGREES)
-    with pytest.raises(ValueError, match="motor 'lift' is a scs0009: it has no current that tauext knows how to read"):
+    with pytest.raises(ValueError, match="motor 'lift' is a scs0009: tauext cannot read its current"):
         BlockRead(bus, ("current",))
 
 

@@ -178,7 +178,7 @@ def test_a_collision_is_held_in_the_tick_that_finds_it(trained):
 
 def test_a_stop_ends_the_program_and_holds(trained):
     robot, player = wrapped(trained, wall_at=WALL, on_collision="stop"), Player(SEED)
-    with pytest.raises(CollisionStop, match="the arm collided .* see what it touches"):
+    with pytest.raises(CollisionStop, match="the arm collided .* check what it touches"):
         for _ in range(400):
             seen = robot.get_observation()
             robot.send_action(player.action())

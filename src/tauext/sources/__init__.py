@@ -1,5 +1,5 @@
-"""Where samples come from and where answers go: robots, ROS 2, servo buses, replay, LeRobot.
+"""Sources of samples and destinations of estimates: robots, ROS 2, servo buses, replay, LeRobot.
 
-In go the addresses and settings of a controller, bus or dataset. Out come samples in the monitor's units, and answers
-in the other side's protocol. It imports `monitor` and the packages before it.
+Input: addresses and settings of a controller, bus or dataset. Output: samples in the monitor's units, and estimates in
+the protocol of the other side. The package imports `monitor` and the packages before it.
 """

@@ -15,11 +15,11 @@ from tauext.files.toml_file import flag, number, numbers, one_of, read_table, re
 from tauext.monitor.source import Sample, SourceSettings
 from tauext.sources.reader import BusSource, Ticks, Unreachable, optional_library
 
-# --- What a CAN bus of Damiao motors carries: their ids, zeros and directions by joint, from a file.
+# --- The bus file: ids, zeros and directions of the motors by joint.
 
 
 MOST_ID = 0x7FE
-"""0x7FF is the address of commands to all."""
+"""0x7FF addresses commands to all motors."""
 BAUD = 1_000_000
 
 
@@ -51,9 +51,9 @@ class CanMotor:
     zero_rad: float = 0.0
     """Its position where the joint's angle is 0, [rad]."""
     sign: int = 1
-    """-1: the joint's angle falls as the motor's rises."""
+    """-1: the joint's angle falls as the motor's position rises."""
     ranges: tuple[float, float, float] | None = None
-    """PMAX [rad], VMAX [rad/s], TMAX [N m]: ends of the numbers in its answers; None: they are read from the motor."""
+    """PMAX [rad], VMAX [rad/s], TMAX [N m]: ranges of the numbers in its answers; None: read from the motor."""
 
     def __str__(self) -> str:
         return f"motor {self.id:#04x} ({self.name})"
@@ -71,8 +71,8 @@ class CanBusFile:
     fd_baud: int | None = None
     """Bit rate of the data of CAN FD frames, [bit/s]; None: classic CAN."""
     ask: bool = True
-    """Poll the state of each motor; False: another program commands them, their answers are overheard, and nothing is
-    sent: a request for ranges, too, would be answered where that program expects a state."""
+    """Poll the state of each motor. False: another program commands the motors, the source listens to their answers and
+    sends nothing, since that program could mistake an answer to a request for ranges for a state."""
 
 
 def load_can_bus(path: Place) -> CanBusFile:
@@ -80,16 +80,16 @@ def load_can_bus(path: Place) -> CanBusFile:
 
         interface = "socketcan"    # of python-can; the bit rate of a socketcan interface is set by `ip link`
         baud = 1000000             # fd_baud = 5000000: CAN FD
-        ask = true                 # false: send nothing, overhear the answers to another program's commands
+        ask = true                 # false: send nothing, listen to the answers to another program's commands
 
-        [joints.joint_1]           # by the name that the bundle has
+        [joints.joint_1]           # joint name of the bundle
         id = 0x01                  # answer_id = 0x11: id + 0x10 if left out
         # zero_rad = 0.0           # the motor's position where the joint's angle is 0
         # sign = -1
         # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; read from the motor if left out, which needs ask = true
 
     Raises:
-        ConfigError: names the file, the joint and the rule that is broken.
+        ConfigError: the file breaks a rule; the message names file, joint and rule.
     """
     bus = read_table(path, "", read_toml(path), BUS_KEYS)
     motors = {}
@@ -101,7 +101,7 @@ def load_can_bus(path: Place) -> CanBusFile:
     for name, motor in motors.items():
         if (other := by_id.setdefault((motor.answer_id, motor.id & 0xF), name)) != name:
             raise ConfigError(
-                f"{path}: answers of joints '{other}' and '{name}' cannot be distinguished: one answer_id, and ids "
+                f"{path}: answers of joints '{other}' and '{name}' cannot be distinguished: same answer_id, and ids "
                 "with the same last digit"
             )
     for motor in motors.values():
@@ -113,17 +113,17 @@ def load_can_bus(path: Place) -> CanBusFile:
     return CanBusFile(path, motors, bus["interface"], bus["baud"], bus["fd_baud"], bus["ask"])
 
 
-# --- Damiao motors (OpenArm) over CAN, by python-can. Never run on hardware: tested on python-can's virtual bus.
+# --- The source.
 
 
 TO_ALL = 0x7FF
 STATE, REGISTER, WRITTEN, STORED = 0xCC, 0x33, 0x55, 0xAA
-"""Third byte of a command to TO_ALL: send your state; send a register. What sets one is never sent."""
+"""Third byte of a command to TO_ALL: request the state or a register. Commands that set a register are never sent."""
 RANGES = (21, 22, 23)
-"""Registers PMAX [rad], VMAX [rad/s], TMAX [N m]: what the ends of the numbers in a state mean."""
+"""Registers PMAX [rad], VMAX [rad/s], TMAX [N m]: ranges of the numbers in a state."""
 LAST_REGISTER = 81
 ANSWER_S = 0.02
-"""For which an answer may be late."""
+"""Longest delay of an answer, [s]."""
 WAIT_S = 0.1
 TRIES = 3
 FAULTS = {
@@ -134,12 +134,12 @@ FAULTS = {
 
 
 class DamiaoSource(BusSource):
-    """Position, speed, torque [N m] and temperature of the windings, a state of each motor a period: 16, 12 and 12 bits
-    over the ranges that the motor itself names.
+    """Reads position, speed, torque [N m] and winding temperature: one state of each motor per period, with 16, 12 and
+    12 bits over the motor's ranges.
 
-    A polled motor sends its state whether it is enabled or not. Nothing else is sent, and with ask = false nothing at
-    all: no enable, no MIT frame, and no register is set. There is no stop(): the program that drives the motors would
-        go on.
+    A polled motor sends its state whether it is enabled or not. The source sends requests only, and with ask = false
+    nothing: no enable, no MIT frame, and it sets no register. There is no stop(): the program that drives the motors
+    would continue.
     """
 
     def __init__(self, channel: str, file: CanBusFile):
@@ -170,7 +170,7 @@ class DamiaoSource(BusSource):
             self._bus = library.Bus(interface=self._file.interface, channel=self._channel, **rates)
         except (library.CanError, OSError, ValueError) as error:
             raise Unreachable(
-                f"{error}; is it up? `ip link set {self._channel} up type can bitrate 1000000`"
+                f"{error}; is the interface up? `ip link set {self._channel} up type can bitrate 1000000`"
             ) from error
         try:
             self._ranges = np.array([self._ranges_of(motor) for motor in self._motors])
@@ -211,7 +211,7 @@ class DamiaoSource(BusSource):
             super()._count_lost(t_ns)
 
     def _overheard(self) -> Sample | None:
-        """A sample once every motor has answered another program; one that answers twice before that ends the wait."""
+        """A sample once every motor has answered another program; a motor that answers twice before starts over."""
         if (came := self._state(WAIT_S)) is None:
             return None
         index, state = came
@@ -229,7 +229,7 @@ class DamiaoSource(BusSource):
 
     def _whole(self, t_ns: int, states: dict[int, bytes]) -> Sample | None:
         if not self._all_came([self._motors[k].id for k in states]):
-            self._last_ns = t_ns  # it came, and is not lost
+            self._last_ns = t_ns  # refused, but not lost
             return None
         data = np.array([list(states[k]) for k in range(len(self._motors))])
         for k, fault in enumerate(data[:, 0] >> 4):
@@ -257,17 +257,17 @@ class DamiaoSource(BusSource):
 
     def _complain(self, k: int, fault: int) -> None:
         if fault != self._faults[k] and (fault in FAULTS or self._faults[k] in FAULTS):
-            self._note(f"{self._motors[k]} reports: {FAULTS.get(fault, 'no fault any more')}")
+            self._note(f"{self._motors[k]} reports: {FAULTS.get(fault, 'no fault')}")
         self._faults[k] = fault
 
     def _state(self, wait_s: float) -> tuple[int, bytes] | None:
-        """Number of a motor of the bus file and its state that came; None: none came."""
+        """Receive a state: index of the motor, and the state; None: none arrived."""
         message = self._receive(wait_s)
         if message is None or len(message.data) != 8:
             return None
         data = bytes(message.data)
         if data[1] == 0 and data[2] in (REGISTER, WRITTEN, STORED) and data[3] <= LAST_REGISTER:
-            return None  # a register that another program requested; as a state it would be at the end of the range
+            return None  # a register requested by another program, not a state
         k = self._which.get((message.arbitration_id, data[0] & 0xF))
         return None if k is None else (k, data)
 
@@ -283,10 +283,10 @@ class DamiaoSource(BusSource):
                     break
             else:
                 raise Unreachable(
-                    f"{motor} does not answer: has it power, this id, and answers with {motor.answer_id:#04x}?"
+                    f"{motor} does not answer: check its power, its id and its answer id {motor.answer_id:#04x}"
                 )
             if not 0 < value < 1e4:
-                raise Unreachable(f"{motor} reports {value:g} in its register {register}, the end of a range")
+                raise Unreachable(f"{motor} reports an invalid range: register {register} is {value:g}")
             found.append(value)
         return found
 
@@ -307,14 +307,14 @@ class DamiaoSource(BusSource):
         try:
             self._bus.send(message, timeout=WAIT_S)
         except (library.CanError, OSError) as error:
-            raise Unreachable(f"nothing can be sent: {error}") from error
+            raise Unreachable(f"sending failed: {error}") from error
 
     def _receive(self, wait_s: float) -> Any:
-        """The next frame that is no error's; None: none came."""
+        """The next data frame with a standard id; None: none arrived."""
         library = self._library
         try:
             message = self._bus.recv(wait_s)
         except (library.CanError, OSError) as error:
-            raise Unreachable(f"the bus has gone: {error}") from error
+            raise Unreachable(f"the bus is lost: {error}") from error
         usable = message is not None and not (message.is_error_frame or message.is_remote_frame)
         return message if usable and not message.is_extended_id else None

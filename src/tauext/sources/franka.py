@@ -1,4 +1,4 @@
-"""A Franka arm, by pylibfranka. Never run on hardware: tested on a stand-in of that library."""
+"""A Franka arm, by pylibfranka. Never run on hardware: tested on a mock of that library."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ KEPT = 256
 
 
 class FrankaSource(ReaderSource):
-    """q [rad], dq [rad/s] and tau_J [N m], what the joints' torque sensors measure; 1 kHz, joints 1 to 7.
+    """Reads q [rad], dq [rad/s] and tau_J [N m], the torque that the joints' sensors measure; 1 kHz, joints 1 to 7.
 
-    A bundle for it is trained on recordings of the same tau_J. The arm's own estimate, tau_ext_hat_filtered, is kept
-    beside as a reference. stop() ends the motion that runs.
+    Train the bundle on recordings of the same tau_J. The arm's own estimate, tau_ext_hat_filtered, is kept as a
+    reference. stop() ends the current motion.
     """
 
     robot_joints = 7
@@ -29,7 +29,7 @@ class FrankaSource(ReaderSource):
         self._host = host
         self._robot: Any = None
         self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
-        """The newest (t_ns, tau_ext_hat_filtered (7,) [N m])."""
+        """Newest pairs of t_ns and tau_ext_hat_filtered (7,) [N m]."""
 
     def open(self, settings: SourceSettings) -> None:
         rate_hz = 1e9 / settings.period_ns
@@ -39,7 +39,7 @@ class FrankaSource(ReaderSource):
 
     def connect(self) -> None:
         library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka", "franka")
-        try:  # only reading: that needs no real-time kernel
+        try:  # reading needs no real-time kernel
             self._robot = library.Robot(self._host, library.RealtimeConfig.kIgnore)
         except library.FrankaException as error:
             raise Unreachable(str(error)) from error
@@ -57,7 +57,7 @@ class FrankaSource(ReaderSource):
         self._robot = None  # its destructor closes the connection
 
     def stop(self) -> None:
-        """Ends the motion that runs."""
+        """End the current motion."""
         robot = self._robot
         if robot is not None:
             robot.stop()

@@ -17,23 +17,23 @@ from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.lerobot_folder import frame_stamps
 from tauext.errors import BundleError, ConfigError, RecordingError
 
-# --- What is added to the frames of a LeRobot dataset.
+# --- Labels of the frames of a LeRobot dataset.
 
 
 CONTACT_NAME, COLLISION_NAME = "contact", "collision"
 UNKNOWN = -1.0
-"""contact and collision while there is no estimate: warming up, or a fault; tau_ext is 0 there, since a single NaN
-makes LeRobot's statistics, and a policy that is normalised by them, NaN."""
+"""contact and collision while there is no estimate: warming up, or a fault. tau_ext is 0 there, since a single NaN
+would make LeRobot's statistics NaN, and with them every policy normalised by these."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """One row a frame, all float32, as LeRobot stores them; never NaN."""
+    """One row per frame, float32 as LeRobot stores it; never NaN."""
 
     tau_ext: np.ndarray
     """(frames, joints), external torque in the bundle's estimate units; 0 where it is unknown."""
     contact: np.ndarray
-    """(frames,), 1 touched (by a collision, too), 0 free, -1 unknown."""
+    """(frames,), 1 contact or collision, 0 free, -1 unknown."""
     collision: np.ndarray
     """(frames,), 1, 0, -1."""
 
@@ -44,11 +44,11 @@ class Labels:
 
 
 def labels_of(health: np.ndarray, held_alarm: np.ndarray, tau_ext: np.ndarray) -> Labels:
-    """Labels of a monitor's answers.
+    """Labels from a monitor's estimates.
 
     Args:
-        health: (frames,), by the core's number.
-        held_alarm: (frames,), the level without latch.
+        health: (frames,), the core's numbers.
+        held_alarm: (frames,), alarm level without the latch.
         tau_ext: (frames, joints), float32.
     """
     known = (health == OK) & np.isfinite(tau_ext).all(axis=1)
@@ -60,7 +60,7 @@ def labels_of(health: np.ndarray, held_alarm: np.ndarray, tau_ext: np.ndarray) -
 
 
 def bare_name(element: str) -> str:
-    """LeRobot's name of a joint's motor: without `.pos`."""
+    """Name of a joint's motor in LeRobot: without `.pos`."""
     return element.removesuffix(".pos")
 
 
@@ -69,25 +69,25 @@ def element_names(joints: Sequence[str]) -> list[str]:
     return [*(f"{bare_name(joint)}.tau_ext" for joint in joints), CONTACT_NAME, COLLISION_NAME]
 
 
-# --- From numbers of LeRobot frames to what the chain takes: the same for a whole episode and for one frame.
+# --- From numbers of LeRobot frames to signals in SI units, for a whole episode or one frame.
 
 
 MOST_RAD = 8 * math.pi
-"""Joints do not turn four times: positions beyond are in other units."""
+"""Positions beyond four turns are in other units than described."""
 
 
 class ServoFrames:
-    """Position and raw servo signals, in SI, of frames whose numbers have these names.
+    """Extracts position and raw servo signals, in SI units, from frames whose numbers have the given names.
 
     Raises:
-        BundleError: the bundle makes no torque of what servos report, or its joints are others.
-        ConfigError: a column that the description names is not there, or what the torque is made of is not named.
+        BundleError: the bundle does not compute torque from servo signals, or has other joints.
+        ConfigError: a column of the description is missing, or the description lacks the signal of the torque.
     """
 
     def __init__(self, bundle: _core.Bundle, arm: Arm, names: Sequence[str], where: str):
         if not bundle.servo.on:
             raise BundleError(
-                f"bundle '{bundle.name}' takes torque as it is measured, which LeRobot's state and action do not hold; "
+                f"bundle '{bundle.name}' takes measured torque, which LeRobot's state and action do not hold; "
                 'train one with a table [servo] in arm.toml (torque_from = "goal")'
             )
         joints = tuple(link.joint_name for link in bundle.links)
@@ -98,7 +98,7 @@ class ServoFrames:
         needed = NEEDS.get(source, "tau")
         if needed not in arm.signals or not arm.signals[needed].columns:
             raise ConfigError(
-                f"{arm.path}: [signals.{needed}] is missing, of which bundle '{bundle.name}' makes torque ({source})"
+                f"{arm.path}: [signals.{needed}] is missing; bundle '{bundle.name}' computes torque from it ({source})"
             )
         used = {"q", "q_des", "dq", "current", "duty", "voltage"} | ({"tau"} if needed == "tau" else set())
         wanted = {name: table for name, table in arm.signals.items() if name in used or name == "tau"}
@@ -113,10 +113,10 @@ class ServoFrames:
         self._places = {key: [place[listed[k]] for k in places] for key, (_, places) in columns.signals.items()}
 
     def signals(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """q [rad] and what else is measured, (rows, joints) each, of numbers (rows, names).
+        """q [rad] and the other measured signals, (rows, joints) each, from numbers (rows, names).
 
         Raises:
-            RecordingError: positions that no joint reaches, so that they are in other units.
+            RecordingError: positions are beyond any joint's range, so they are in other units.
         """
         made = {
             key: np.ascontiguousarray(in_si(key, self.arm.signals[key], rows[:, places], self.arm))
@@ -127,29 +127,29 @@ class ServoFrames:
             row, joint = np.argwhere(far)[0]
             column, unit = self._places["q"][joint], self.arm.signals["q"].unit
             raise RecordingError(
-                f"{self._names[column]} = {rows[row, column]:g} is no angle in {unit}: set in {self.arm.path}, "
-                "[signals.q] and [signals.q_des], whether unit is 'deg' or 'normalised' (LeRobot's -100 to 100, with "
-                "its calibration file)"
+                f"{self._names[column]} = {rows[row, column]:g} is no angle in {unit}: set the unit of [signals.q] and "
+                f"[signals.q_des] in {self.arm.path} to 'deg' or 'normalised' (LeRobot's -100 to 100, with its "
+                "calibration file)"
             )
         return made
 
 
-# --- A robot's frames labelled while they are made, from the numbers that the dataset will hold.
+# --- Labels of a robot's frames while they are recorded.
 
 
 class FrameLabeller:
-    """Labels frame after frame as `tauext label` labels the same frames in a dataset, to the last bit.
+    """Labels each frame as `tauext label` labels the same frame in a dataset, equal to the last bit.
 
-    Its input is what is stored: numbers in single precision, at frame_index / fps. Frames are counted from the last
-    restart.
+    The input are the numbers that the dataset stores: in single precision, at frame_index / fps. Frames are counted
+    from the last restart.
 
     Args:
-        names: of the numbers that step() gets, as the importer names them: `observation.state[elbow.pos]`.
-        fps: of the dataset.
+        names: names of the numbers that step() receives, as the importer writes them: `observation.state[elbow.pos]`.
+        fps: rate of the dataset.
 
     Raises:
-        BundleError: the bundle is for other joints or another rate, or for no servos.
-        ConfigError: what the description names is not among the names.
+        BundleError: the bundle has other joints or another rate, or takes no servo signals.
+        ConfigError: a column of the description is not among the names.
     """
 
     def __init__(self, bundle: _core.Bundle, arm: Arm, names: Sequence[str], fps: float):
@@ -165,13 +165,13 @@ class FrameLabeller:
         return self._frame
 
     def restart(self) -> None:
-        """The next frame is the first of an episode; the monitor is reset and warms up."""
+        """Begin an episode with the next frame: reset the monitor, which warms up."""
         self._input.reset()
         self._monitor.reset()
         self._frame = 0
 
     def step(self, values: Mapping[str, float]) -> Labels:
-        """Labels of one more frame, a row each."""
+        """Labels of the next frame, one row."""
         row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
         signals = {key: rows[0] for key, rows in self._frames.signals(row).items()}
         t_ns = int(frame_stamps(np.array([self._frame]), self._fps)[0])
@@ -187,10 +187,14 @@ class FrameLabeller:
 
 
 def expect_rate(bundle: _core.Bundle, fps: float) -> None:
-    """Refuse frames that come at another rate than the bundle's recordings."""
+    """Refuse frames of another rate than the bundle's.
+
+    Raises:
+        BundleError: the rates differ.
+    """
     rate_hz = 1e9 / bundle.observer.sample_period_ns
     if abs(fps / rate_hz - 1) > bundle.rate_tolerance:
         raise BundleError(
-            f"bundle '{bundle.name}' runs at {rate_hz:g} Hz, these frames at {fps:g}; train one on recordings of "
-            "that rate"
+            f"bundle '{bundle.name}' runs at {rate_hz:g} Hz, these frames at {fps:g} Hz; train one on recordings "
+            "of that rate"
         )

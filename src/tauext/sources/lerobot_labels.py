@@ -29,7 +29,7 @@ from tauext.files.preflight import expect_folder
 from tauext.progress import Reporter
 from tauext.sources.lerobot_frames import UNKNOWN, Labels, ServoFrames, bare_name, element_names, expect_rate, labels_of
 
-# --- Labels in the features of a LeRobot dataset: elements of its state, or features of their own.
+# --- Labels in the features of a LeRobot dataset: elements of its state, or separate features.
 
 
 Into = Literal["state", "features"]
@@ -39,21 +39,21 @@ HUGGINGFACE = b"huggingface"
 
 @dataclass(frozen=True)
 class FeaturePlan:
-    """Which elements of which feature the labels' columns become."""
+    """Where the labels' columns go: elements of features."""
 
     places: dict[str, tuple[list[int], list[int]]]
-    """Columns of the labels, and their places among the feature's elements, by feature."""
+    """Per feature: columns of the labels, and their indices among the feature's elements."""
     features: dict[str, dict]
-    """All features of the dataset with the labels."""
+    """All features of the labelled dataset."""
     added: dict[str, int]
-    """Number of new elements after the existing ones, by feature."""
+    """Per feature: number of elements appended to the existing ones."""
 
 
 def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> FeaturePlan:
-    """Where labels go; elements that bear their names already are replaced.
+    """Plan where labels go; elements with the same names are replaced.
 
     Raises:
-        ConfigError: the dataset has no state whose elements have names.
+        ConfigError: the dataset has no state with named elements.
     """
     names: list[Any]
     features, wanted = copy.deepcopy(folder.features), element_names(joints)
@@ -71,8 +71,8 @@ def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> F
     names = folder.names(STATE, int(shape[0])) if STATE in features else []
     if not names or not isinstance(state.get("names"), list | dict):
         raise ConfigError(
-            f"{folder.path}: its {STATE} has no names for its elements, so labels cannot be distinguished among them: "
-            "--into features gives them features of their own"
+            f"{folder.path}: the elements of {STATE} have no names, so labels cannot be distinguished among them: "
+            "use --into features for separate features"
         )
     new = [name for name in wanted if name not in names]
     listed = [*names, *new]
@@ -82,7 +82,7 @@ def plan_features(folder: LerobotFolder, joints: Sequence[str], into: Into) -> F
 
 
 def with_labels(table: pa.Table, labels: np.ndarray, plan: FeaturePlan) -> pa.Table:
-    """The frames of a data file with their labels (rows, columns), all else untouched."""
+    """Add labels (rows, columns) to the frames of a data file; everything else is unchanged."""
     for feature, (columns, places) in plan.places.items():
         values = _elements(table, feature, len(table))
         wide = np.zeros((len(table), max(values.shape[1], max(places) + 1)), dtype=values.dtype)
@@ -93,7 +93,7 @@ def with_labels(table: pa.Table, labels: np.ndarray, plan: FeaturePlan) -> pa.Ta
 
 
 def recorded(table: pa.Table, plan: FeaturePlan) -> np.ndarray | None:
-    """Labels that the frames hold already, (rows, columns) as with_labels() takes them; None: they hold not all."""
+    """Existing labels of the frames, (rows, columns) as with_labels() takes them; None: some are missing."""
     total = sum(len(columns) for columns, _ in plan.places.values())
     held = np.zeros((len(table), total), dtype=np.float32)
     for feature, (columns, places) in plan.places.items():
@@ -115,7 +115,7 @@ def _elements(table: pa.Table, feature: str, rows: int) -> np.ndarray:
 
 
 def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:
-    """The column in the type of list that it has; fixed where it is new, a plain number where that is one."""
+    """Set a column and keep its list type; a new column is a fixed-size list, or plain numbers for one element."""
     there = table.schema.get_field_index(feature)
     flat = pa.array(np.ascontiguousarray(values).ravel())
     if there < 0 and values.shape[1] == 1:
@@ -130,7 +130,7 @@ def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:
 
 
 def _metadata(schema: pa.Schema, plan: FeaturePlan) -> dict[bytes, bytes] | None:
-    """The datasets library's record of the columns' types, brought up to date where it exists."""
+    """Update the datasets library's record of column types, if there is one."""
     metadata = dict(schema.metadata or {})
     if HUGGINGFACE not in metadata:
         return metadata or None
@@ -150,7 +150,7 @@ def _metadata(schema: pa.Schema, plan: FeaturePlan) -> dict[bytes, bytes] | None
     return metadata | {HUGGINGFACE: json.dumps(content).encode()}
 
 
-# --- Statistics that LeRobot keeps of a feature, of an episode and of the whole dataset, for the labels' columns.
+# --- LeRobot's statistics of the labels' columns, per episode and for the dataset.
 
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -160,7 +160,7 @@ Stats = dict[str, np.ndarray]
 def episode_stats(values: np.ndarray) -> Stats:
     """min, max, mean, std, count and quantiles of the columns of one episode, (frames, columns).
 
-    Quantiles are values that occur, since a flag has nothing in between; LeRobot reads its own off a histogram.
+    Quantiles are values of the data, since flags have no values in between; LeRobot takes its own from a histogram.
     """
     values = values.astype(np.float64)
     stats = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
@@ -169,8 +169,8 @@ def episode_stats(values: np.ndarray) -> Stats:
 
 
 def dataset_stats(episodes: Sequence[Stats]) -> Stats:
-    """Statistics of all episodes, merged as LeRobot does: means and variances by their counts, quantiles as means of
-    quantiles."""
+    """Merge the statistics of episodes as LeRobot does: means and variances weighted by counts, quantiles as means of
+    quantiles, also weighted."""
     count = np.array([stats["count"][0] for stats in episodes], dtype=np.float64)[:, None]
     stacked = {key: np.stack([stats[key] for stats in episodes]) for key in episodes[0] if key != "count"}
     mean = (stacked["mean"] * count).sum(0) / count.sum()
@@ -181,10 +181,10 @@ def dataset_stats(episodes: Sequence[Stats]) -> Stats:
 
 
 def put_stats(held: dict[str, list] | None, stats: Stats, places: Sequence[int], columns: Sequence[int]) -> dict:
-    """The statistics of a feature with those of these columns at their places; those of its other elements stay.
+    """Insert the statistics of columns at their places into a feature's; those of its other elements stay.
 
     Args:
-        held: what there is of the feature; None: it is new, and has all kinds.
+        held: existing statistics of the feature; None: the feature is new and gets all kinds.
     """
     kinds = [key for key in held if key in stats] if held else list(stats)
     made: dict[str, list] = dict(held) if held else {}
@@ -200,7 +200,7 @@ def put_stats(held: dict[str, list] | None, stats: Stats, places: Sequence[int],
     return made
 
 
-# --- An existing LeRobot dataset with external torque, contact and collision added to every frame: the label stage.
+# --- The label stage.
 
 
 EPISODES_STATS_V2 = "meta/episodes_stats.jsonl"
@@ -214,43 +214,42 @@ class LabelReport:
     episodes: int = 0
     frames: int = 0
     unknown: int = 0
-    """Frames without an estimate: the monitor warms up at the beginning of each episode."""
+    """Frames without an estimate, such as those of the warm-up in each episode."""
     contact: int = 0
-    """In contact."""
+    """Frames in contact."""
     collisions: int = 0
     """Number of collisions, not of frames in collision."""
     held: int = 0
-    """Frames that held labels before ..."""
+    """Frames that had labels before."""
     equal: int = 0
-    """... and how many of them were the same to the last bit."""
+    """Frames of `held` whose labels were equal to the last bit."""
 
 
 def label_dataset(
     dataset: Path, bundle: _core.Bundle, arm: Arm, out: Path, into: Into = "state", reporter: Reporter | None = None
 ) -> LabelReport:
-    """Write a LeRobot dataset with the labels of a bundle beside all that the given one holds.
+    """Write a copy of a LeRobot dataset with the labels of a bundle.
 
-    Every episode begins with a new monitor. Features, statistics of each episode and of all are brought
-    up to date; videos are linked where the file system can, else copied, as all other files are. The folder appears
-    whole or not at all.
+    Every episode begins with a new monitor. Features and statistics of each episode and of the dataset are updated.
+    Videos are linked where the file system supports it; all other files are copied. The folder is written atomically.
 
     Args:
-        dataset: folder of a dataset, v3.0 or v2.1; it is only read.
+        dataset: folder of a dataset, v3.0 or v2.1; read only.
         arm: the description that the bundle's recordings were imported with.
         out: folder to write, which must be empty or not there.
-        into: state: elements of observation.state, as the plugin lerobot_robot_tauext records them; features: features
-            of their own.
+        into: state: elements of observation.state, as the plugin lerobot_robot_tauext records them; features: separate
+            features.
 
     Raises:
         RecordingError: a damaged dataset, or one of another version; positions in other units than described.
-        BundleError: the bundle is for other joints or another rate, or for no servos.
-        ConfigError: the description names what is not there, or the folder cannot be written.
+        BundleError: the bundle has other joints or another rate, or takes no servo signals.
+        ConfigError: a column of the description is missing, or the folder cannot be written.
     """
     folder = open_folder(dataset)
     expect_rate(bundle, folder.fps)
     expect_empty(out)
     if out.resolve().is_relative_to(dataset.resolve()):
-        raise ConfigError(f"{out}: is inside the dataset; choose a folder beside it")
+        raise ConfigError(f"{out} is inside the dataset; choose a folder outside")
     expect_folder(out)
     plan = plan_features(folder, arm.names, into)
     work = Labelling(folder, bundle, arm, plan)
@@ -268,7 +267,7 @@ def label_dataset(
 
 
 class Labelling:
-    """One dataset under work: labels of the episodes, and what is counted of them."""
+    """Labels the episodes of one dataset and counts frames."""
 
     def __init__(self, folder: LerobotFolder, bundle: _core.Bundle, arm: Arm, plan: FeaturePlan):
         self.report = LabelReport(episodes=len(folder.lengths))
@@ -276,7 +275,7 @@ class Labelling:
         self._stats: dict[int, Stats] = {}
 
     def data_file(self, source: Path, target: Path) -> int:
-        """A data file with labels; how many frames it has."""
+        """Write a data file with labels; returns its number of frames."""
         with readable(source, "it"):
             table = pq.read_table(source)
             numbers, frames = (_whole(table, name) for name in ("episode_index", "frame_index"))
@@ -284,13 +283,13 @@ class Labelling:
         for number in np.unique(numbers):
             rows = np.flatnonzero(numbers == number)
             if int(number) not in self._folder.lengths:
-                raise RecordingError(f"{source}: it holds episode {number}, which the metadata does not name")
+                raise RecordingError(f"{source}: episode {number} is not in the metadata")
             if not np.array_equal(np.sort(frames[rows]), np.arange(self._folder.lengths[int(number)])):
                 raise RecordingError(
                     f"{source}: the frames of episode {number} are not 0 to {self._folder.lengths[int(number)] - 1}"
                 )
             columns[rows] = self._labels(int(number)).columns[frames[rows]]
-        with readable(source, "its description of its columns"):
+        with readable(source, "the description of its columns"):
             held = recorded(table, self._plan)
             table = with_labels(table, columns, self._plan)
         if held is not None:
@@ -301,7 +300,7 @@ class Labelling:
         return len(table)
 
     def _labels(self, number: int) -> Labels:
-        """Labels of one episode, counted."""
+        """Label one episode and count its frames."""
         raw = raw_episode(self._folder, number)
         try:
             labels = episode_labels(raw.name, next(iter(raw.blocks())), self._bundle, self._arm)
@@ -316,7 +315,7 @@ class Labelling:
         return labels
 
     def meta(self, part: Path) -> None:
-        """Features and statistics in the copies of the metadata."""
+        """Update features and statistics in the copied metadata."""
         if missing := [str(number) for number in self._folder.lengths if number not in self._stats]:
             raise RecordingError(f"{self._folder.path}: no data file holds frames of episode {', '.join(missing)}")
         info = json_of(read_text(part / INFO))
@@ -350,7 +349,7 @@ class Labelling:
             stats[feature] = put_stats(None if feature in self._plan.added and not held else held, own, places, columns)
 
     def _episode_columns(self, table: pa.Table) -> pa.Table:
-        """Episodes of v3.0 have their statistics in columns stats/FEATURE/KIND, a list an episode."""
+        """Update statistics of v3.0 episodes: columns stats/FEATURE/KIND with one list per episode."""
         rows = table.to_pylist()
         for feature, (columns, places) in self._plan.places.items():
             kinds = [name.split("/")[2] for name in table.column_names if name.startswith(f"stats/{feature}/")]
@@ -371,7 +370,7 @@ class Labelling:
 
 
 def episode_labels(name: str, block: RawSignals, bundle: _core.Bundle, arm: Arm) -> Labels:
-    """Labels of one episode's frames by a new monitor; a missing number is a fault, -1."""
+    """Label one episode's frames with a new monitor; a missing number is a fault, -1."""
     t_ns = block.t_ns
     assert t_ns is not None
     signals = ServoFrames(bundle, arm, block.names, name).signals(block.columns)
@@ -382,7 +381,11 @@ def episode_labels(name: str, block: RawSignals, bundle: _core.Bundle, arm: Arm)
 
 
 def _whole(table: pa.Table, name: str) -> np.ndarray:
-    """A column of whole numbers; ValueError where it is none."""
+    """A column of whole numbers.
+
+    Raises:
+        ValueError: the column is not of an integer type.
+    """
     numbers = table.column(name).to_numpy()
     if numbers.dtype.kind not in "iu":
         raise ValueError(f"{name} is not a whole number in every row")
@@ -390,9 +393,9 @@ def _whole(table: pa.Table, name: str) -> np.ndarray:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """A video is linked where the file system can, since videos are never rewritten; all else is copied.
+    """Link a video, since videos are never rewritten, where the file system supports it; copy any other file.
 
-    So is a video that is a symbolic link: a hard link would tie the output to a file outside the dataset.
+    A video that is a symbolic link is copied: a hard link would tie the output to a file outside the dataset.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     if source.suffix == ".mp4" and not source.is_symlink():

@@ -16,25 +16,25 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 
-# --- Between the thread that receives samples and the loop: bounded, the newest wins, what is pushed out is counted.
+# --- Bounded queue between the receiving thread and the loop. The newest samples win; dropped ones are counted.
 
 
 CAPACITY = 64
-"""A loop that is this many samples behind has a gap at its hands anyway."""
+"""Samples; a loop this far behind has a gap in any case."""
 
 
 class SampleQueue:
-    """Samples in their order; any thread may put, one thread takes."""
+    """Samples in order; any thread may put, one thread takes."""
 
     def __init__(self, counts: SourceCounts, capacity: int = CAPACITY):
-        """counts: `received` counts every put, `overrun` what was pushed out."""
+        """counts: `received` counts every put, `overrun` every dropped sample."""
         self._counts, self._capacity = counts, capacity
         self._samples: deque[Sample] = deque()
         self._changed = threading.Condition()
         self._closed = False
 
     def put(self, sample: Sample) -> None:
-        """Never waits: where the queue is full, the oldest goes."""
+        """Add a sample without waiting; a full queue drops its oldest sample."""
         with self._changed:
             self._counts.received += 1
             if len(self._samples) == self._capacity:
@@ -44,7 +44,7 @@ class SampleQueue:
             self._changed.notify()
 
     def take(self, timeout_s: float) -> Sample | None:
-        """The oldest one; None where none came for timeout_s or the queue is closed and empty."""
+        """Remove the oldest sample; None if none arrived within timeout_s or the queue is closed and empty."""
         until = time.monotonic() + timeout_s
         with self._changed:
             while not self._samples:
@@ -54,33 +54,33 @@ class SampleQueue:
             return self._samples.popleft() if self._samples else None
 
     def close(self) -> None:
-        """No more will be put: who waits is let go, and what is there can still be taken."""
+        """End the queue: wakes a waiting take(); remaining samples can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify()
 
     @property
     def ended(self) -> bool:
-        """Closed, and everything was taken."""
+        """Whether the queue is closed and empty."""
         return self._closed and not self._samples
 
 
-# --- What sources have in common that read a robot in a thread of their own.
+# --- Common base of sources that read a robot in their own thread.
 
 
 RETRY_S = 1.0
-"""Between attempts to reach a robot that has gone."""
+"""Time between attempts to reconnect, [s]."""
 
 
 class Unreachable(Exception):
-    """The robot is not there, or went; the text is the reason."""
+    """The robot cannot be reached or the connection is lost; the text is the reason."""
 
 
 def optional_library(module: str, who: str, package: str, extra: str) -> Any:
-    """A module of a library that only one source needs.
+    """Import a module of a library that only one source needs.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: the library is not installed.
     """
     try:
         return importlib.import_module(module)
@@ -89,13 +89,13 @@ def optional_library(module: str, who: str, package: str, extra: str) -> Any:
 
 
 class ReaderSource(ABC):
-    """Connects, reads sample after sample into a queue, and reconnects when the robot goes.
+    """Connects, reads samples into a queue, and reconnects when the connection is lost.
 
-    At open() the robot must be there, so that a wrong address is reported at once.
+    The robot must be reachable at open(), so that a wrong address is reported at once.
     """
 
     robot_joints: int
-    """Number of joints in its samples."""
+    """Number of joints in a sample."""
 
     def __init__(self, name: str):
         self.name, self.counts = name, SourceCounts()
@@ -104,21 +104,21 @@ class ReaderSource(ABC):
         self._thread: threading.Thread | None = None
         self._last_ns: int | None = None
 
-    # Of the robot; the reader's thread, connect() at first the loop's.
+    # For subclasses. The reader's thread calls these; the first connect() is called by the loop's thread.
 
     @abstractmethod
     def connect(self) -> None:
-        """Raises Unreachable."""
+        """Connect to the robot. Raises Unreachable."""
 
     @abstractmethod
     def read(self) -> Sample | None:
-        """Wait for the next sample, for a tenth of a second at most; None: there was none. Raises Unreachable."""
+        """Wait for the next sample, at most 0.1 s; None: none arrived. Raises Unreachable."""
 
     @abstractmethod
     def disconnect(self) -> None:
-        """May be called without a connection."""
+        """Close the connection; also called without one."""
 
-    # Of a source.
+    # The interface of a source.
 
     def open(self, settings: SourceSettings) -> None:
         if len(settings.joints) != self.robot_joints:
@@ -146,7 +146,7 @@ class ReaderSource(ABC):
         return notes
 
     def _note(self, text: str) -> None:
-        """Keeps the text for the next notes()."""
+        """Keep a text for the next notes()."""
         self._notes.append(text)
 
     def close(self) -> None:
@@ -161,14 +161,14 @@ class ReaderSource(ABC):
                 try:
                     sample = self.read()
                 except Unreachable as error:
-                    self._note(f"{self.name} is gone: {error}; trying again")
+                    self._note(f"{self.name} is disconnected: {error}; reconnecting")
                     self._reconnect()
                     continue
                 if sample is not None:
                     self._count_lost(sample.t_ns)
                     self._queue.put(sample)
-        except Exception as error:  # a library's own: the loop ends, with a note
-            self._note(f"{self.name} cannot be read any more: {type(error).__name__}: {error}")
+        except Exception as error:  # a library's own error: the loop ends, with a note
+            self._note(f"{self.name} cannot be read: {type(error).__name__}: {error}")
         finally:
             self._queue.close()
 
@@ -180,7 +180,7 @@ class ReaderSource(ABC):
                 self.connect()
             except Unreachable:
                 continue
-            self._note(f"{self.name} is there again")
+            self._note(f"{self.name} is reconnected")
             return
 
     def _count_lost(self, t_ns: int) -> None:
@@ -189,37 +189,37 @@ class ReaderSource(ABC):
         self._last_ns = t_ns
 
 
-# --- Several motors on a bus, of which some may drop out.
+# --- Several motors on a bus, some of which may stop answering.
 
 
-TOLD_AFTER = 5
-"""Readings in a row without a motor."""
+REPORTED_AFTER = 5
+"""Consecutive readings without a motor after which it is reported."""
 Motor = TypeVar("Motor")
 
 
 class DropOuts:
-    """Servos of one bus that do not answer: named when they drop out and when they are back, counted in between."""
+    """Counts readings without a servo; reports when a servo stops answering and when it answers again."""
 
     def __init__(self, names: dict[int, str], note: Callable[[str], None]):
-        """names: of the servos by id."""
+        """names: names of the servos by id."""
         self._names, self._note = names, note
         self._in_a_row = dict.fromkeys(names, 0)
         self.missed = dict.fromkeys(names, 0)
-        """Readings without it, by id."""
+        """Readings without the servo, by id."""
         self.corrupt = self.refused = 0
-        """Packets that could not be used; readings in which a servo was missing."""
+        """Unusable packets; readings in which a servo was missing."""
 
     def whole(self, came: Collection[int], corrupt: int) -> bool:
-        """Whether all servos came; counts those that did not."""
+        """Whether all servos answered; counts those that did not."""
         self.corrupt += corrupt
         for id_, name in self._names.items():
             if id_ not in came:
                 self.missed[id_] += 1
                 self._in_a_row[id_] += 1
-                if self._in_a_row[id_] == TOLD_AFTER:
+                if self._in_a_row[id_] == REPORTED_AFTER:
                     self._note(f"{name} does not answer: no sample until it does")
             else:
-                if self._in_a_row[id_] >= TOLD_AFTER:
+                if self._in_a_row[id_] >= REPORTED_AFTER:
                     self._note(f"{name} answers again, after {self._in_a_row[id_]} readings without it")
                 self._in_a_row[id_] = 0
         missing = len(came) < len(self._names)
@@ -227,11 +227,11 @@ class DropOuts:
         return not missing
 
     def summary(self) -> str:
-        """In one line what was missing; empty: nothing was."""
+        """One line about missing servos; empty: none was missing."""
         if not self.refused:
             return ""
         by_name = ", ".join(f"{self._names[id_]} in {count}" for id_, count in self.missed.items() if count)
-        packets = f"; {self.corrupt} packets could not be used" if self.corrupt else ""
+        packets = f"; {self.corrupt} unusable packets" if self.corrupt else ""
         return f"a servo was missing in {self.refused} readings: {by_name}{packets}"
 
     def forget(self) -> None:
@@ -246,17 +246,17 @@ class BusSource(ReaderSource):
     _drop_outs: DropOuts | None = None
 
     def motors_of(self, settings: SourceSettings, path: Place, motors: Mapping[str, Motor]) -> list[Motor]:
-        """The motors of the bundle's joints, whose answers count from now on.
+        """Select the motors of the bundle's joints; missing answers of these are counted.
 
         Args:
-            path: of the file that names the motors.
+            path: the file that lists the motors.
 
         Raises:
-            ConfigError: one is not in the file.
+            ConfigError: the file lacks a joint.
         """
         for name in settings.joints:
             if name not in motors:
-                raise ConfigError(f"{path}: joint '{name}' of the bundle is missing; there are {', '.join(motors)}")
+                raise ConfigError(f"{path}: joint '{name}' of the bundle is missing; the file has {', '.join(motors)}")
         found = [motors[name] for name in settings.joints]
         self.robot_joints = len(found)
         self._drop_outs = DropOuts({one.id: str(one) for one in found}, self._note)  # type: ignore[attr-defined]
@@ -279,16 +279,16 @@ class BusSource(ReaderSource):
 def sample_of(
     t_s: float, q: list[float], dq: list[float], tau: np.ndarray, temperature: np.ndarray | None = None
 ) -> Sample:
-    """A sample that has just come in, from what a robot's library gives."""
+    """A sample received now, from the values of a robot's library."""
     signals = (np.array(q, dtype=float), np.array(dq, dtype=float), tau)
     return Sample(round(t_s * 1e9), *signals, time.monotonic_ns(), temperature)
 
 
-# --- Time of the next request on a bus: once a period by the clock, whatever an answer took.
+# --- Time of the next request on a bus: one per period, independent of the answers' delays.
 
 
 class Ticks:
-    """Times a period apart, from the first wait() on; those that have passed meanwhile are skipped for good."""
+    """Ticks one period apart, starting at the first wait(); missed ticks are skipped."""
 
     def __init__(
         self,
@@ -296,12 +296,12 @@ class Ticks:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
-        """clock and sleep count in seconds."""
+        """clock and sleep are in seconds."""
         self._period_s, self._clock, self._sleep = period_s, clock, sleep
         self._due_s: float | None = None
 
     def wait(self, most_s: float) -> int | None:
-        """Wait for the next one; how many were skipped before it. None: it is still off after most_s."""
+        """Wait for the next tick; returns how many were skipped before it. None: it is not due within most_s."""
         now_s = self._clock()
         due_s = now_s if self._due_s is None else self._due_s
         if (left_s := due_s - now_s) > 0:

@@ -1,4 +1,4 @@
-"""A recording as if it came from an arm: what a live loop is tried out on."""
+"""A recording as a live source, for trying out a live loop without an arm."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 
 
 class ReplaySource:
-    """Gives a recording's samples when their time has come; a late loop finds them waiting, and none is lost."""
+    """Delivers a recording's samples at their times. A late loop finds them waiting; none is lost."""
 
     def __init__(self, recording: Recording | Place | str, speed: float | None = 1.0):
-        """speed: so many times as fast as recorded; None: as fast as the loop takes them.
+        """speed: factor on the recorded speed; None: as fast as the loop takes the samples.
 
         Raises:
-            RecordingError: the file is not there or damaged.
+            RecordingError: the file is missing or damaged.
         """
         self.recording = recording if isinstance(recording, Recording) else load_recording(recording)
         self.name = f"replay {self.recording.name}"
@@ -28,7 +28,7 @@ class ReplaySource:
         self._next, self._stopped, self._pace = 0, False, Pace(speed)
 
     def open(self, settings: SourceSettings) -> None:
-        """Refuses another arm's recording, or one of another rate."""
+        """Refuse a recording of another arm or another rate."""
         recording = self.recording
         if recording.joints != settings.joints:
             raise ConfigError(
@@ -64,7 +64,7 @@ class ReplaySource:
         return []
 
     def stop(self) -> None:
-        """The arm of a recording stops by sending no more."""
+        """Stop the replayed arm: no further samples."""
         self._stopped = True
 
     def close(self) -> None:

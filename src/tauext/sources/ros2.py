@@ -1,6 +1,6 @@
-"""The monitor on ROS 2, without ROS: joint states in, torques, alarms and diagnostics out, over CycloneDDS.
+"""The monitor on ROS 2 over CycloneDDS, without ROS: reads joint states, publishes torques, alarms and diagnostics.
 
-`tauext[ros2]` brings the library; the settings can be had without it.
+The extra `tauext[ros2]` installs the library; the settings do not need it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple[Ros2Source, Ros2Publisher]:
-    """A source and a publisher that share one node; the bundle estimates the forces at settings.wrench_frames.
+    """Connect a source and a publisher that share one node. The bundle estimates forces at settings.wrench_frames.
 
     Raises:
         ConfigError: CycloneDDS is not installed, the domain cannot be joined, or the bundle has no such frame.

@@ -1,7 +1,7 @@
-"""The ROS 2 messages that are sent and received, as DDS types: CDR bytes equal those of any ROS 2 node.
+"""ROS 2 messages as DDS types; their CDR bytes equal those of any ROS 2 node.
 
-Names follow the mangling of ROS 2: package::msg::dds_::Type_. Annotations are evaluated by cyclonedds when a class is
-made, so this file has no postponed ones.
+Type names follow the mangling of ROS 2: package::msg::dds_::Type_. cyclonedds evaluates annotations when a class is
+defined, so this file has no postponed annotations.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
 
     @classmethod
     def of_ns(cls, t_ns: int) -> "Time":
-        """t_ns: since 1970; outside of what 32 bits of seconds hold it is cut, as 2038 needs another message."""
+        """t_ns: since 1970; clipped to 32 bits of seconds, which end in 2038."""
         sec, nanosec = divmod(t_ns, NS_PER_S)
         return cls(min(max(sec, -(2**31)), 2**31 - 1), nanosec)
 
@@ -139,7 +139,7 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnosti
 
 
 def _graph_types(gid_bytes: int) -> tuple[type, type, type]:
-    """Nodes of every participant, published on ros_discovery_info: id, node and participant."""
+    """Types of the graph messages on ros_discovery_info: id, node and participant."""
 
     @dataclass
     class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
@@ -161,7 +161,7 @@ def _graph_types(gid_bytes: int) -> tuple[type, type, type]:
 
 
 GRAPH_TYPES = {size: _graph_types(size) for size in (16, 24)}
-"""Types of the graph messages by the length of an id, [bytes]: ids had 24 up to Humble."""
+"""Types of the graph messages by the length of an id [bytes]: 24 up to Humble, then 16."""
 ParticipantEntitiesInfo = GRAPH_TYPES[16][2]
 
 TYPE_HASHES: dict[type, str] = {
@@ -175,4 +175,4 @@ TYPE_HASHES: dict[type, str] = {
     DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
     ParticipantEntitiesInfo: "e725f4a506958c79f95dd693b965722c57b19cd18e7eff984f49561b93dc985d",
 }
-"""REP-2011 (RIHS01) of the types that topics have: nodes from Iron on warn of an endpoint that does not state it."""
+"""Type hashes (REP-2011, RIHS01) of the topics' types: nodes from Iron on warn of an endpoint without one."""

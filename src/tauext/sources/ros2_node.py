@@ -1,4 +1,4 @@
-"""A ROS 2 node without ROS: settings, readers, writers, conditions, unreadable messages."""
+"""A ROS 2 node without ROS: readers, writers, conditions, unreadable messages."""
 
 from __future__ import annotations
 
@@ -34,41 +34,41 @@ except ImportError as missing:
 from tauext.sources.ros2_messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
 from tauext.sources.ros2_settings import Ros2Settings
 
-# --- Present faults in words, and those that have not been reported yet.
+# --- Conditions: current input problems as text, and those not yet reported.
 
 
 HOLD_NS = 2_000_000_000
-"""A condition stands for so long after it was last seen: longer than the second between two diagnostics."""
+"""A condition holds this long after it last occurred: longer than the second between two diagnostics."""
 
 
 class Conditions:
-    """Sentences by key: one that comes again renews the old one."""
+    """Texts by key; a new text replaces the old one of its key."""
 
     def __init__(self) -> None:
         self._standing: dict[str, tuple[str, int]] = {}
         self._unreported: list[str] = []
 
     def report(self, key: str, text: str, now_ns: int) -> None:
-        """Note a fault. A new text of a key that still stands replaces the old one and is not reported again."""
+        """Note a problem. If its key still holds, the text is replaced and not reported again."""
         before = self._standing.get(key)
         if before is None or now_ns - before[1] > HOLD_NS:
             self._unreported.append(text)
         self._standing[key] = (text, now_ns)
 
     def standing(self, now_ns: int) -> list[str]:
-        """Texts that came within the last two seconds."""
+        """Texts of the last two seconds."""
         return [text for text, seen_ns in list(self._standing.values()) if now_ns - seen_ns <= HOLD_NS]
 
     def unreported(self) -> list[str]:
-        """Texts of faults that began since the last call."""
+        """Texts of problems that began since the last call."""
         texts, self._unreported = self._unreported, []
         return texts
 
 
-# --- Messages that the DDS library cannot read: counted by topic, where it would print a line for each of them.
+# --- Messages that the DDS library cannot decode, counted by topic.
 #
-# No status of a reader counts such a message; the library writes a line of it to its trace, which goes through a pipe
-# and is counted here, and the same line to stderr, always. A command line leaves it out there: `without_lines`.
+# No status of a reader counts such a message. The library writes a line to its trace, which goes through a pipe and is
+# counted here, and always the same line to stderr. `without_lines` removes it there, for command lines.
 
 
 LINE = re.compile(r"deserialization rt(/.*)/[^/]*::dds_::\w+ failed")
@@ -81,7 +81,7 @@ TRACING = (
 
 
 class Unreadable:
-    """Counts for one domain, from its beginning in this process on."""
+    """Counts for one domain since it was first used in this process."""
 
     _of_domain: dict[int, Unreadable] = {}
     _beginning = threading.Lock()
@@ -94,31 +94,29 @@ class Unreadable:
 
     @classmethod
     def of(cls, domain_id: int) -> Unreadable:
-        """The counts of a domain; call it before the domain's first participant is made."""
+        """The counts of a domain. Call it before the domain's first participant is created."""
         with cls._beginning:
             if domain_id not in cls._of_domain:
                 cls._of_domain[domain_id] = cls(domain_id)
             return cls._of_domain[domain_id]
 
     def count(self, topic: str) -> int:
-        """Messages of the topic, which begins with /, that could not be read so far."""
+        """Number of undecodable messages of a topic, whose name begins with /."""
         return self._counts[topic]
 
     def _listen(self, domain_id: int) -> None:
         own = os.environ.get(CONFIGURATION, "")
         if "Tracing" in own:
-            return  # the user sends the library's trace elsewhere
+            return  # the user redirects the library's trace
         reads, writes = os.pipe()
         try:
             self._domain = Domain(domain_id, ",".join(filter(None, (own, TRACING.format(writes)))))
-        except (
-            DDSException
-        ):  # another part of this process began the domain, or CYCLONEDDS_URI is wrong, which a node reports
+        except DDSException:  # the process already uses the domain, or CYCLONEDDS_URI is wrong, which a node reports
             os.close(reads)
             return
         finally:
-            os.close(writes)  # the library has opened it by its name
-        threading.Thread(target=self._read, args=(reads,), name="dds words", daemon=True).start()
+            os.close(writes)  # the library has opened it by its path
+        threading.Thread(target=self._read, args=(reads,), name="dds trace", daemon=True).start()
 
     def _read(self, reads: int) -> None:
         with open(reads, encoding="utf-8", errors="replace") as lines, suppress(OSError, ValueError):
@@ -129,9 +127,9 @@ class Unreadable:
 
 @contextmanager
 def without_lines() -> Iterator[None]:
-    """Leave the lines about such messages out of stderr, which passes through a pipe meanwhile; for a whole process.
+    """Remove the lines about undecodable messages from the process's stderr, which goes through a pipe meanwhile.
 
-    What Python itself prints goes straight to where stderr went before.
+    Python's own output goes directly to the previous stderr.
     """
     sys.stderr.flush()
     before, (reads, writes) = os.dup(2), os.pipe()
@@ -145,7 +143,7 @@ def without_lines() -> Iterator[None]:
     finally:
         sys.stderr.flush()
         sys.stderr = own
-        os.dup2(before, 2)  # the last end of the pipe, unless a process that was started still has it
+        os.dup2(before, 2)  # closes the pipe, unless a child process still holds it
         thread.join(END_S)
 
 
@@ -156,7 +154,7 @@ def _pass_on(reads: int, to: int) -> None:
                 os.write(to, line)
 
 
-# --- A ROS 2 node without ROS: readers and writers under the names, types and user data that ROS 2 nodes expect.
+# --- The node: readers and writers with the names, types and user data that ROS 2 nodes expect.
 
 
 Kind = Literal["best-effort", "reliable"]
@@ -164,18 +162,18 @@ Lasting = Literal["volatile", "transient-local"]
 GRAPH_TOPIC = "ros_discovery_info"
 DESCRIBING = threading.Lock()
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
-"""The only encoding that ROS 2 nodes use."""
+"""The encoding of all ROS 2 nodes."""
 
 
 class Node:
-    """One participant with one node; readers and writers are seen by others once announce() was called."""
+    """One participant with one node. Others see its readers and writers after announce()."""
 
     def __init__(self, settings: Ros2Settings):
-        """Raises ConfigError where the domain cannot be joined: no network, or CYCLONEDDS_URI is wrong."""
+        """Raises ConfigError if the domain cannot be joined: no network, or a wrong CYCLONEDDS_URI."""
         self.settings = settings
         self.unreadable = Unreadable.of(settings.domain_id)
         try:
-            # Nodes ignore participants that do not publish their enclave, the name of their security settings.
+            # ROS nodes ignore participants that do not publish an enclave, the name of their security settings.
             self.participant = DomainParticipant(settings.domain_id, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as refused:
             raise ConfigError(
@@ -190,29 +188,29 @@ class Node:
         self._graph = DataWriter(self.participant, topic_of(self.participant, GRAPH_TOPIC, info), qos)
 
     def inbox(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int) -> Inbox:
-        """Reader of the topic `name`, which begins with /."""
+        """Create a reader of the topic `name`, which begins with /."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._readers.append(DataReader(self.participant, self._topic(name, of), qos))
         return Inbox(self._readers[-1], depth)
 
     def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
-        """Writer to the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
+        """Create a writer to the topic `name`, which begins with /. write() never waits: it drops old messages."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._writers.append(DataWriter(self.participant, self._topic(name, of), qos))
         return self._writers[-1]
 
     def announce(self) -> None:
-        """Publish node, readers and writers to the graph; to be called again after each new one."""
+        """Publish node, readers and writers to the graph. Call it after each change."""
         space, slash, node = self.settings.full_name(self.settings.node).rpartition("/")
         info = self._entities_type(space or slash, node, self._gids(self._readers), self._gids(self._writers))
         self._graph.write(self._info_type(self._gid(self.participant), [info]))
 
     def enter(self) -> None:
-        """One more who uses the node."""
+        """Register one more user of the node."""
         self._users += 1
 
     def leave(self, entities: list[Entity]) -> None:
-        """One less, whose readers and writers these were; the last one closes the node."""
+        """Remove a user and its readers and writers; the last user closes the node."""
         self._users -= 1
         self._readers = [reader for reader in self._readers if reader not in entities]
         self._writers = [writer for writer in self._writers if writer not in entities]
@@ -232,33 +230,33 @@ class Node:
 
 
 class Inbox:
-    """A reader, and the condition that waits for what is new in it."""
+    """A reader, and a condition that waits for new messages."""
 
     def __init__(self, reader: DataReader, depth: int):
         self.reader, self._depth = reader, depth
         self.new = ReadCondition(reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
 
     def take(self) -> tuple[list, str | None]:
-        """All that is new, and why there is nothing where a message cannot be read.
+        """Take all new messages; the second value is the error if a message cannot be decoded.
 
-        The library drops what breaks a type's structure, but hands on strings that are no UTF-8; with such a message
-        those are lost that came at once with it.
+        The library drops messages that do not match the type, but passes on strings that are not UTF-8. Messages that
+        arrived together with such a message are lost.
         """
         try:
             taken = self.reader.take(self._depth, self.new)
-        except Exception as damaged:  # whatever others send must not end the loop
+        except Exception as damaged:  # no message may end the loop
             return [], f"a message cannot be read ({type(damaged).__name__}: {damaged})"
         return [message for message in taken if message.sample_info.valid_data], None
 
 
 def topic_of(participant: DomainParticipant, name: str, of: type) -> Topic:
-    """The library describes a type at its first use, which two threads must not have at once."""
+    """Create a topic. The library describes a type at its first use, which is not thread-safe."""
     with DESCRIBING:
         return Topic(participant, name, of)
 
 
 def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:
-    """Policies of a reader or writer."""
+    """QoS policies of a reader or writer."""
     return (
         Policy.Reliability.BestEffort if kind == "best-effort" else Policy.Reliability.Reliable(max_blocking_time=0),
         Policy.Durability.Volatile if lasting == "volatile" else Policy.Durability.TransientLocal,
@@ -267,5 +265,5 @@ def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:
 
 
 def type_hash(of: type) -> Policy.Userdata:
-    """Type hash in the user data of endpoints, as nodes from Iron on send it."""
+    """Type hash in an endpoint's user data, as nodes from Iron on send it."""
     return Policy.Userdata(f"typehash=RIHS01_{TYPE_HASHES[of]};".encode())

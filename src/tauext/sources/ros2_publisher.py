@@ -1,4 +1,4 @@
-"""Output of the monitor on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
+"""Output of the monitor on ROS 2 (torques, alarms, diagnostics, wrenches) and requests to it."""
 
 from __future__ import annotations
 
@@ -46,16 +46,15 @@ from tauext.sources.ros2_messages import (
 from tauext.sources.ros2_node import Conditions, Node
 from tauext.sources.ros2_source import Ros2Source
 
-# --- The monitor's state in diagnostic_msgs: its conditions in words, and the numbers behind them.
+# --- The monitor's state as diagnostic_msgs.
 
 
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
-    """Alarm, health and its causes, and per joint the torque, its standard error, its limits and the margin
-    (to a collision), [N m] or what the bundle answers in.
+    """Alarm, health with causes, and per joint the torque, its standard error, its limits and the margin to a
+    collision, in [N m] or the bundle's unit.
 
-    Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up, where a
-    joint's drift stands at its bound and while the motion is unlike that of training, else OK. A collision outranks
-    everything.
+    Level: ERROR for a collision or a fault; STALE without samples; WARN for a contact, during warm-up, if a joint's
+    drift is at its bound, or if the motion is unlike the training data; else OK. A collision has priority.
     """
     status = DiagnosticStatus(STALE, "tauext: arm", "no sample yet", hardware_id)
     if verdict is None:
@@ -102,10 +101,10 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
 def input_status(
     report: LoopReport | None, before: LoopReport | None, standing: list[str], hardware_id: str
 ) -> DiagnosticStatus:
-    """Rate, samples that were lost, late or refused, time of a tick, and what stands wrong with the input, in words.
+    """Rate, lost, late and refused samples, time of a tick, and current input problems as text.
 
-    Level: STALE while no sample comes, WARN where something stands wrong or samples were lost since the report before,
-    else OK.
+    Level: STALE without samples; WARN if there is an input problem or samples were lost since the previous report; else
+    OK.
     """
     status = DiagnosticStatus(STALE, "tauext: input", "; ".join(standing) or "no report yet", hardware_id)
     if report is None:
@@ -134,11 +133,11 @@ def input_status(
 
 
 def number(value: float | None) -> str:
-    """Four digits; - where there is none."""
+    """Four digits, or - for a missing number."""
     return f"{value:.4g}" if value is not None and math.isfinite(value) else "-"
 
 
-# --- Force and moment at frames of the arm as ROS 2 messages: a WrenchStamped a frame, and its covariance beside it.
+# --- Force and moment at frames of the arm: per frame a WrenchStamped and its covariance.
 
 
 LABEL = "force.x force.y force.z torque.x torque.y torque.z"
@@ -147,17 +146,17 @@ SIDE = 6
 
 
 class Wrenches:
-    """Topics `wrench/NAME` and `wrench/NAME/covariance` of the frames that the settings name.
+    """Topics `wrench/NAME` and `wrench/NAME/covariance` of the frames in the settings.
 
-    A wrench is what the surroundings exert on the arm, at the frame's origin and along the frame's own axes, so that
-    the header's frame_id is the frame and tf can turn it. Rows and columns of the covariance are those of LABEL.
+    A wrench is what the environment exerts on the arm, at the frame's origin and along the frame's axes. The header's
+    frame_id is the frame, so tf can transform it. Rows and columns of the covariance are in the order of LABEL.
     """
 
     def __init__(self, frames: Sequence[str], bundle: _core.Bundle | None):
-        """Raises ConfigError where the bundle estimates no force, or has no such frame."""
+        """Raises ConfigError if the bundle estimates no force, or has no such frame."""
         self._frames = {topic_name(name): name for name in frames}
         if len(self._frames) < len(frames):
-            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: each needs a topic's name of its own")
+            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: two frames have the same topic name")
         if not frames:
             return
         if bundle is None:
@@ -173,7 +172,7 @@ class Wrenches:
                 raise ConfigError(f"ROS 2 wrench_frames {name!r} must be one of {', '.join(known)}")
 
     def open(self, node: Node) -> None:
-        """Make the writers."""
+        """Create the writers."""
 
         def writer(name: str, of: type) -> Any:
             return node.writer(node.settings.full_name(name), of, "reliable", "volatile", 8)
@@ -189,7 +188,7 @@ class Wrenches:
         return [writer for pair in self._writers.values() for writer in pair]
 
     def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
-        """Send wrench and covariance at each frame; nothing at a frame where the force is unknown."""
+        """Send wrench and covariance at each frame where the force is known."""
         if verdict.sample is None or not self._writers:
             return
         estimates, sample = verdict.estimates, verdict.sample
@@ -203,13 +202,13 @@ class Wrenches:
 
 
 def topic_name(frame: str) -> str:
-    """A frame's name with _ for what ROS 2 does not allow in a topic's."""
+    """A frame's name with _ for characters that ROS 2 does not allow in topic names."""
     name = re.sub(r"\W", "_", frame, flags=re.ASCII)
     return f"_{name}" if name[:1].isdigit() else name
 
 
 def wrench_message(frame: str, stamp_ns: int, force: np.ndarray, moment: np.ndarray) -> WrenchStamped:
-    """Force [N] and moment [N m] along the frame's own axes."""
+    """Force [N] and moment [N m] along the frame's axes."""
     wrench = Wrench(Vector3(*force.tolist()), Vector3(*moment.tolist()))
     return WrenchStamped(Header(Time.of_ns(stamp_ns), frame), wrench)
 
@@ -220,26 +219,26 @@ def covariance_message(covariance: np.ndarray) -> Float64MultiArray:
     return Float64MultiArray(layout, covariance.ravel().tolist())
 
 
-# --- Output of the monitor on ROS 2 topics, and requests to it.
+# --- The publisher.
 
 
 FOREVER_NS = 2**63 - 1
 BETWEEN_NS = 50_000_000
-"""Shortest time between two diagnostics after changes, so that a state that flickers does not fill the network."""
+"""Shortest time between two diagnostics, so that a flickering state does not flood the network."""
 
 
 class Ros2Publisher:
-    """A publisher of the loop: torque at every sample, alarms when they change, diagnostics each second and on change.
+    """Publishes torque at every sample, alarms at changes, and diagnostics each second and at changes.
 
     `external_torque`: JointState with the stamp of its sample, effort = tau_ext [N m], positive where the
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
-    Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
-    `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance; nothing where it is unknown.
+    Bool, transient local: late subscribers receive the last one. `event`: String, JSON, for reactions with
+    publish = true. `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance, while it is known.
     `diagnostics`: DiagnosticArray. Subscribed: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
-    `load` (Inertia, in the bundle's load frame; m = 0: nothing).
+    `load` (Inertia, in the bundle's load frame; m = 0: no load).
 
-    A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
-    library refuses to send is counted in `unsent`.
+    A slow subscriber never blocks the loop; it misses messages older than the topic's depth. `unsent` counts messages
+    that the library refuses to send.
     """
 
     def __init__(
@@ -249,7 +248,7 @@ class Ros2Publisher:
         source: Ros2Source | None = None,
         wrenches: Wrenches | None = None,
     ):
-        """source: whose stamps the torques bear; None: the time of reception. wrenches: None: none are published."""
+        """source: provides the stamps of the torques; None: time of reception. wrenches: None: none are published."""
         self._wrenches = wrenches or Wrenches((), None)
         self._node, self._conditions, self._source = node, conditions, source
         self.unsent = 0
@@ -295,7 +294,7 @@ class Ros2Publisher:
     def verdict(self, verdict: Verdict) -> None:
         self._verdict = verdict
         if verdict.sample is not None:
-            # The writer serialises at once, so one message serves all.
+            # The writer serialises immediately, so one message is reused.
             stamp_ns = self._stamp_ns(verdict.sample)
             self._message.header.stamp = Time.of_ns(stamp_ns)
             self._message.effort = verdict.estimates["tau_ext"][0].tolist()
@@ -318,7 +317,7 @@ class Ros2Publisher:
         self._send(self._events, String(json.dumps(facts)))
 
     def close(self) -> None:
-        """Latched topics end with their publisher: later subscribers get nothing."""
+        """Remove the topics. Transient-local topics end too: later subscribers receive nothing."""
         if self._listening is None:
             return
         self._closing.set(True)
@@ -351,13 +350,13 @@ class Ros2Publisher:
     def _send(self, writer: Any, message: Any) -> bool:
         try:
             writer.write(message)
-        except DDSException:  # no reason to stop watching the arm
+        except DDSException:  # the monitor continues
             self.unsent += 1
             return False
         return True
 
     def _listen(self) -> None:
-        """Serve requests in a thread of their own: they are rare, and must not wait for a sample."""
+        """Serve requests in a separate thread: they must not wait for a sample."""
         waitset = WaitSet(self._node.participant)
         for condition in (self._closing, *(inbox.new for inbox, _ in self._requests.values())):
             waitset.attach(condition)

@@ -10,9 +10,9 @@ from typing import Literal
 from tauext.errors import ConfigError
 
 DOMAINS = 232
-"""Highest domain whose ports exist on every system."""
+"""Highest domain with valid ports on every system."""
 LONG_GID_DISTROS = ("foxy", "galactic", "humble")
-"""Their messages about nodes hold ids of 24 bytes, later ones 16."""
+"""Distributions whose graph messages have ids of 24 bytes; later ones have 16."""
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -21,13 +21,13 @@ class Ros2Settings:
     """Topics, quality of service and domain; the defaults fit joint_state_broadcaster and robot drivers.
 
     Raises:
-        ConfigError: a name that ROS 2 does not allow, or a number out of its range.
+        ConfigError: a name is not allowed in ROS 2, or a number is out of range.
     """
 
     topic: str = "/joint_states"
     """Topic of the arm's sensor_msgs/JointState: position [rad], velocity [rad/s], effort [N m]."""
     names: tuple[str, ...] = ()
-    """The arm's joints as the messages name them, in the order of the bundle's joints; empty: as the bundle does."""
+    """Names of the arm's joints in the messages, in the order of the bundle's joints; empty: the bundle's names."""
     temperatures: tuple[str, ...] = ()
     """Topics of sensor_msgs/Temperature [degC], one for each joint in the bundle's order; empty: temperatures are
     unknown."""
@@ -35,23 +35,23 @@ class Ros2Settings:
     """Reliability requested from publishers: best-effort receives from both kinds; reliable refuses best-effort
     ones."""
     durability: Literal["volatile", "transient-local"] = "volatile"
-    """Durability requested from publishers: transient-local also gets what was published before and refuses
-    volatile."""
+    """Durability requested from publishers: transient-local also receives earlier messages, and refuses volatile
+    publishers."""
     depth: int = 256
-    """Most samples that wait for a late monitor; older ones are lost, and counted."""
+    """Largest number of samples that wait for a late monitor; older ones are lost and counted."""
     namespace: str = "/tauext"
-    """Namespace of everything that is published: external_torque, contact, collision, event, diagnostics."""
+    """Namespace of the monitor's topics: external_torque, contact, collision, event, diagnostics and requests."""
     diagnostics: str = "diagnostics"
-    """Topic of diagnostics; a name that begins with / stands for itself: /diagnostics, where aggregators listen."""
+    """Topic of diagnostics. A name that begins with / is used as it is: aggregators listen on /diagnostics."""
     wrench_frames: tuple[str, ...] = ()
-    """Frames of the bundle whose force and moment are published, a topic wrench/NAME each; empty: none."""
+    """Frames of the bundle at which force and moment are published, one topic wrench/NAME per frame; empty: none."""
     node: str = "tauext"
     """Name of the node, as `ros2 node list` shows it after the namespace."""
     domain: int | None = None
-    """ROS domain; None: ROS_DOMAIN_ID, or 0."""
+    """ROS domain; None: ROS_DOMAIN_ID, else 0."""
     distro: str | None = None
-    """Distribution of the ROS nodes around, since foxy, galactic and humble announce nodes in another format; None:
-    ROS_DISTRO, or a later one."""
+    """Distribution of the other ROS nodes: foxy, galactic and humble announce nodes in another format than later ones.
+    None: ROS_DISTRO, else a later one."""
 
     def __post_init__(self) -> None:
         for field, rooted in (("topic", True), ("namespace", True), ("diagnostics", False), ("node", False)):
@@ -64,17 +64,17 @@ class Ros2Settings:
                 )
         for name in self.temperatures:
             if not NAME.fullmatch(name) or name[0] != "/":
-                raise ConfigError(f"ROS 2 temperatures {name!r} must begin with / and be a topic's name")
+                raise ConfigError(f"ROS 2 temperatures {name!r} must begin with / and be a topic name")
         if self.depth < 1:
             raise ConfigError(f"ROS 2 depth = {self.depth} must be >= 1")
         if len(set(self.names)) < len(self.names):
-            raise ConfigError(f"ROS 2 names {', '.join(self.names)}: each joint must have its own")
+            raise ConfigError(f"ROS 2 names {', '.join(self.names)}: names must be unique")
         if self.domain is not None and not 0 <= self.domain <= DOMAINS:
             raise ConfigError(f"ROS 2 domain = {self.domain} must lie between 0 and {DOMAINS}")
 
     @property
     def domain_id(self) -> int:
-        """Domain of the settings, else of the environment; ConfigError where that is no domain."""
+        """Domain of the settings, else of the environment; raises ConfigError if it is invalid."""
         if self.domain is not None:
             return self.domain
         text = os.environ.get("ROS_DOMAIN_ID") or "0"
@@ -84,7 +84,7 @@ class Ros2Settings:
 
     @property
     def gid_bytes(self) -> int:
-        """Length of an id in messages about nodes."""
+        """Length of an id in graph messages."""
         return 24 if (self.distro or os.environ.get("ROS_DISTRO", "")) in LONG_GID_DISTROS else 16
 
     def full_name(self, name: str) -> str:

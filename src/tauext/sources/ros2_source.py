@@ -1,4 +1,4 @@
-"""Joint states of a ROS 2 topic as samples: joints, publisher, rate, time, temperatures."""
+"""Joint states of a ROS 2 topic as samples: selects joints, publisher, rate, time and temperatures."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 from tauext.sources.ros2_messages import JointState, Temperature
 from tauext.sources.ros2_node import Conditions, Inbox, Node
 
-# --- The arm's joints in messages that may hold them in any order, beside others, or not at all.
+# --- The arm's joints in messages with any order of joints and possibly other joints.
 
 
 FIELDS = ("position", "velocity", "effort")
 
 
 class ArmJoints:
-    """Picks positions, velocities and efforts of the arm, (joints,) each, in the order of `names`."""
+    """Selects positions, velocities and efforts of the arm, (joints,) each, in the order of `names`."""
 
     def __init__(self, names: tuple[str, ...]):
-        """names: as the messages name them."""
+        """names: names of the joints in the messages."""
         self.names = names
         self._of: list[str] = []
         self._rows: list[int] = []
         self._missing: list[str] = []
 
     def is_here(self, message: JointState) -> bool:
-        """Whether the message has every joint of the arm; others may be in it."""
+        """Whether the message has every joint of the arm; it may have others."""
         if message.name != self._of:
             row = {name: k for k, name in reversed(list(enumerate(message.name)))}
             self._of, self._missing = message.name, [name for name in self.names if name not in row]
@@ -41,14 +41,14 @@ class ArmJoints:
         return not self._missing
 
     def missing(self, message: JointState) -> str:
-        """Which joints a message lacks, in words."""
+        """Text about the joints that a message lacks."""
         self.is_here(message)
         return f"no {', '.join(self._missing)} among its joints {', '.join(message.name) or '(none)'}"
 
     def pick(self, message: JointState) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
-        """q [rad], dq [rad/s], tau [N m] of a message in which the arm is; or, in words, why there are none.
+        """q [rad], dq [rad/s], tau [N m] of a message with the arm's joints, or the reason why there are none.
 
-        NaN is handed on, since the monitor has a fault of its own for it.
+        NaN is passed on: the monitor's health handles it.
         """
         values = [getattr(message, field) for field in FIELDS]
         for field, numbers in zip(FIELDS, values, strict=True):
@@ -62,7 +62,7 @@ class ArmJoints:
         return q, dq, tau
 
     def not_finite(self, arrays: tuple[np.ndarray, ...]) -> str | None:
-        """Which numbers are NaN or infinite, in words."""
+        """Text about the numbers that are NaN or infinite; None: all are finite."""
         bad = [
             f"{field} of {', '.join(self.names[j] for j in np.flatnonzero(~np.isfinite(values)))}"
             for field, values in zip(FIELDS, arrays, strict=True)
@@ -71,26 +71,26 @@ class ArmJoints:
         return f"{' and '.join(bad)} is not a number" if bad else None
 
 
-# --- Which of several publishers on one topic is followed.
+# --- The publisher in use, of several on one topic.
 
 
 TAKEOVER_NS = 500_000_000
-"""Silence after which another publisher is followed: longer than any pause that an arm's driver makes."""
+"""Silence after which another publisher is used: longer than any pause of a driver."""
 
 
 class Followed:
-    """The first that publishes the arm, until it is silent; then the next one that publishes. Never two at once."""
+    """The publisher in use: the first one of the arm until it is silent, then the next. Never two at once."""
 
     def __init__(self) -> None:
         self._handle: int | None = None
         self._last_ns = 0
 
     def is_another(self, handle: int, now_ns: int) -> bool:
-        """Whether this publisher is not the one that is followed now."""
+        """Whether this publisher is another than the one in use."""
         return self._handle not in (None, handle) and now_ns - self._last_ns <= TAKEOVER_NS
 
     def take(self, handle: int, now_ns: int) -> bool:
-        """A sample by this publisher is used; True for the first since another one was followed."""
+        """Use a sample of this publisher; returns whether the publisher changed."""
         changed = handle != self._handle
         self._handle, self._last_ns = handle, now_ns
         return changed
@@ -100,30 +100,30 @@ class Followed:
 
 
 LEARNT_FROM = 21
-"""Samples that the rate is learnt from; none of them is passed on, since the monitor would detect a wrong rate."""
+"""Samples from which the rate is learnt. They are not passed on, since the monitor would detect a wrong rate."""
 TOLERANCE = 0.05
 """Relative difference from which the monitor reports another rate."""
 CHANGED = 0.2
-"""A rate that differs by so much from the one learnt is another one; less is jitter."""
+"""Relative difference from which the rate has changed; less is jitter."""
 
 
 class SampleRate:
     """Learns a publisher's period from stamps, then selects the samples that match the bundle's rate.
 
-    A publisher at n times the bundle's rate has every n-th sample taken, in slots of the bundle's period counted from
-    the first; a lost sample is replaced by its neighbour. One at any other rate is given on whole, for the monitor to
-    name the wrong rate.
+    At n times the bundle's rate every n-th sample is used, in slots of the bundle's period counted from the first; a
+    neighbour replaces a lost sample. At any other rate all samples are passed on, and the monitor reports the wrong
+    rate.
     """
 
     def __init__(self, period_ns: int):
-        """period_ns: of the bundle."""
+        """period_ns: the bundle's period."""
         self._wanted_ns = period_ns
         self.forget()
 
     def forget(self) -> None:
-        """Restart the learning for another publisher."""
+        """Restart for another publisher."""
         self.period_ns: int | None = None
-        """Period of the publisher, [ns]; None until it is learnt."""
+        """Period of the publisher, [ns]; None until learnt."""
         self.factor = 1
         self.lost = 0
         """Samples lost according to gaps of the stamps, since the period was learnt."""
@@ -132,7 +132,7 @@ class SampleRate:
         self._due_ns: int | None = None
 
     def wants(self, t_ns: int) -> bool:
-        """Whether the sample at t_ns, later than the one before it, is to be given on."""
+        """Whether to pass on the sample at t_ns, which is later than the previous one."""
         last_ns, self._last_ns = self._last_ns, t_ns
         if last_ns is None:
             return False
@@ -153,7 +153,7 @@ class SampleRate:
 
     @property
     def problem(self) -> str | None:
-        """The fault of the publisher's rate in words; None: the rate fits."""
+        """Text about a wrong rate of the publisher; None: the rate fits."""
         if self.period_ns is None:
             return None
         is_hz, wanted_hz = 1e9 / self.period_ns, 1e9 / self._wanted_ns
@@ -166,9 +166,10 @@ class SampleRate:
         )
 
     def _learn(self, step_ns: int) -> None:
-        """Learn the period again from every LEARNT_FROM samples, since rates change.
+        """Learn the period from every LEARNT_FROM samples, since rates change.
 
-        The mean step, of steps divided by how many medians they are long: neither lost samples nor jitter count.
+        The period is the mean step; a step of several medians counts as several, so lost samples and jitter do not
+        matter.
         """
         self._steps.append(step_ns)
         if len(self._steps) < LEARNT_FROM - 1:
@@ -183,20 +184,20 @@ class SampleRate:
         self.factor = max(1, round(ratio)) if abs(round(ratio) / ratio - 1) <= TOLERANCE else 1
 
 
-# --- Time of samples from their stamps, where the stamps can be used; else from their reception.
+# --- Time of samples: from their stamps if these are usable, else from reception.
 
 
 JUMP_NS = 1_000_000_000
-"""A stamp that departs by more than this from the times of reception means that a clock was set."""
+"""If a stamp departs by more than this from the times of reception, a clock was set."""
 
 
 class SampleTime:
-    """Adds up steps: each from one stamp to the next or, where these contradict reception, by reception.
+    """Adds up steps between stamps or, where stamps contradict reception, between receptions.
 
-    While stamps are good, time equals the stamp, and delays of the network do not enter. A clock that is set, forward
-    or back, costs one step by reception, and time goes on from there; without stamps every step is one by reception.
-    Where both samples came at once, that step is as long as the one before it.
-    A sample that bears the stamp of the one before it gets the same time, for the caller to leave out.
+    While stamps are valid, time equals the stamp, independent of network delays. If a clock is set forward or back, one
+    step is taken from reception and time continues from there. Without stamps every step is taken from reception. If
+    two samples arrive together, that step equals the previous one.
+    A sample with the previous stamp gets the same time; the caller drops it.
     """
 
     def __init__(self) -> None:
@@ -204,21 +205,21 @@ class SampleTime:
         self._begun = False
 
     def next(self, stamp_ns: int, received_ns: int, wall_ns: int, follows: bool = True) -> tuple[int, str | None]:
-        """Time of the next sample, [ns], and what was wrong with its stamp.
+        """Time of the next sample, [ns], and text about a problem of its stamp.
 
         Args:
-            stamp_ns: of the message; 0 where it bears none.
-            received_ns: by a clock that is never set.
-            wall_ns: at reception, since 1970: where time begins without stamps.
-            follows: False for the first sample of another publisher, whose stamps may be by another clock.
+            stamp_ns: stamp of the message; 0: none.
+            received_ns: time of reception by a monotonic clock.
+            wall_ns: time of reception since 1970, the start of time without stamps.
+            follows: False for the first sample of another publisher, which may use another clock.
         """
         wrong, step_ns = None, stamp_ns - self._stamp_ns
         by_reception_ns = received_ns - self._received_ns
         if stamp_ns == 0:
-            wrong = "there are no stamps: times of reception are used"
+            wrong = "stamps are missing: times of reception are used"
         elif self._begun and follows and self._stamp_ns:
             if step_ns == 0:
-                return self._t_ns, "two messages bear the same stamp: the second is left out"
+                return self._t_ns, "two messages have the same stamp: the second is dropped"
             if step_ns < 0:
                 wrong = f"the stamp went back by {-step_ns / 1e9:.3g} s: the time of reception is used"
             elif step_ns - by_reception_ns > JUMP_NS:
@@ -235,17 +236,17 @@ class SampleTime:
         return self._t_ns, wrong
 
 
-# --- Temperatures of the joints, each a topic of its own: the latest of each holds, as they change slowly.
+# --- Temperatures of the joints, one topic each. The latest value holds, since temperatures change slowly.
 
 
 class Temperatures:
-    """Reads sensor_msgs/Temperature where the settings name topics; never waits."""
+    """Reads sensor_msgs/Temperature from the topics of the settings; never waits."""
 
     def __init__(self, node: Node, joints: int):
-        """Subscribe; a publisher need not be there yet.
+        """Subscribe; publishers may start later.
 
         Raises:
-            ConfigError: topics are not one a joint.
+            ConfigError: the number of topics differs from the number of joints.
         """
         settings = node.settings
         topics = settings.temperatures
@@ -259,7 +260,7 @@ class Temperatures:
         self._celsius = np.full(joints, np.nan)
 
     def latest(self) -> np.ndarray | None:
-        """(joints,), [degC], NaN where none came yet; None: there are no topics. What cannot be read is no news."""
+        """(joints,) [degC], NaN before the first message; None: no topics. Undecodable messages are ignored."""
         if not self._inboxes:
             return None
         for joint, inbox in enumerate(self._inboxes):
@@ -274,19 +275,19 @@ class Temperatures:
         return [inbox.reader for inbox in self._inboxes]
 
 
-# --- Joint states of a ROS 2 topic as samples of the arm.
+# --- The source.
 
 
 LOOK_NS = 500_000_000
-"""After so long without a message, and as often, the publishers are checked."""
+"""Interval at which publishers are checked while no message arrives."""
 
 
 class Ros2Source:
     """A tauext.monitor Source: reads sensor_msgs/JointState in the thread that takes the samples.
 
-    What cannot be used is counted as refused and stands in `conditions`: messages without the arm's joints, without
-    velocity or effort, of a second publisher. Stamps, rates and publishers that change are dealt with as SampleTime,
-    SampleRate and Followed describe. Samples that a full reader pushed out show as lost, by the gap of their stamps.
+    Unusable messages are counted as refused and noted in `conditions`: without the arm's joints, without velocity or
+    effort, or of a second publisher. SampleTime, SampleRate and Followed handle changes of stamps, rates and
+    publishers. Samples dropped by a full reader count as lost, by the gap of their stamps.
     """
 
     def __init__(self, node: Node, conditions: Conditions):
@@ -294,13 +295,13 @@ class Ros2Source:
         self.name = f"ros2 {node.settings.topic}"
         self.counts = SourceCounts()
         self.last_stamp_ns = 0
-        """Time of the last sample given, since 1970; everything published about the sample bears this stamp."""
+        """Time of the last sample passed on, since 1970: the stamp of everything published about it."""
         self._inbox: Inbox | None = None
         self._waitset: Any = None
         self._pending: deque[JointState] = deque()
 
     def open(self, settings: SourceSettings) -> None:
-        """Subscribe; a publisher need not be there yet."""
+        """Subscribe; the publisher may start later."""
         chosen = self._node.settings
         names = chosen.names or settings.joints
         if len(names) != len(settings.joints):
@@ -345,14 +346,14 @@ class Ros2Source:
 
     @property
     def ended(self) -> bool:
-        """A topic never ends, as its publisher may return."""
+        """Never: a publisher may return."""
         return False
 
     def notes(self) -> list[str]:
         return self.conditions.unreported()
 
     def close(self) -> None:
-        """Unsubscribe; a node without other users ends."""
+        """Unsubscribe; the node closes if it has no other users."""
         if self._inbox is None:
             return
         inbox, self._inbox, self._waitset = self._inbox, None, None
@@ -372,21 +373,21 @@ class Ros2Source:
             self._pending.append(message)
 
     def _count_unreadable(self, now_ns: int) -> None:
-        """Messages that the library itself dropped since the last count."""
+        """Count messages that the library dropped since the last call."""
         count = self._node.unreadable.count(self._node.settings.topic)
         if count == self._unreadable:
             return
         self.counts.received += count - self._unreadable
         self.counts.refused += count - self._unreadable
         self._unreadable = count
-        self._report("unreadable", "messages come that are no JointState inside: they are counted as refused", now_ns)
+        self._report("unreadable", "messages do not decode as JointState: they are counted as refused", now_ns)
 
     def _use(self, message: JointState) -> Sample | None:
-        """The sample of a message, if it has one that is due at the bundle's rate."""
+        """The sample of a message, if it is usable and due at the bundle's rate."""
         now_ns, publisher = message.received_ns, message.sample_info.publication_handle
         other = self._followed.is_another(publisher, now_ns)
         self.counts.received += 1
-        if not self._joints.is_here(message):  # no fault of another's, as a gripper often shares the topic
+        if not self._joints.is_here(message):  # others are not reported: a gripper often shares the topic
             self._refuse("joints", None if other else f"a message has {self._joints.missing(message)}", now_ns)
             return None
         picked = self._joints.pick(message)
@@ -394,7 +395,7 @@ class Ros2Source:
             self._refuse("values", picked, now_ns)
             return None
         if other:
-            self._refuse("publishers", "two publishers: the first is followed", now_ns)
+            self._refuse("publishers", "two publishers: the first is used", now_ns)
             return None
         changed = self._followed.take(publisher, now_ns)
         if changed:
@@ -421,8 +422,7 @@ class Ros2Source:
         return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
 
     def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
-        """Torque of the sample; if the bundle takes averaged torque, the mean over all samples since the last one
-        given."""
+        """Torque of the sample; for averaged torque, the mean over all samples since the last one passed on."""
         if not self._averaged or self._rate.factor == 1:
             return tau
         self._torques.append(tau)
@@ -432,9 +432,9 @@ class Ros2Source:
         return mean
 
     def _begin(self, now_ns: int) -> None:
-        """Another publisher: its stamps and its rate are its own."""
+        """Begin with another publisher, which has its own stamps and rate."""
         if self._rate.period_ns is not None:
-            self._report("publisher", "another publisher is followed now", now_ns)
+            self._report("publisher", "another publisher is used now", now_ns)
         self._lost_before += self._rate.lost
         self._rate.forget()
         self._torques.clear()
@@ -448,7 +448,7 @@ class Ros2Source:
             self.conditions.report(key, f"{self._node.settings.topic}: {problem}", now_ns)
 
     def _look_for_publishers(self, now_ns: int) -> None:
-        """Report why nothing came: no publisher, another quality of service, or a silent publisher."""
+        """Report why no message arrives: no publisher, incompatible quality of service, or a silent publisher."""
         if now_ns - self._looked_ns < LOOK_NS:
             return
         self._looked_ns = now_ns
@@ -456,7 +456,7 @@ class Ros2Source:
         reader = self._inbox.reader
         matched = reader.get_matched_publications()
         if not matched and reader.get_requested_incompatible_qos_status().total_count:
-            text = "a publisher offers less reliability or durability than is requested"
+            text = "a publisher offers less reliability or durability than requested"
         elif not matched:
             text = f"no publisher of sensor_msgs/JointState in domain {self._node.settings.domain_id}"
         else:

@@ -1,4 +1,4 @@
-"""A bus of serial servos as a source: one transaction a period, silent servos, holding position."""
+"""A bus of serial servos as a source: one transaction per period, missing servos, holding position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tauext.sources.servo_series import Series
 
 WAIT_S = 0.1
 TRIES = 3
-"""Attempts at a request that is made once: a packet may be lost."""
+"""Attempts at a one-time request, since packets may be lost."""
 ON = b"\x01"
 COUNT_RAD = 2 * np.pi / COUNTS_A_TURN
 
@@ -28,36 +28,36 @@ class Identity:
     """Model and settings of a servo, read once."""
 
     model: str
-    """Its name, by its model number."""
+    """Name for the model number."""
     reports: tuple[str, ...]
-    """Values of torque_from that the servo can serve, beside goal (data.servo_types)."""
+    """Values of torque_from that the servo supports beside goal (data.servo_types)."""
     homing_offset: float
     """[counts]."""
     holds: bool
-    """Whether the servo follows a goal position, by its operating mode."""
+    """Whether the operating mode follows a goal position."""
     ampere: float
-    """Current of one count, [A]; NaN: the servo measures no current."""
+    """Current per count, [A]; NaN: the servo measures no current."""
 
 
 class ServoSource(BusSource):
-    """Angles, speeds, goals, currents, duties, voltages and temperatures of the bundle's joints, a reading a period.
+    """Reads angles, speeds, goals, currents, duties, voltages and temperatures of the bundle's joints once per period.
 
-    A reading in which a servo is missing, or its packet corrupt, is left out and counted as refused. Reading never
-    writes a register; stop() alone writes, the goals of servos whose torque is on.
+    A reading with a missing servo or a corrupt packet is dropped and counted as refused. Reading writes no register.
+    Only stop() writes: goals of servos whose torque is on.
 
-    The current of a series that reports the supply's has no direction. q_des is NaN where a servo follows no goal: its
-    torque is off, or its operating mode has none.
+    A supply current has no direction. q_des is NaN if a servo follows no goal: its torque is off, or its operating mode
+    has no goal.
     """
 
     def __init__(self, series: Series, port: str, file: ServoBusFile):
         super().__init__(f"{series.kind} {port}")
         self._series, self._file = series, file
         self.bus = ServoBus(ServoPort(port, file.baud), series)
-        """For a program that drives the arm through the same port, in this process: see ServoBus.lock."""
+        """For a program that drives the arm through the same port in this process: see ServoBus.lock."""
         self._servos: list[ServoJoint] = []
         self._identities: dict[int, Identity] = {}
 
-    # Of a source.
+    # The interface of a source.
 
     def open(self, settings: SourceSettings) -> None:
         self._servos = self.motors_of(settings, self._file.path, self._file.joints)
@@ -67,7 +67,7 @@ class ServoSource(BusSource):
         if least_s * 1e9 > settings.period_ns:
             raise ConfigError(
                 f"{self.name}: a reading of {len(self._ids)} servos takes {least_s * 1e3:.2g} ms at {self._file.baud} "
-                f"baud, the bundle takes one every {settings.period_ns * 1e-6:g} ms"
+                f"baud, the bundle needs one every {settings.period_ns * 1e-6:g} ms"
             )
         self._note_delay(settings)
         super().open(settings)
@@ -101,9 +101,9 @@ class ServoSource(BusSource):
         self.bus.port.close()
 
     def stop(self) -> None:
-        """Holds: writes the goal position of every servo whose torque is on, its present position, and reads it back.
+        """Hold: write the present position as goal of every servo whose torque is on, and read it back.
 
-        Nothing else is written: a servo whose torque is off stays so.
+        Nothing else is written; torque that is off stays off.
 
         Raises:
             RuntimeError: a servo follows no goals, does not answer, or does not take the goal.
@@ -134,10 +134,10 @@ class ServoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Do nothing: stamps are those of requests, and a skipped request is counted where it is skipped."""
+        """Do nothing: stamps are times of requests, and skipped requests are counted in read()."""
 
     def _all_of(self, address: int, length: int) -> dict[int, bytes]:
-        """Registers of all servos. Raises Unreachable: one does not answer."""
+        """Read registers of all servos. Raises Unreachable: a servo does not answer."""
         came: dict[int, bytes] = {}
         for _ in range(TRIES):
             came |= self.bus.read(address, length, [id_ for id_ in self._ids if id_ not in came]).data
@@ -145,12 +145,13 @@ class ServoSource(BusSource):
                 return came
         silent = ", ".join(str(one) for one in self._servos if one.id not in came)
         there = ", ".join(str(one.id) for one in self._servos if one.id in came)
-        found = f"{there} do" if there else "nor does any other: is the arm's power on, and are they at "
-        found += "" if there else f"{self._file.baud} baud?"
+        found = (
+            f"{there} do" if there else f"no servo does: check the arm's power, and that {self._file.baud} baud is set"
+        )
         raise Unreachable(f"{silent} does not answer; {found}")
 
     def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
-        """Decode the block `identity`. Raises Unreachable: an unknown servo."""
+        """Decode the block `identity`. Raises Unreachable: the model is unknown."""
         series, first = self._series, self._series.identity[0]
         model, mode, homing = (series.registers[name].of(data, first) for name in ("model", "mode", "homing"))
         if model not in series.models:
@@ -161,19 +162,19 @@ class ServoSource(BusSource):
         return Identity(name, reports, homing, mode in series.holds, np.nan if ampere is None else ampere)
 
     def _expect(self, servo: ServoJoint, identity: Identity) -> None:
-        """Raises Unreachable where the servo is not the one that the file and the bundle mean."""
+        """Check the servo against the bus file and the bundle. Raises Unreachable: they differ."""
         if servo.type and not (servo.type.startswith(identity.model) or identity.model.startswith(servo.type)):
             raise Unreachable(f"{servo} is a {identity.model}, {self._file.path} names {servo.type}")
         if servo.homing_offset is not None and servo.homing_offset != identity.homing_offset:
             raise Unreachable(
-                f"{servo} has homing offset {identity.homing_offset}, {self._file.path} {servo.homing_offset}: is it "
-                "another arm's calibration, or an old one?"
+                f"{servo} has homing offset {identity.homing_offset}, {self._file.path} has {servo.homing_offset}: the "
+                "calibration is of another arm or outdated"
             )
         made_from = self.settings.servo
         if made_from is None or not made_from.on:
             raise Unreachable(
-                "servos report current, duty and goal, of which the bundle makes no torque: import its recordings with "
-                "a [servo] table in arm.toml"
+                "servos report current, duty and goal, but the bundle does not compute torque from them: import its "
+                "recordings with a [servo] table in arm.toml"
             )
         needed = made_from.torque_from.name.replace("_", "-")
         if needed not in (*identity.reports, "goal"):
@@ -187,8 +188,8 @@ class ServoSource(BusSource):
         servo = settings.servo
         if servo is not None and servo.on and servo.torque_from.name == "goal" and servo.goal_delay_ns > 0:
             self._note(
-                f"the bundle takes goals to act {servo.goal_delay_ns * 1e-6:g} ms after their stamp, a register holds "
-                "the goal that acts: train on what --record wrote, with goal_delay_s = 0"
+                f"the bundle's goals act {servo.goal_delay_ns * 1e-6:g} ms after their stamp, but a register holds the "
+                "goal that acts now: train on recordings of --record, with goal_delay_s = 0"
             )
 
     def _complain(self, id_: int, error: int) -> None:
@@ -196,7 +197,7 @@ class ServoSource(BusSource):
             self._errors[id_] = error
             servo = next(one for one in self._servos if one.id == id_)
             texts = [text for bit, text in self._series.complaints.items() if error & bit] or [f"error {error}"]
-            self._note(f"{servo} reports: {', '.join(texts)}" if error else f"{servo} reports no error any more")
+            self._note(f"{servo} reports: {', '.join(texts)}" if error else f"{servo} reports no error")
 
     def _sample(self, t_ns: int, data: Sequence[bytes]) -> Sample:
         registers, first = self._series.registers, self._series.state[0]
@@ -228,7 +229,7 @@ class ServoSource(BusSource):
 
 
 def angle_counts(servo: ServoJoint, count: float) -> float:
-    """Counts from the zero; within half a turn of it unless the servo counts turns: of one that wraps from 4095 to 0
-    the angle goes on."""
+    """Counts from the zero, within half a turn of it unless the servo counts turns. The angle is continuous where the
+    counts wrap from 4095 to 0."""
     away = count - servo.zero
     return away if servo.multi_turn else (away + COUNTS_A_TURN / 2) % COUNTS_A_TURN - COUNTS_A_TURN / 2

@@ -1,4 +1,4 @@
-"""A bus of serial servos: a port that one process has alone, and one request to all servos on it."""
+"""A bus of serial servos: a port used by one process, and one request to all servos on it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tauext.sources.servo_series import Series
 
 BITS_A_BYTE = 10
 MEMORY = 1
-"""Major number of /dev/null and its like, which everybody has open."""
+"""Major number of /dev/null and similar devices, which many processes have open."""
 ANSWER_S = 0.02
-"""For which answers may be late, beside their time on the wire: an adapter keeps bytes for up to 16 ms."""
+"""Longest delay of answers beyond their time on the wire, [s]: an adapter holds bytes for up to 16 ms."""
 PORT_ERRORS: tuple[type[BaseException], ...] = (OSError,)
-with suppress(ImportError):  # Windows, where the vendors' ports are to be used
+with suppress(ImportError):  # on Windows, use the vendors' ports
     import fcntl
     import termios
 
@@ -32,10 +32,10 @@ OPEN_ERRORS: tuple[type[BaseException], ...] = (*PORT_ERRORS, ValueError)
 
 
 class ServoPort:
-    """Waits for bytes without using the processor, and throws away what came before a request, an answer to an earlier
-    one: the vendors' own ports do neither.
+    """A serial port that waits for bytes without using the processor, and discards late answers before a request. The
+    vendors' own ports do neither.
 
-    The methods in their spelling are those that their packet handlers call.
+    The methods in camel case are called by the vendors' packet handlers.
     """
 
     def __init__(self, path: str, baud: int, answer_s: float = ANSWER_S):
@@ -46,10 +46,10 @@ class ServoPort:
         self._until = 0.0
 
     def open(self) -> None:
-        """Raises Unreachable: no such port, no right to it, or another process has it."""
+        """Open the port. Raises Unreachable: no such port, no permission, or in use by another process."""
         serial = optional_library("serial", "a bus of serial servos", "pyserial", "feetech")
         if users := users_of(self.path):
-            raise Unreachable(f"another process has the port: {users}; a bus takes one at a time")
+            raise Unreachable(f"the port is in use by another process: {users}; a bus serves one process at a time")
         try:
             self._serial = serial.Serial(self.path, self.baud, timeout=0, write_timeout=1.0, exclusive=True)
             self._claim()
@@ -58,7 +58,7 @@ class ServoPort:
             raise Unreachable(why_not_open(self.path, error)) from error
 
     def close(self) -> None:
-        """More than one call does no harm."""
+        """Close the port; repeated calls are allowed."""
         if self._serial is not None:
             with suppress(*PORT_ERRORS):
                 fcntl.ioctl(self._serial.fileno(), termios.TIOCNXCL)
@@ -67,23 +67,23 @@ class ServoPort:
             self._serial = None
 
     def begin(self) -> None:
-        """Mark the port as unused before a request, however an earlier request ended."""
+        """Mark the port as free before a request, however the previous request ended."""
         if self._serial is None:
             raise Unreachable("the port is closed")
         self.is_using = False
 
     def wire_s(self, count: int) -> float:
-        """Time of so many bytes on the wire, [s]."""
+        """Time of `count` bytes on the wire, [s]."""
         return count * BITS_A_BYTE / self.baud
 
     def _claim(self) -> None:
-        """No other process may open it from here on (root still may), and bytes come at once where the driver can."""
+        """Lock the port against other processes (except root), and request low latency where the driver supports it."""
         with suppress(OSError):
             fcntl.ioctl(self._serial.fileno(), termios.TIOCEXCL)
         with suppress(*PORT_ERRORS, ValueError, NotImplementedError):  # FTDI adapters; a pty has no such setting
             self._serial.set_low_latency_mode(True)
 
-    # As the vendors' PortHandler.
+    # The interface of the vendors' PortHandler.
 
     def clearPort(self) -> None:
         self._serial.reset_input_buffer()
@@ -92,7 +92,7 @@ class ServoPort:
         return self._serial.write(bytes(packet))
 
     def readPort(self, length: int) -> bytes:
-        """So many bytes, or fewer at the time-out."""
+        """Read `length` bytes, or fewer at the time-out."""
         came = bytearray()
         while len(came) < length:
             came += self._serial.read(length - len(came))
@@ -115,7 +115,7 @@ class ServoPort:
 
 
 def users_of(path: str) -> str:
-    """Other processes that have the file open, as far as this one may see: `python3 (1234)`; empty: none."""
+    """Other processes that have the file open, as far as permissions show: `python3 (1234)`; empty: none."""
     with suppress(OSError):
         wanted = os.stat(path)
         if os.major(wanted.st_rdev) == MEMORY:
@@ -140,22 +140,23 @@ def why_not_open(path: str, error: BaseException) -> str:
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         ports = importlib.import_module("serial.tools.list_ports").comports()
         there = ", ".join(port.device for port in ports)
-        return f"there is no such port; there {'are ' + there if there else 'is none: is the adapter plugged in?'}"
+        found = f"the ports are {there}" if there else "there is none: is the adapter plugged in?"
+        return f"there is no such port; {found}"
     if number in (errno.EACCES, errno.EPERM):
         return "this user may not open the port: `sudo usermod -aG dialout $USER`, then log in again"
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
-        return "another process has the port; a bus takes one at a time"
+        return "the port is in use by another process; a bus serves one process at a time"
     if number == errno.ENOTTY:
-        return "this is no serial port"
+        return "this is not a serial port"
     return f"the port cannot be opened: {error}"
 
 
-# --- One request to all servos of a bus, and their answers, whichever of them come: a sync read is the one instruction
-# that all servos answer, one after the other; a sync write is answered by none.
+# --- One request to all servos of a bus, and their answers. All servos answer a sync read, one after the other; none
+# answers a sync write.
 
 
 SUCCESS = 0
-"""Return value of the libraries' functions without an error."""
+"""Return value of the libraries' functions on success."""
 
 
 @dataclass
@@ -163,14 +164,13 @@ class Reading:
     """Answers to one request."""
 
     t_ns: int
-    """When it was sent, by time.monotonic_ns(): each servo reads its registers on its way to answer."""
+    """Time of sending, by time.monotonic_ns(). Each servo reads its registers when it answers."""
     data: dict[int, bytes] = field(default_factory=dict)
-    """Registers by id, of the servos whose answer was whole."""
+    """Registers by id, of servos with a complete answer."""
     errors: dict[int, int] = field(default_factory=dict)
-    """Error bits by id, as their packets hold them."""
+    """Error bits of the packets by id."""
     corrupt: int = 0
-    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, an id not in the
-    request."""
+    """Unusable packets: wrong checksum, wrong length, bytes that are no packet, or an id not in the request."""
 
 
 class ServoBus:
@@ -181,27 +181,26 @@ class ServoBus:
         library = optional_library(series.library, f"source {series.kind}", series.package, series.kind)
         self._handler = library.PacketHandler(series.protocol)
         self.lock = threading.Lock()
-        """A transaction holds it; a thread that drives the arm through the same port does, too."""
+        """Held during a transaction. A thread that drives the arm through the same port must hold it too."""
 
     def transaction_s(self, servos: int, length: int) -> float:
-        """Shortest time of a reading, by the bytes on the wire, [s]; return delays of the servos are on top."""
+        """Shortest time of a reading by its bytes on the wire, [s]; the servos' return delays are not included."""
         return self.port.wire_s(self.series.request_bytes + servos * (1 + self.series.overhead + length))
 
     def read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
-        """Registers address to address + length - 1 of all these servos. The caller checks which of
-        them did not answer.
+        """Read registers address to address + length - 1 of the servos. The caller checks which of them answered.
 
         Raises:
-            Unreachable: the port has gone.
+            Unreachable: the port is lost.
         """
         with self.lock:
             return self._read(address, length, ids)
 
     def write(self, address: int, length: int, values: Mapping[int, bytes]) -> None:
-        """Write registers of each servo by its id; no servo acknowledges a write: read them back.
+        """Write registers of each servo by its id. No servo acknowledges a write: read the registers back.
 
         Raises:
-            Unreachable: the port has gone.
+            Unreachable: the port is lost.
         """
         data = [byte for id_, value in values.items() for byte in (id_, *value)]
         with self.lock:
@@ -215,7 +214,7 @@ class ServoBus:
             try:
                 result, id_, error, data = self._answer()
             except PORT_ERRORS as wrong:
-                raise Unreachable(f"the port has gone: {wrong}") from wrong
+                raise Unreachable(f"the port is lost: {wrong}") from wrong
             if result == SUCCESS and len(data) == length and id_ in silent:
                 silent.discard(id_)
                 reading.data[id_], reading.errors[id_] = data, error
@@ -226,7 +225,7 @@ class ServoBus:
         return reading
 
     def _answer(self) -> tuple[int, int, int, bytes]:
-        """Wait for the next packet: the library's result, id, error bits, data."""
+        """Wait for the next packet; returns the library's result, id, error bits and data."""
         packet, result = self._handler.rxPacket(self.port, *self.series.flags)
         if result != SUCCESS:
             return result, -1, 0, b""
@@ -239,6 +238,6 @@ class ServoBus:
         try:
             result = send(self.port, *arguments)
         except PORT_ERRORS as wrong:
-            raise Unreachable(f"the port has gone: {wrong}") from wrong
+            raise Unreachable(f"the port is lost: {wrong}") from wrong
         if result != SUCCESS:
             raise Unreachable(f"a request could not be sent (the library's code {result})")

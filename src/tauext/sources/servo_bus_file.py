@@ -14,18 +14,18 @@ MOST_ID = 252
 BAUD = 1_000_000
 TEMPLATE = """\
 # A bus of serial servos, for `tauext monitor --source feetech:PORT --bus THIS` or dynamixel:PORT.
-# LeRobot's calibration file alone can stand in the place of this file: --bus my_follower.json.
+# LeRobot's calibration file alone works in place of this file: --bus my_follower.json.
 
 baud = 1000000
-# calibration = "my_follower.json"    # LeRobot's: ids, and zeros at the middle of the ranges; tables below go first
+# calibration = "my_follower.json"    # LeRobot's: ids, zeros at the middle of the ranges; tables below override it
 
-# A table a joint, by the name that it has in the bundle.
+# One table per joint, with the joint's name in the bundle.
 [joints.shoulder_pan]
 id = 1
-zero = 2048              # count of the encoder where the angle is 0
-# sign = -1              # where the angle falls as the counts rise; 1 if left out
-# multi_turn = true      # counts go on beyond a turn; if left out, angles are within half a turn of the zero
-# type = "sts3215"       # refuse another servo; if left out, the type that the servo reports
+zero = 2048              # encoder count where the angle is 0
+# sign = -1              # the angle falls as the counts rise; default 1
+# multi_turn = true      # counts continue beyond a turn; default: angles are within half a turn of the zero
+# type = "sts3215"       # refuse another servo; default: any known type
 """
 
 
@@ -50,15 +50,15 @@ class ServoJoint:
     name: str
     id: int
     zero: float = 2048.0
-    """Where the angle is 0, [counts]."""
+    """Count where the angle is 0."""
     sign: int = 1
     """-1: the angle falls as the counts rise."""
     multi_turn: bool = False
-    """Counts go on beyond a turn. Otherwise angles are within half a turn of the zero."""
+    """Counts continue beyond a turn. Otherwise angles are within half a turn of the zero."""
     type: str = ""
-    """Type that it must be, for example xl330-m288, or the beginning of it; empty: any known type."""
+    """Required type, such as xl330-m288, or its beginning; empty: any known type."""
     homing_offset: int | None = None
-    """Homing offset that the servo must hold, [counts]; None: any."""
+    """Required homing offset of the servo, [counts]; None: any."""
 
     def __str__(self) -> str:
         return f"servo {self.id} ({self.name})"
@@ -74,10 +74,10 @@ class ServoBusFile:
 
 
 def load_servo_bus(path: Place) -> ServoBusFile:
-    """A bus file (TEMPLATE lists its keys), or a LeRobot calibration file (*.json).
+    """Load a bus file (TEMPLATE lists its keys) or a LeRobot calibration file (*.json).
 
     Raises:
-        ConfigError: names the file, the joint and the rule that is broken.
+        ConfigError: the file breaks a rule; the message names file, joint and rule.
     """
     if path.name.endswith(".json"):
         return ServoBusFile(path, {name: _calibrated(one) for name, one in load_lerobot_calibration(path).items()})
@@ -94,11 +94,11 @@ def load_servo_bus(path: Place) -> ServoBusFile:
         homing = None if known is None else known.homing_offset
         joints[name] = ServoJoint(name, **read_table(path, f"[joints.{name}]", table, keys), homing_offset=homing)
     if not joints:
-        raise ConfigError(f"{path}: no joints: neither [joints.NAME] nor calibration = FILE")
+        raise ConfigError(f"{path}: no joints: add [joints.NAME] or calibration = FILE")
     by_id: dict[int, str] = {}
     for name, joint in joints.items():
         if by_id.setdefault(joint.id, name) != name:
-            raise ConfigError(f"{path}: joints '{by_id[joint.id]}' and '{name}' have one id, {joint.id}")
+            raise ConfigError(f"{path}: joints '{by_id[joint.id]}' and '{name}' have the same id, {joint.id}")
     return ServoBusFile(path, joints, bus["baud"])
 
 

@@ -1,4 +1,4 @@
-"""Serial servos that a source reads: packets, registers and models of Feetech's STS and of the Dynamixel X series."""
+"""Supported serial servos: packets, registers and models of Feetech's STS and of the Dynamixel X series."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Register(NamedTuple):
     unit: float = 1
     """Value of one count."""
     sign_bit: int | None = None
-    """This bit is the sign, those below it the amount; None: as the layout has it."""
+    """Index of the sign bit; the bits below it are the amount. None: the sign follows from the layout."""
 
     @property
     def block(self) -> tuple[int, int]:
@@ -26,7 +26,7 @@ class Register(NamedTuple):
         return self.address, struct.calcsize(self.layout)
 
     def of(self, data: bytes, first: int = 0) -> float:
-        """The value in bytes that begin at address `first`."""
+        """Decode the value from bytes that begin at address `first`."""
         (word,) = struct.unpack_from(f"<{self.layout}", data, self.address - first)
         if self.sign_bit is not None:
             amount = word & ((1 << self.sign_bit) - 1)
@@ -36,37 +36,37 @@ class Register(NamedTuple):
 
 @dataclass(frozen=True)
 class Series:
-    """One make of servos."""
+    """A series of servos of one manufacturer."""
 
     kind: str
-    """Name on the command line, and of the extra of the installation."""
+    """Name on the command line, and of the pip extra."""
     package: str
     library: str
-    """The module of that package."""
+    """Module of the package."""
     protocol: float
     flags: tuple[Any, ...]
     """Further arguments of the library's functions that send and receive."""
     silence: int
-    """Return value of these functions when nothing came."""
+    """Return value of these functions if no packet arrived."""
     request_bytes: int
-    """Bytes of a request for a block beside the ids."""
+    """Bytes of a request for a block, without the ids."""
     overhead: int
-    """Bytes of an answer beside its data."""
+    """Bytes of an answer, without its data."""
     packet: dict[str, Register]
-    """id, length and error of an answer: its data begin after the error."""
+    """id, length and error of an answer. The data follow the error."""
     identity: tuple[int, int]
     """First register and length of the block that identifies the servo: model, mode, homing."""
     state: tuple[int, int]
-    """The block that is read every period."""
+    """First register and length of the block that is read every period."""
     registers: dict[str, Register]
-    """All of `identity` and `state` that is used: counts, counts/s, share of the supply voltage, V, degC; `torque` is
-    whether the servo's torque is on."""
+    """Registers in use of `identity` and `state`, in counts, counts/s, shares of the supply voltage, V and degC.
+    `torque` is 1 if the servo's torque is on."""
     models: dict[int, tuple[str, float | None]]
-    """Model number: name, and current [A a count], None where the servo measures none."""
+    """By model number: name, and current [A per count]; None: the servo measures no current."""
     holds: tuple[int, ...]
     """Operating modes in which a servo follows a goal position."""
     current: str
-    """supply-current has no direction, phase-current that of the joint."""
+    """supply-current has no direction; phase-current has the joint's."""
     complaints: dict[int, str]
     """Error bits of an answer."""
 
@@ -84,7 +84,7 @@ FEETECH = Series(
     models={777: ("sts3215", 0.0065), 2825: ("sts3250", 0.0065)}, holds=(0,), current="supply-current",
     complaints={1: "voltage", 2: "angle sensor", 4: "overheated", 8: "overcurrent", 32: "overload"},
 )  # fmt: skip
-"""STS3215 and its like (SO-101), protocol 0: ids, lengths and a sum as a check. Never run on hardware: tested on a
+"""STS3215 and similar (SO-101), protocol 0: ids, lengths and a checksum. Never run on hardware: tested on a
 mocked bus. The duty is the register Present_Load."""
 DYNAMIXEL = Series(
     kind="dynamixel", package="dynamixel-sdk", library="dynamixel_sdk", protocol=2.0, flags=(False,), silence=-3001,
@@ -105,5 +105,5 @@ DYNAMIXEL = Series(
     holds=(3, 4, 5), current="phase-current", complaints={0x80: "a hardware alert; its register 70 holds the cause"},
 )  # fmt: skip
 """The X series (Koch, ViperX), protocol 2.0: ids, lengths, stuffed bytes and a CRC. Never run on hardware: tested on a
-mocked bus. One block of 31 bytes, so that no indirect addresses need be written. The duty is Present PWM, 885 counts at
-most; in place of a current an XL430 has a load, an estimate of its own."""
+mocked bus. One block of 31 bytes needs no indirect addresses. The duty is Present PWM, at most 885 counts. An XL430
+reports an estimated load in place of a current."""

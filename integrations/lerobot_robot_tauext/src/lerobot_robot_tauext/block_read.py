@@ -1,4 +1,4 @@
-"""What a monitor needs beside the position, in the bus transaction that reads the position."""
+"""Reads the monitor's additional signals in the bus transaction that reads the position."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ REGISTERS: dict[str, dict[str, Scales]] = {
     "duty": {"Present_Load": {"sts": (0.001, 10)}, "Present_PWM": {"x": (1 / 885, 0)}},
     "voltage": {"Present_Voltage": {"sts": (0.1, 15)}, "Present_Input_Voltage": {"x": (0.1, 0)}},
 }
-"""By signal: the register, and by how a model's name begins what a count is in A, shares of the supply and V, and the
-bit of its sign (0: two's complement). Feetech: STS memory table; Dynamixel: e-Manual (885 counts of PWM are 100 %)."""
+"""By signal: the register and, by the beginning of the model's name, the value of a count in A, shares of the supply or
+V, and the index of the sign bit (0: two's complement). Feetech: STS memory table; Dynamixel: e-Manual (885 counts of
+PWM are 100 %)."""
 
 
 def _signed(count: int, sign_bit: int) -> int:
-    """A count of two bytes with its sign, whether this LeRobot's tables know of it (0.6: of the load) or not (0.3)."""
+    """A signed count of two bytes. Some LeRobot versions decode the sign (0.6: of the load), others do not (0.3)."""
     if count < 0:
         return count
     if not sign_bit:
@@ -31,15 +32,15 @@ def _signed(count: int, sign_bit: int) -> int:
 class BlockRead:
     """Reads registers of all servos of a LeRobot bus in one sync read that spans them and the position.
 
-    The wrapped robot asks its bus for the position, as ever; while `reading()`, that request is widened. A bus whose
-    servos have different tables, or that is none of LeRobot's serial ones, gets a request a register after it.
+    The wrapped robot reads the position as before; `reading()` widens that request. A bus with different register
+    tables, or that is not one of LeRobot's serial buses, gets one additional request per register.
 
     Args:
-        bus: of the wrapped robot.
-        signals: of current, duty, voltage.
+        bus: bus of the wrapped robot.
+        signals: some of current, duty, voltage.
 
     Raises:
-        ValueError: a servo has no such register, or nobody knows what a count of it is.
+        ValueError: a servo has no such register, or its unit is unknown.
     """
 
     def __init__(self, bus: Any, signals: tuple[str, ...]):
@@ -56,16 +57,16 @@ class BlockRead:
         ):
             self._block = dict(zip(names, places.pop(), strict=True))
         self.values: dict[str, dict[str, float]] = {}
-        """By signal and motor, in SI, of the last `reading()`."""
+        """Values of the last `reading()` in SI units, by signal and motor."""
 
     @property
     def in_one_transaction(self) -> bool:
-        """Whether one request reads all."""
+        """Whether one request reads everything."""
         return bool(self._block)
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """While the wrapped robot reads its observation."""
+        """Widen the wrapped robot's request for the position inside this context."""
         self.values = {}
         original = self._bus.sync_read
 
@@ -87,7 +88,7 @@ class BlockRead:
         try:
             yield
         finally:
-            del self._bus.sync_read  # the method of its class comes to light again
+            del self._bus.sync_read  # restores the method of the class
 
     def _widened(self, normalize: bool, num_retry: int) -> dict[str, Any]:
         bus = self._bus
@@ -121,7 +122,7 @@ def _in_si(counts: Mapping[str, int], scales: Scales) -> dict[str, float]:
 
 
 def _register(bus: Any, signal: str) -> tuple[str, Scales]:
-    """The register that holds a signal, and what a count of each motor's is."""
+    """The register of a signal, and the unit of each motor's counts."""
     scales: Scales = {}
     chosen = ""
     for motor, one in bus.motors.items():
@@ -132,5 +133,5 @@ def _register(bus: Any, signal: str) -> tuple[str, Scales]:
                 chosen = register
                 scales[motor] = by_model[max(fits, key=len)]
         if motor not in scales:
-            raise ValueError(f"motor '{motor}' is a {one.model}: it has no {signal} that tauext knows how to read")
+            raise ValueError(f"motor '{motor}' is a {one.model}: tauext cannot read its {signal}")
     return chosen, scales

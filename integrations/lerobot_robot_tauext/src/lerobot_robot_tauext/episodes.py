@@ -1,4 +1,4 @@
-"""Where one recorded episode ends and the next begins: LeRobot tells its robots nothing, but its dataset knows."""
+"""Detects the end of recorded episodes from LeRobot's dataset, since LeRobot does not report it to robots."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 from weakref import WeakSet
 
 ENDS = ("save_episode", "clear_episode_buffer")
-_told: WeakSet[Any] = WeakSet()
+_called: WeakSet[Any] = WeakSet()
 logger = logging.getLogger(__name__)
 
 
-def tell_of_episodes(robot: Any) -> None:
-    """From now on `robot.start_episode()` is called whenever a dataset of this process has ended an episode.
+def call_at_episodes(robot: Any) -> None:
+    """Call `robot.start_episode()` whenever a dataset of this process ends an episode.
 
-    LeRobot's record loop saves (or drops) an episode right before the first frame of the next one. Without the dataset
-    library there are no datasets, and nothing is told.
+    LeRobot's record loop saves or drops an episode right before the first frame of the next one. Without the dataset
+    library there are no datasets, and nothing is called.
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -27,25 +27,25 @@ def tell_of_episodes(robot: Any) -> None:
         method = getattr(LeRobotDataset, name, None)
         if method is None:
             logger.warning(
-                "LeRobotDataset has no %s: call start_episode() of the robot at the first frame of each", name
+                "LeRobotDataset has no %s: call start_episode() of the robot at the first frame of each episode", name
             )
-        elif not hasattr(method, "tells_of_episodes"):
-            setattr(LeRobotDataset, name, _telling(method))
-    _told.add(robot)
+        elif not hasattr(method, "calls_robots"):
+            setattr(LeRobotDataset, name, _calling(method))
+    _called.add(robot)
 
 
-def tell_no_more(robot: Any) -> None:
-    """The robot is gone."""
-    _told.discard(robot)
+def stop_calling(robot: Any) -> None:
+    """Stop calling the robot."""
+    _called.discard(robot)
 
 
-def _telling(method: Callable) -> Callable:
+def _calling(method: Callable) -> Callable:
     @functools.wraps(method)
-    def telling(*args: Any, **kwargs: Any) -> Any:
+    def calling(*args: Any, **kwargs: Any) -> Any:
         result = method(*args, **kwargs)
-        for robot in list(_told):
+        for robot in list(_called):
             robot.start_episode()
         return result
 
-    telling.tells_of_episodes = True  # type: ignore[attr-defined]
-    return telling
+    calling.calls_robots = True  # type: ignore[attr-defined]
+    return calling

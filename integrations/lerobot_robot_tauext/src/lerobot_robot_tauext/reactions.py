@@ -1,4 +1,4 @@
-"""What is sent to the arm while and after it collides."""
+"""Goals that are sent to the arm during and after a collision."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ Action = dict[str, float]
 
 
 class CollisionStop(RuntimeError):
-    """The arm collided and on_collision is stop: it was told to stay where it is, and the program ends."""
+    """The arm collided and on_collision is stop: it holds its position, and the program ends."""
 
 
 class Hold:
-    """Keeps the arm where it collided until the commanded goal comes back there.
+    """Holds the arm where it collided until the commanded goal returns there.
 
-    Goals are elements `<joint>.pos`; other elements of an action pass as they are.
+    Goals are elements `<joint>.pos`; other elements of an action pass unchanged.
     """
 
     def __init__(self, resume_within: float):
@@ -27,17 +27,17 @@ class Hold:
         return bool(self._held)
 
     def begin(self, present: Mapping[str, float]) -> Action:
-        """Hold this position; it stays if one is held already."""
+        """Hold this position; a position that is held already stays."""
         if not self._held:
             self._held = dict(present)
         return dict(self._held)
 
     def end(self) -> None:
-        """Goals pass again."""
+        """End the hold: goals pass again."""
         self._held = {}
 
     def passed(self, action: Mapping[str, float], touching: bool) -> Action:
-        """The action to send: the held position in it, unless it comes back to that and nothing is touched any more."""
+        """The action to send, with held goals. A hold ends if the goal is near it and nothing touches the arm."""
         if self._held and not touching:
             near = all(abs(float(action[k]) - held) <= self._within for k, held in self._held.items() if k in action)
             if near:

@@ -1,4 +1,4 @@
-"""A LeRobot robot around another one, with what touches it in the observation."""
+"""A LeRobot robot that wraps another one and adds contact to its observation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lerobot.robots import Robot, make_robot_from_config
 import tauext
 from lerobot_robot_tauext.block_read import REGISTERS, BlockRead
 from lerobot_robot_tauext.config_tauext import TauextConfig
-from lerobot_robot_tauext.episodes import tell_no_more, tell_of_episodes
+from lerobot_robot_tauext.episodes import call_at_episodes, stop_calling
 from lerobot_robot_tauext.reactions import CollisionStop, Hold
 from tauext.data.description import load_arm
 from tauext.sources.lerobot_frames import FrameLabeller, element_names
@@ -22,11 +22,11 @@ logger = logging.getLogger(__name__)
 
 
 class Tauext(Robot):
-    """The wrapped robot's observation and actions, and beside them, as floats that LeRobot records:
+    """The wrapped robot's observation and actions, with additional floats that LeRobot records:
 
-    `<joint>.tau_ext` in the bundle's estimate units, `contact` and `collision` (1, 0; -1: not known, tau_ext is 0);
-    `<joint>.current`, `.duty`, `.voltage` as far as arm.toml names them; `<joint>.goal`, the goal sent last, where it
-    may be another than the recorded action (on_collision is not none, or the robot clips its goals).
+    `<joint>.tau_ext` in the bundle's estimate units; `contact` and `collision` (1, 0, or -1: unknown, tau_ext is 0);
+    `<joint>.current`, `.duty`, `.voltage` if arm.toml names them; `<joint>.goal`, the goal sent last, if it can differ
+    from the recorded action (on_collision is not none, or the robot clips its goals).
     """
 
     config_class = TauextConfig
@@ -60,14 +60,14 @@ class Tauext(Robot):
         self._hold = Hold(config.resume_within)
         self._touching = self._stopped = False
         self._sent: dict[str, float] = {}
-        """Goals of the last action: those that were sent where they are recorded, else those of the dataset."""
+        """Goals of the last action: the goals sent if these are recorded, else those of the dataset."""
 
     def _bus(self) -> Any:
         bus = getattr(self.robot, "bus", None)
         if bus is None or not hasattr(bus, "model_ctrl_table"):
             raise ValueError(
-                f"{self.config.arm} names {', '.join(self._read)}, which {self.robot.name} neither observes nor has "
-                "a serial bus to read from; a bundle whose torque comes from the goal needs none of them"
+                f"{self.config.arm} names {', '.join(self._read)}, but {self.robot.name} does not observe these and "
+                "has no serial bus to read them from; a bundle with torque from the goal does not need them"
             )
         return bus
 
@@ -81,74 +81,74 @@ class Tauext(Robot):
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        """The wrapped robot's and, behind them, its own: all floats, which LeRobot puts into observation.state."""
+        """The wrapped robot's features, then additional floats, which LeRobot puts into observation.state."""
         return {**self.robot.observation_features, **self._own_features}
 
     @property
     def action_features(self) -> dict[str, Any]:
-        """The wrapped robot's."""
+        """Those of the wrapped robot."""
         return self.robot.action_features
 
     @property
     def cameras(self) -> dict[str, Any]:
-        """The wrapped robot's."""
+        """Those of the wrapped robot."""
         return getattr(self.robot, "cameras", {})
 
     @property
     def is_connected(self) -> bool:
-        """Of the wrapped robot."""
+        """See the wrapped robot."""
         return self.robot.is_connected
 
     @property
     def is_calibrated(self) -> bool:
-        """Of the wrapped robot."""
+        """See the wrapped robot."""
         return self.robot.is_calibrated
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the wrapped robot; the monitor begins anew."""
+        """Connect the wrapped robot and restart the monitor."""
         self.robot.connect(calibrate)
         self.start_episode()
         self._hold.end()
         self._stopped, self._sent = False, {}
         if self.config.episodes_begin_anew:
-            tell_of_episodes(self)
+            call_at_episodes(self)
         one = self._block is None or self._block.in_one_transaction
         logger.info(
             "tauext: %s, %g Hz%s", self._bundle.name, self._fps, "" if one else "; more than one bus request a tick"
         )
 
     def calibrate(self) -> None:
-        """Of the wrapped robot."""
+        """See the wrapped robot."""
         self.robot.calibrate()
 
     def configure(self) -> None:
-        """Of the wrapped robot."""
+        """See the wrapped robot."""
         self.robot.configure()
 
     def disconnect(self) -> None:
-        """Of the wrapped robot, which may let its torque go: `--robot.robot.disable_torque_on_disconnect`."""
-        tell_no_more(self)
+        """Disconnect the wrapped robot, which may disable its torque: option disable_torque_on_disconnect."""
+        stop_calling(self)
         self.robot.disconnect()
 
     def start_episode(self) -> None:
-        """The next observation is the first of an episode. Called by itself where LeRobot's dataset ends one."""
+        """Begin an episode with the next observation. Called automatically when LeRobot's dataset ends an episode."""
         self._labeller.restart()
         self._touching = False
 
     def get_observation(self) -> dict[str, Any]:
-        """Observe, judge, and react in the same call.
+        """Observe, estimate and react in the same call.
 
         Raises:
-            CollisionStop: on_collision is stop and the arm collides, or did since connect().
+            CollisionStop: on_collision is stop, and the arm has collided since connect().
         """
         if self._stopped:
-            raise CollisionStop("the arm collided and is stopped; connect anew once somebody has looked at it")
+            raise CollisionStop("the arm collided and is stopped; check it, then connect again")
         with self._block.reading() if self._block is not None else nullcontext():
             observation = dict(self.robot.get_observation())
         if self._block is not None:
             for signal, values in self._block.values.items():
                 observation |= {f"{motor}.{signal}": value for motor, value in values.items()}
-        first = self._labeller.frame == 0 and not self._records_goal  # the dataset knows no action before it
+        first = self._labeller.frame == 0 and not self._records_goal  # the dataset has no earlier action
         goals = {key: observation[key] if first else self._sent.get(key, observation[key]) for key in self._goal_names}
         if self._records_goal:
             observation |= {self._goal_names[key]: float(np.float32(goal)) for key, goal in goals.items()}
@@ -171,14 +171,13 @@ class Tauext(Robot):
             self._stopped = True
             worst = max(self._elements[:-2], key=lambda name: abs(observation[name]))
             raise CollisionStop(
-                f"the arm collided ({worst} = {observation[worst]:.3g}) and was told to stay where it is; see what it "
-                "touches"
+                f"the arm collided ({worst} = {observation[worst]:.3g}) and holds its position; check what it touches"
             )
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Send goals on, or the held position in their place; what is returned was sent."""
+        """Send the goals, or the held position in their place; returns what was sent."""
         if self._stopped:
-            raise CollisionStop("the arm collided and is stopped; connect anew once somebody has looked at it")
+            raise CollisionStop("the arm collided and is stopped; check it, then connect again")
         if self.config.on_collision == "none":
             sent = self._send(action)
         else:

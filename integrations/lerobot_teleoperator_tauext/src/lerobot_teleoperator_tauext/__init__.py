@@ -1,4 +1,4 @@
-"""LeRobot leader whose motors let the hand feel what touches the follower: teleoperator type tauext_leader."""
+"""LeRobot leader with force feedback from the follower: teleoperator type tauext_leader."""
 
 from lerobot_teleoperator_tauext.config_tauext_leader import TauextLeaderConfig
 from lerobot_teleoperator_tauext.tauext_leader import TauextLeader

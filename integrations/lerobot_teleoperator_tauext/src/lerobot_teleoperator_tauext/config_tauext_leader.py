@@ -1,4 +1,4 @@
-"""Settings of a leader that feels."""
+"""Settings of a leader with force feedback."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from tauext.monitor.leader_feedback import FeedbackSettings
 @TeleoperatorConfig.register_subclass("tauext_leader")
 @dataclass
 class TauextLeaderConfig(TeleoperatorConfig):
-    """What is put around which leader; where one number stands, {joint: number} may stand, too."""
+    """The wrapped leader and its feedback. A number for all joints can be replaced by {joint: number}."""
 
-    # The leader: its own options, and its type. A dictionary, since LeRobot's parser follows no type into itself.
+    # The leader: its type and options. A dictionary, since LeRobot's parser cannot parse a leader inside a leader.
     leader: dict[str, Any] = field(default_factory=dict)
-    # Joints that are felt; empty: all but "gripper", whose motor is the trigger's spring.
+    # Joints with feedback; empty: all but "gripper", whose motor acts as the trigger's spring.
     joints: list[str] = field(default_factory=list)
-    # Most torque of the leader's motors, [N m]. Begin low: see the README.
+    # Largest torque of the leader's motors, [N m]. Start low: see the README.
     cap_nm: float | dict[str, float] = FeedbackSettings.cap_nm
-    # Torque of the leader over what is felt of tau_ext; negative where the leader's joint turns the other way.
+    # Leader torque per tau_ext beyond the dead band; negative if the leader's joint turns the other way.
     gain: float | dict[str, float] = 0.5
-    # Of tau_ext so many standard errors are not felt, where the follower tells them (<joint>.tau_ext_sigma).
+    # Dead band in standard errors of tau_ext, if the observation has them (<joint>.tau_ext_sigma).
     dead_band_sigmas: float | dict[str, float] = FeedbackSettings.dead_band_sigmas
-    # And no less than this, [N m]; needed where the follower tells no standard errors.
+    # Least dead band, [N m]; required if the observation has no standard errors.
     dead_band_nm: float | dict[str, float] | None = None
     # Fastest change of the torque, [N m/s].
     slew_nm_s: float = 5.0
-    # Resistance to the leader's motion where something is felt, [N m s/rad].
+    # Damping of the leader's motion during feedback, [N m s/rad].
     damping_nm_s_rad: float | dict[str, float] = 0.0
-    # Energy that the motors may give at once, [J].
+    # Energy that the motors may deliver at once, [J].
     tank_j: float = 0.02
-    # N m an ampere of the leader's servos, where their type is not known.
+    # Torque constant of the leader's servos, [N m/A], if their type is unknown.
     nm_per_ampere: float | dict[str, float] | None = None
-    # Positions of a leader that is no servo bus of LeRobot's: "deg" or "rad".
+    # Unit of positions of a leader without a LeRobot servo bus: "deg" or "rad".
     position_unit: str = "deg"
-    # After so long without an observation the torque fades, [s].
+    # Time without an observation after which the torque fades, [s].
     silence_s: float = 0.2

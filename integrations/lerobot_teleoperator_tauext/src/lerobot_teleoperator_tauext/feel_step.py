@@ -1,4 +1,4 @@
-"""LeRobot's loops give no observation to a leader: a step among their processors does."""
+"""A processor step that passes observations to a leader, since LeRobot's loops do not."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from weakref import WeakSet
 from lerobot.processor import ProcessorStepRegistry, RobotActionProcessorStep, TransitionKey, make_default_processors
 
 FEELING: WeakSet[Any] = WeakSet()
-"""Leaders that are connected."""
+"""Connected leaders."""
 
 
 @ProcessorStepRegistry.register("tauext_feel")
 class FeelStep(RobotActionProcessorStep):
-    """Hands each tick's observation to the leaders that are connected; the action passes as it is."""
+    """Passes each tick's observation to the connected leaders; the action passes unchanged."""
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         observation = self.transition.get(TransitionKey.OBSERVATION)
@@ -26,7 +26,7 @@ class FeelStep(RobotActionProcessorStep):
 
 
 def processors() -> tuple[Any, Any, Any]:
-    """LeRobot's default pipelines for teleoperation, the first one with the step."""
+    """LeRobot's default pipelines for teleoperation; the first one has the additional step."""
     teleop_action, robot_action, robot_observation = make_default_processors()
     teleop_action.steps = [FeelStep(), *teleop_action.steps]
     return teleop_action, robot_action, robot_observation

@@ -1,4 +1,4 @@
-"""A leader's positions in radians, whatever LeRobot gives them in."""
+"""Converts a leader's positions from LeRobot's units to radians."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ UNITS = {"deg": math.pi / 180, "rad": 1.0}
 
 
 def radians_a_unit(leader: Any, joints: tuple[str, ...], unit: str) -> dict[str, float]:
-    """What one unit of `<joint>.pos` is, [rad].
+    """Radians per unit of `<joint>.pos`.
 
-    LeRobot's buses give degrees, or the share of a calibrated range from -100 or 0 to 100.
+    LeRobot's buses report degrees, or shares of a calibrated range from -100 or 0 to 100.
 
     Args:
-        unit: of a leader without such a bus, "deg" or "rad".
+        unit: unit of a leader without such a bus, "deg" or "rad".
 
     Raises:
-        ConfigError: a range is not calibrated, or the unit is not one of those.
+        ConfigError: a range is not calibrated, or the unit is invalid.
     """
     bus = getattr(leader, "bus", None)
     motors = getattr(bus, "motors", {})
@@ -33,9 +33,9 @@ def _of_motor(bus: Any, joint: str) -> float:
     if mode == "degrees":
         return math.pi / 180
     if joint not in bus.calibration:
-        raise ConfigError(f"joint '{joint}' says its position in shares of a range that is not calibrated")
+        raise ConfigError(f"joint '{joint}' reports its position as a share of a range that is not calibrated")
     spans = {"range_m100_100": 200, "range_0_100": 100}
     if mode not in spans:
-        raise ConfigError(f"joint '{joint}' says its position as {mode}: it must be one of degrees, {', '.join(spans)}")
+        raise ConfigError(f"joint '{joint}' reports its position as {mode}, not one of degrees, {', '.join(spans)}")
     calibration, resolution = bus.calibration[joint], bus.model_resolution_table[bus.motors[joint].model]
     return (calibration.range_max - calibration.range_min) / spans[mode] * 2 * math.pi / resolution

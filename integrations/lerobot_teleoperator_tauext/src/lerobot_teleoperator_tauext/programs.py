@@ -1,4 +1,4 @@
-"""LeRobot's own programs, whose leader feels: lerobot-teleoperate and lerobot-record with one more step."""
+"""LeRobot's own programs with force feedback: lerobot-teleoperate and lerobot-record with one more step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lerobot_teleoperator_tauext.feel_step import processors
 def teleoperate() -> None:
     """lerobot-teleoperate, with the same options."""
     register_third_party_plugins()
-    lerobot_teleoperate.make_default_processors = processors  # it takes none, as lerobot-record does
+    lerobot_teleoperate.make_default_processors = processors  # unlike lerobot-record, it accepts no processors
     lerobot_teleoperate.teleoperate()
 
 

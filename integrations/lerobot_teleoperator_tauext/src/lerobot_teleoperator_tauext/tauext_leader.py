@@ -1,4 +1,4 @@
-"""A LeRobot leader, and torque on its motors from the follower's <joint>.tau_ext."""
+"""A LeRobot leader whose motors receive torque from the follower's <joint>.tau_ext."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from tauext.errors import ConfigError
 from tauext.monitor.leader_feedback import FeedbackSettings, LeaderFeedback
 
 FIRST_DT_S = 0.02
-"""What the first tick is taken to have lasted; its torque is a slew step at most."""
+"""Assumed length of the first tick, whose torque is at most one slew step."""
 
 
 class TauextLeader(Teleoperator):
-    """Passes the leader's actions on, and what the follower feels to the leader's motors.
+    """Passes the leader's actions on, and drives its motors from the follower's external torque.
 
-    send_feedback() takes the follower's observation: `<joint>.tau_ext` [N m] of every joint that is felt, and
-    `<joint>.tau_ext_sigma` where the follower tells its standard error. A value that is missing or NaN fades the torque
-    of its joint to 0; `contact` or `collision` of -1, which is not known, fades all, as a pause of silence_s does.
+    send_feedback() takes the follower's observation: `<joint>.tau_ext` [N m] of every joint with feedback, and
+    optionally its standard error `<joint>.tau_ext_sigma`. A missing or NaN value fades the torque of its joint to 0.
+    `contact` or `collision` of -1 (unknown) fades all joints, as does a pause of silence_s.
     """
 
     config_class = TauextLeaderConfig
     name = "tauext_leader"
 
     def __init__(self, config: TauextLeaderConfig):
-        """ConfigError where there is no such leader, its motors take no torque, or a setting cannot be."""
+        """Raises ConfigError: no such leader, its motors accept no torque, or a setting is invalid."""
         super().__init__(config)
         self.config = config
         self.leader = make_teleoperator_from_config(leader_config(config.leader))
@@ -80,7 +80,7 @@ class TauextLeader(Teleoperator):
         FEELING.add(self)
 
     def get_action(self) -> dict[str, Any]:
-        """The leader's; where no observation has come for silence_s, the torque fades."""
+        """The leader's action. Without an observation for silence_s, the torque fades."""
         action = self.leader.get_action()
         positions = [action.get(f"{joint}.pos") for joint in self._joints]
         scale = [self._radians[joint] for joint in self._joints]
@@ -91,22 +91,22 @@ class TauextLeader(Teleoperator):
         return action
 
     def send_feedback(self, feedback: dict[str, Any]) -> dict[str, float]:
-        """Torque for the leader's motors from one observation of the follower; what was sent, [N m].
+        """Send torque to the leader's motors from one observation of the follower; returns the torque, [N m].
 
         Raises:
-            ConfigError: no joint's tau_ext has ever been in an observation, or its error is neither there nor given.
+            ConfigError: the first observation lacks a joint's tau_ext, or its error is neither observed nor configured.
         """
         tau_ext, sigma = (self._of_joints(feedback, suffix) for suffix in ("tau_ext", "tau_ext_sigma"))
         if self._observed_s is None:
             self._expect_tau_ext(feedback)
         if self.config.dead_band_nm is not None:
-            sigma = np.where(np.isnan(sigma), 0.0, sigma)  # then the dead band is the one that is given
+            sigma = np.where(np.isnan(sigma), 0.0, sigma)  # then the configured dead band applies
         self._observed_s = time.monotonic()
         healthy = feedback.get("contact", 0.0) >= 0 and feedback.get("collision", 0.0) >= 0
         return self._step(tau_ext, sigma, healthy)
 
     def disconnect(self) -> None:
-        """Motors first: whatever fails, the leader is let go."""
+        """Release the motors first, then disconnect the leader even if that failed."""
         FEELING.discard(self)
         try:
             if self.leader.is_connected:
@@ -130,13 +130,13 @@ class TauextLeader(Teleoperator):
         missing = [joint for joint in self._joints if f"{joint}.tau_ext" not in feedback]
         if missing:
             raise ConfigError(
-                f"the follower's observation has no {missing[0]}.tau_ext: the robot must be one that tells it "
-                f"(--robot.type=tauext of lerobot_robot_tauext), or joints must leave {', '.join(missing)} out"
+                f"the follower's observation has no {missing[0]}.tau_ext: use a robot that observes it "
+                f"(--robot.type=tauext of lerobot_robot_tauext), or leave {', '.join(missing)} out of joints"
             )
         if self.config.dead_band_nm is None and f"{self._joints[0]}.tau_ext_sigma" not in feedback:
             raise ConfigError(
-                f"the follower's observation has no {self._joints[0]}.tau_ext_sigma: give dead_band_nm, what tau_ext "
-                "of free motion never exceeds, [N m]"
+                f"the follower's observation has no {self._joints[0]}.tau_ext_sigma: set dead_band_nm to the largest "
+                "tau_ext of free motion, [N m]"
             )
 
     def _settings(self) -> FeedbackSettings:
@@ -163,11 +163,15 @@ class TauextLeader(Teleoperator):
 
 
 def leader_config(options: Mapping[str, Any]) -> TeleoperatorConfig:
-    """The leader's own configuration from its options; ConfigError where there is no such leader or option."""
+    """The leader's configuration from its options.
+
+    Raises:
+        ConfigError: LeRobot has no such leader or option.
+    """
     if "type" not in options:
         raise ConfigError("leader needs a type: --teleop.leader='{type: koch_leader, port: /dev/ttyACM0, id: mine}'")
     if options["type"] == TauextLeader.name:
-        raise ConfigError("leader: a tauext_leader is put around a leader, not around itself")
+        raise ConfigError("leader: a tauext_leader cannot wrap itself")
     try:
         return draccus.decode(TeleoperatorConfig, dict(options))
     except draccus.utils.DecodingError as error:

@@ -1,4 +1,4 @@
-"""How torque gets to a leader's motors: what each kind of LeRobot bus takes."""
+"""Sends torque to a leader's motors, for each kind of LeRobot bus."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
 
 AMPERE_A_COUNT = {"xl330-m077": 0.001, "xl330-m288": 0.001, "xm430-w350": 0.00269, "xm540-w270": 0.00269}
-"""Unit of Goal Current, [A]; ROBOTIS e-Manual, Control Table. An XL430 is not here: it has no current mode."""
+"""Unit of Goal Current, [A]; ROBOTIS e-Manual, Control Table. The XL430 has no current mode."""
 NM_PER_AMPERE = {"xl330-m077": 0.215 / 1.47, "xm540-w270": 10.6 / 4.4}
-"""Stall torque over stall current of the e-Manual, at 5 and 12 V; what SERVO_TYPES has is taken from there."""
+"""Stall torque over stall current of the e-Manual, at 5 and 12 V. SERVO_TYPES has priority."""
 WATCHDOG_COUNTS = 10
-"""Of 20 ms: a Dynamixel that hears nothing for so long stops by itself."""
+"""Watchdog of a Dynamixel, in units of 20 ms: without packets for this long it stops."""
 WATCHDOG_S = 0.1
-"""After a pause of that it is set again: half of what it waits."""
+"""Pause after which the watchdog is reset, [s]: half its time."""
 TAKE = (
     "koch_leader and omx_leader (Dynamixel, by current), openarm_leader (Damiao), and any with <joint>.torque among "
     "its feedback_features"
@@ -26,26 +26,26 @@ PerJoint = float | Mapping[str, float] | None
 
 
 class TorquePort(Protocol):
-    """Torque on the leader's joints."""
+    """Sends torque to the leader's joints."""
 
     joints: tuple[str, ...]
-    """That it can drive."""
+    """Joints that it drives."""
 
     def begin(self) -> None:
-        """The leader is connected: make its motors take torque, and none yet."""
+        """Prepare the motors of a connected leader for torque, with zero torque."""
         ...
 
     def write(self, torque_nm: dict[str, float]) -> None:
-        """Hold these, [N m], of some or all joints."""
+        """Set the torque of some or all joints, [N m]."""
         ...
 
     def end(self) -> None:
-        """No torque any more; the motors turn freely."""
+        """Remove the torque; the motors turn freely."""
         ...
 
 
 class FeedbackPort:
-    """A leader that takes torque through LeRobot's own send_feedback."""
+    """A leader that accepts torque through LeRobot's own send_feedback."""
 
     def __init__(self, leader: Any, joints: tuple[str, ...]):
         self._leader, self.joints = leader, joints
@@ -61,7 +61,7 @@ class FeedbackPort:
 
 
 class DynamixelPort:
-    """Dynamixel servos in current mode: Goal Current, and their own watchdog against a program that died."""
+    """Dynamixel servos in current mode: Goal Current, and their watchdog in case the program dies."""
 
     def __init__(
         self, bus: Any, joints: tuple[str, ...], nm_per_ampere: PerJoint, now: Callable[[], float] = time.monotonic
@@ -74,7 +74,7 @@ class DynamixelPort:
             given = nm_per_ampere.get(joint) if isinstance(nm_per_ampere, Mapping) else nm_per_ampere
             constant = given or known
             if not constant or not constant > 0:
-                raise ConfigError(f"joint '{joint}': torque constant of {model} is not known; give nm_per_ampere")
+                raise ConfigError(f"joint '{joint}': torque constant of {model} is unknown; set nm_per_ampere")
             self._counts_a_nm[joint] = 1 / (constant * AMPERE_A_COUNT[model])
         self._written_s: float | None = None
 
@@ -89,7 +89,7 @@ class DynamixelPort:
     def write(self, torque_nm: dict[str, float]) -> None:
         now = self._now()
         if self._written_s is None or now - self._written_s > WATCHDOG_S:
-            for joint in self.joints:  # one that has bitten refuses goals until it is set to 0
+            for joint in self.joints:  # a triggered watchdog refuses goals until it is set to 0
                 self._bus.write("Bus_Watchdog", joint, 0)
                 self._bus.write("Bus_Watchdog", joint, WATCHDOG_COUNTS)
         counts = {joint: round(value * self._counts_a_nm[joint]) for joint, value in torque_nm.items()}
@@ -104,7 +104,7 @@ class DynamixelPort:
 
 
 class DamiaoPort:
-    """Damiao motors in MIT mode without stiffness: torque alone."""
+    """Damiao motors in MIT mode without stiffness: torque only."""
 
     def __init__(self, bus: Any, joints: tuple[str, ...]):
         self._bus, self.joints = bus, joints
@@ -122,13 +122,13 @@ class DamiaoPort:
 
 
 def torque_port(leader: Any, joints: list[str], nm_per_ampere: PerJoint) -> TorquePort:
-    """The way to the motors of a leader.
+    """The torque port of a leader.
 
     Args:
-        joints: to be felt; empty: all that can be but "gripper".
+        joints: joints with feedback; empty: all that accept torque but "gripper".
 
     Raises:
-        ConfigError: its motors take no torque, or it has no such joint.
+        ConfigError: the motors accept no torque, or the leader has no such joint.
     """
     features, bus = leader.feedback_features, getattr(leader, "bus", None)
     kind = type(bus).__name__
@@ -139,13 +139,13 @@ def torque_port(leader: Any, joints: list[str], nm_per_ampere: PerJoint) -> Torq
         others = {joint: bus.motors[joint].model for joint in chosen if bus.motors[joint].model not in AMPERE_A_COUNT}
         if others:
             raise ConfigError(
-                f"leader {leader.name}: no torque can be given to {others}: they have no current mode, or its unit "
-                f"is not known; leave them out of joints, or take one of {', '.join(AMPERE_A_COUNT)}"
+                f"leader {leader.name}: {others} cannot take torque: they have no current mode, or its unit "
+                f"is unknown; leave them out of joints, or use one of {', '.join(AMPERE_A_COUNT)}"
             )
         return DynamixelPort(bus, chosen, nm_per_ampere)
     if kind == "DamiaoMotorsBus" and hasattr(bus, "_mit_control_batch"):
         return DamiaoPort(bus, _chosen(leader, joints, list(bus.motors)))
-    why = "its servos take positions, not torque" if kind == "FeetechMotorsBus" else "it has no motors that do"
+    why = "its servos accept positions, not torque" if kind == "FeetechMotorsBus" else "it has no motors that accept it"
     raise ConfigError(f"leader {leader.name} cannot take torque: {why}; leaders that can: {TAKE}")
 
 
@@ -153,6 +153,6 @@ def _chosen(leader: Any, joints: list[str], there: list[str]) -> tuple[str, ...]
     for joint in joints:
         if joint not in there:
             raise ConfigError(
-                f"joints: leader {leader.name} has no motor '{joint}' that takes torque; it has {', '.join(there)}"
+                f"joints: leader {leader.name} has no motor '{joint}' that accepts torque; it has {', '.join(there)}"
             )
     return tuple(joints) or tuple(joint for joint in there if joint != "gripper")

@@ -136,7 +136,7 @@ def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
     told = [change for change in keeper.changes if isinstance(change, FoundLoad)]
     assert 1 <= len(told) <= 4 and told[-1].mass_kg == pytest.approx(MASS, abs=2 * told[-1].error_kg)
     assert PICKED < told[0].row < PICKED + 1000
-    assert all(verdict.said["alarm"][0] == 0 for verdict in keeper.verdicts)
+    assert all(verdict.estimates["alarm"][0] == 0 for verdict in keeper.verdicts)
     assert found_load_words(told[0]).startswith("the load that was expected: carries 1.")
     assert "carries nothing" in found_load_words(FoundLoad(0, 0, 0.0, 0.1))
 

@@ -51,7 +51,7 @@ def looped(bundle, source, *sinks, profiles=None, recorder=None, **settings) -> 
 
 
 def joined(verdicts) -> dict[str, np.ndarray]:
-    return {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
+    return {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in verdicts[0].estimates}
 
 
 # What it says.
@@ -70,7 +70,7 @@ def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
     assert plain(keeper.changes) == plain(expected)
     said = joined(keeper.verdicts)
     for key, values in said.items():
-        np.testing.assert_array_equal(values, np.concatenate([chunk.said[key] for chunk in chunks]), err_msg=key)
+        np.testing.assert_array_equal(values, np.concatenate([chunk.estimates[key] for chunk in chunks]), err_msg=key)
     assert [v.row for v in keeper.verdicts] == list(range(recording.samples))
     assert (loop.samples, loop.missing, loop.tick.count, keeper.closed) == (6000, 0, 6000, 1)
 
@@ -93,7 +93,7 @@ def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle
         return lambda: loop.missing >= count
 
     def still_stale():
-        return bool(keeper.verdicts and keeper.verdicts[-1].said["health"][0] != OK)
+        return bool(keeper.verdicts and keeper.verdicts[-1].estimates["health"][0] != OK)
 
     keeper = Keeper()
     script = [*everything[:1000], still_stale, *everything[1001:2000], until(20), *everything[2500:3500]]
@@ -106,7 +106,7 @@ def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle
     assert (FAULT, ["gap"]) in names and names[-1] == (OK, [])
     missed = [v for v in keeper.verdicts if v.sample is None]
     assert len(missed) == loop.missing >= 20 and loop.samples == 1000 + 999 + 1000
-    assert all(v.said["margin_nm"].shape == (1, 2) for v in missed)
+    assert all(v.estimates["margin_nm"].shape == (1, 2) for v in missed)
     # A gap of one sample is bridged, the long one begins anew.
     assert (loop.monitor.bridged_ticks >= 1, loop.monitor.restarts) == (True, 1)
 
@@ -257,7 +257,7 @@ class Spy:
 @pytest.mark.parametrize(("what", "told_so"), [("acknowledge", "acknowledged"), ("resume", "resumed")])
 def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so):
     def ask(verdict):
-        if verdict.said["alarm"][0] == COLLISION and verdict.row == 2100:
+        if verdict.estimates["alarm"][0] == COLLISION and verdict.row == 2100:
             assert obey(f"{what}\n", keeper.control, "a line") == "ok"
         if verdict.row == 2500:
             assert obey("stop", keeper.control, "a line") == "ok"

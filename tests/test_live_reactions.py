@@ -289,7 +289,7 @@ def test_no_reaction_delays_or_changes_what_the_monitor_says(module, tmp_path, m
     loop = Loop(bundle, source, [keeper], reactions, settings=LoopSettings(acknowledge_after_s=0.5))
     loop.run()
     assert time.monotonic() - before < 60  # it ended, though one hangs
-    said = {key: np.concatenate([v.said[key] for v in keeper.verdicts]) for key in ("tau_ext", "health", "alarm")}
+    said = {key: np.concatenate([v.estimates[key] for v in keeper.verdicts]) for key in ("tau_ext", "health", "alarm")}
     monitor = _core.Monitor(bundle)
     plain = monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)
     np.testing.assert_array_equal(said["tau_ext"], plain["tau_ext"])

@@ -353,7 +353,7 @@ def test_a_live_monitor_is_told_by_lines_and_profiles(arm, tmp_path):
         (PICKED + 301, 1.9, "a line"),
         (4001, 0.0, "profile empty"),
     ]
-    tau_ext = np.concatenate([verdict.said["tau_ext"] for verdict in keeper.verdicts])
+    tau_ext = np.concatenate([verdict.estimates["tau_ext"] for verdict in keeper.verdicts])
     assert np.abs(tau_ext[PICKED + 301 : 4001]).max() < 1e-9 < np.abs(tau_ext[4500:]).max()
 
 

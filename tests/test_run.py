@@ -153,7 +153,7 @@ def test_what_is_said_of_every_sample_does_not_depend_on_the_chunks(bundle):
     def joined(chunk_s):
         chunks = list(replay(_core.Monitor(bundle), faulty(), acknowledge_after_s=0.2, chunk_s=chunk_s))
         assert [c.first_row for c in chunks] == np.cumsum([0] + [len(c.t_ns) for c in chunks[:-1]]).tolist()
-        return {key: np.concatenate([c.said[key] for c in chunks]) for key in chunks[0].said}
+        return {key: np.concatenate([c.estimates[key] for c in chunks]) for key in chunks[0].estimates}
 
     one, other = joined(0.013), joined(3.0)
     for key, values in one.items():
@@ -199,7 +199,7 @@ def test_the_tally_counts_what_arrays_of_all_samples_hold(bundle):
     said = []
     for chunk in replay(monitor, samples, acknowledge_after_s=0.1, chunk_s=0.2):
         tally.add(chunk, monitor)
-        said.append(chunk.said)
+        said.append(chunk.estimates)
     whole = {key: np.concatenate([part[key] for part in said]) for key in said[0]}
     told = tally.summary()
     assert told["samples"] == 8000 and told["hours"] == pytest.approx(8 / 3600)
@@ -773,7 +773,7 @@ def test_the_live_view_shows_every_joint_and_leaves_events_and_summary_behind(bu
     rows = plain_console.file.getvalue().splitlines()
     assert rows[0].startswith("pushed  6.00 of 6.00 s, 3.0 times as fast as recorded")
     for j, (joint, row) in enumerate(zip(JOINTS, rows[3:], strict=True)):
-        said = chunk.said
+        said = chunk.estimates
         assert row.split()[0] == joint
         assert f"{said['tau_ext'][-1, j]:+.2f}" in row and f"{said['margin_nm'][-1, j]:+.2f}" in row
 

@@ -69,7 +69,7 @@ def test_cold_and_warm_motion_is_foreseen_and_every_path_says_the_same(warm_up):
         assert (left[1] < 0.2 * left[0]).all()
         run = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau, None, made.temperature)
         np.testing.assert_array_equal(run["tau_ext"].astype(np.float32), said.tau_ext)
-        chunks = [chunk.said["tau_ext"] for chunk in replay(_core.Monitor(bundle), made)]
+        chunks = [chunk.estimates["tau_ext"] for chunk in replay(_core.Monitor(bundle), made)]
         np.testing.assert_array_equal(np.concatenate(chunks), run["tau_ext"])
         told = _core.Monitor(bundle)
         told.set_temperature(made.temperature[0])

@@ -68,7 +68,7 @@ class JsonLines(PrintContext):
         changes = [change for change in chunk.changes if not isinstance(change, HiddenCollision)]
         lines = [(change.row, change.t_ns, *change_facts(change, self._joints)) for change in changes]
         for k in self._clock.rows(chunk.t_ns) if self._clock else ():
-            lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.said, k)))
+            lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.estimates, k)))
         for row, t_ns, event, content in sorted(lines, key=lambda line: line[0]):
             self._write(event, row=row, **self._when(t_ns), **content)
 
@@ -103,8 +103,12 @@ class JsonLines(PrintContext):
     def finish(self, outcome: Outcome) -> None:
         content: dict[str, Any] = outcome.tally.summary()
         del content["us_per_sample"]
-        content |= {"source": asdict(outcome.counts), "missing": outcome.missing, "told_after": outcome.tick.summary()}
-        content |= {"flights": outcome.flights.summary()}
+        content |= {
+            "source": asdict(outcome.counts),
+            "missing": outcome.missing,
+            "reported_after": outcome.tick.summary(),
+            "flights": outcome.flights.summary(),
+        }
         content |= {"reactions": {name: count.summary() for name, count in outcome.reactions.items()}}
         content |= {"recorded": asdict(outcome.recorded)} if outcome.recorded else {}
         self._write("summary", **content)

@@ -50,7 +50,7 @@ class LiveView(TextLines):
 
     def panel(self, chunk: Chunk, wall_s: float) -> Group:
         """The monitor's estimates at the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
-        estimates = chunk.said
+        estimates = chunk.estimates
         time_s = self._time_s(int(chunk.t_ns[-1]))
         health, alarm = HEALTHS[estimates["health"][-1]], ALARMS[estimates["alarm"][-1]]
         causes = ", ".join(cause_names(int(estimates["causes"][-1])))
@@ -83,7 +83,7 @@ class LiveView(TextLines):
         for title in (f"tau_ext, {unit}", f"limit, {unit}", f"margin, {unit}", "speed, rad/s"):
             table.add_column(title, justify="right")
         table.add_column("")
-        estimates = chunk.said
+        estimates = chunk.estimates
         for j, joint in enumerate(self._joints):
             tau_ext, limit = estimates["tau_ext"][:, j], estimates["limit_nm"][:, j]
             k = chunk.peak_row(j)

@@ -324,8 +324,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     rows |= prior_words(facts.get("prior", {}))
     rows |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
     rows |= changed_since_training(facts)
-    for recordings, looked in facts.get("look", {}).items():
-        for what, entries in looked.items():
+    for recordings, checked in facts.get("checks", {}).items():
+        for what, entries in checked.items():
             for entry in entries:
                 joint = f" of {entry['joint']}" if entry["joint"] else ""
                 rows[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]

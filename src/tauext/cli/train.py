@@ -132,7 +132,7 @@ def calibrate(
 ) -> None:
     """Set the limits and hold times of a bundle for another promise or on other recordings; nothing is trained.
 
-    First every calibration recording is looked at, by those checks of `tauext check` that are cheap: a fault refuses.
+    First the cheap checks of `tauext check` run on every calibration recording: a fault refuses.
 
     Args:
         bundle: bundle (*.tauext) to begin with; it stays as it is.
@@ -173,8 +173,8 @@ def refit(
 
     Friction of a joint moves by a common factor first, then apart as the motion supports it; gravity and inertia stay.
     Limits grow where today's error is larger, and never shrink. Printed is what changed, a row a joint, and whether the
-    promise of false alarms still stands. First the recordings are looked at, by those checks of `tauext check` that are
-    cheap: a fault refuses. Labelled contacts are left out; so is what no friction explains; it is reported.
+    promise of false alarms still stands. First the cheap checks of `tauext check` run on the recordings: a fault
+    refuses. Labelled contacts are left out; so is what no friction explains; it is reported.
 
     Args:
         bundle: bundle (*.tauext) with a prior, of recipe tauext or prior; it stays as it is.

@@ -356,7 +356,7 @@ class TouchMeasures:
 
     def summary(self) -> dict:
         """The entry `touches` of a bundle in results.json."""
-        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "told": self._reported}
+        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "reported": self._reported}
 
     def _links(self) -> dict | None:
         """The entry `links`; None if no place was estimated for a collision whose link is labelled."""

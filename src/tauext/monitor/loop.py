@@ -31,7 +31,7 @@ from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     """Verdicts in a row, at least one; the speed of a sample that did not come is NaN."""
-    estimates = {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
+    estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in verdicts[0].estimates}
     unknown = np.full(estimates["tau_ext"].shape[1], np.nan)
     dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
     changes = [change for one in verdicts for change in one.changes]

@@ -87,7 +87,7 @@ class RecordSink:
         self._thread.start()
 
     def verdict(self, verdict: Verdict) -> None:
-        sample, estimates, k = verdict.sample, verdict.said, self._row
+        sample, estimates, k = verdict.sample, verdict.estimates, self._row
         if sample is None:
             return
         if not self._names:  # the other signals of a servo arm, taken from its first sample

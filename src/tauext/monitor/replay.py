@@ -84,7 +84,7 @@ class Chunk:
     """(rows,), [ns]."""
     dq: np.ndarray
     """(rows, joints), [rad/s]."""
-    said: dict[str, np.ndarray]
+    estimates: dict[str, np.ndarray]
     """As Monitor.run gives it: one row a sample."""
     changes: list[Change]
     core_s: float
@@ -92,7 +92,7 @@ class Chunk:
 
     def peak_row(self, joint: int) -> int:
         """Where |tau_ext| of this joint is largest against its limit; the last row where there is no estimate."""
-        share = np.abs(self.said["tau_ext"][:, joint]) / self.said["limit_nm"][:, joint]
+        share = np.abs(self.estimates["tau_ext"][:, joint]) / self.estimates["limit_nm"][:, joint]
         return int(np.nanargmax(share)) if np.isfinite(share).any() else len(share) - 1
 
 
@@ -264,13 +264,13 @@ class Tally:
             return
         if not all(came):
             rows = np.array(came)
-            estimates = {name: values[rows] for name, values in chunk.said.items()}
-            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=estimates)
+            estimates = {name: values[rows] for name, values in chunk.estimates.items()}
+            chunk = replace(chunk, t_ns=chunk.t_ns[rows], estimates=estimates)
         self.samples += len(chunk.t_ns)
         self.core_s += chunk.core_s
-        self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
-        self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
-        self.unfamiliar += unseen_of(chunk.said)
+        self.health += np.bincount(chunk.estimates["health"], minlength=len(HEALTHS))
+        self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.estimates["margin_nm"], axis=0))
+        self.unfamiliar += unseen_of(chunk.estimates)
         self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
     def merge(self, other: Tally) -> None:

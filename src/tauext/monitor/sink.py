@@ -33,7 +33,7 @@ class Verdict:
     t_ns: int
     """By the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
     sample: Sample | None
-    said: Mapping[str, np.ndarray]
+    estimates: Mapping[str, np.ndarray]
     """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
     changes: tuple[Change, ...]
 
@@ -218,13 +218,13 @@ class EventFinder:
                 events.append(self._event(kind, change.joint, verdict, news, of_place))
         if events:
             self._unsettled = True
-        elif self._unsettled and verdict.said["health"][0] == OK and verdict.said["alarm"][0] == NONE:
+        elif self._unsettled and verdict.estimates["health"][0] == OK and verdict.estimates["alarm"][0] == NONE:
             self._unsettled = False
             events.append(self._event("cleared", -1, verdict))
         return events
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
-        estimates, sample = verdict.said, verdict.sample
+        estimates, sample = verdict.estimates, verdict.sample
         facts = {
             **self._facts,
             "joints": list(self._joints),

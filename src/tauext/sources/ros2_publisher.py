@@ -60,7 +60,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
     status = DiagnosticStatus(STALE, "tauext: arm", "no sample yet", hardware_id)
     if verdict is None:
         return status
-    estimates = verdict.said
+    estimates = verdict.estimates
     health, alarm = int(estimates["health"][0]), int(estimates["alarm"][0])
     causes = _core.cause_names(int(estimates["causes"][0]))
     drifted = [name for name, at_bound in zip(joints, estimates["drift_saturated"][0], strict=True) if at_bound]
@@ -192,7 +192,7 @@ class Wrenches:
         """Send wrench and covariance at each frame; nothing at a frame where the force is unknown."""
         if verdict.sample is None or not self._writers:
             return
-        estimates, sample = verdict.said, verdict.sample
+        estimates, sample = verdict.estimates, verdict.sample
         rows = (sample.q[None], estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         for frame, (wrenches, covariances) in self._writers.items():
             own = _core.WrenchAxes.frame
@@ -298,11 +298,11 @@ class Ros2Publisher:
             # The writer serialises at once, so one message serves all.
             stamp_ns = self._stamp_ns(verdict.sample)
             self._message.header.stamp = Time.of_ns(stamp_ns)
-            self._message.effort = verdict.said["tau_ext"][0].tolist()
+            self._message.effort = verdict.estimates["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
             self._wrenches.publish(verdict, stamp_ns, self._send)
         if verdict.changes:
-            self._send_alarm(int(verdict.said["alarm"][0]))
+            self._send_alarm(int(verdict.estimates["alarm"][0]))
             self._due = True
         if self._due:
             now_ns = time.monotonic_ns()

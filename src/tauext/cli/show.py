@@ -328,7 +328,7 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         for what, entries in checked.items():
             for entry in entries:
                 joint = f" of {entry['joint']}" if entry["joint"] else ""
-                rows[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
+                rows[f"{what.removesuffix('s')} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
     if "minutes_factor" in limits:
         rows["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
@@ -352,10 +352,6 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return rows
-
-
-LOOKED = {"accepted": "accepted", "warnings": "warning"}
-"""Words for the findings of the checks before training, by their names in the provenance."""
 
 
 def prior_words(fitted: Content) -> dict[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tauext.data.description import SIGNALS, TABLES, TIME_UNITS, SignalTable
-from tauext.files.toml_file import Key, field_help
+from tauext.files.toml_file import Key, comment_lines, field_help
 
 GUESSES = {
     "q": r"(q|pos|position|positions|joint_pos(ition)?s?|act_pos\w*|actual_q|theta|angles?|observation\.state)",
@@ -96,6 +95,8 @@ HEADER = """\
 """
 NEEDED = {"q": "position", "dq": "", "tau": "effort"}
 """Signals of every arm.toml, and their columns where none are found."""
+SHARED = [one.name for one in fields(SignalTable) if sum(one.name in signal.keys for signal in SIGNALS.values()) > 1]
+"""Keys that several signals have, explained once ahead of them."""
 MADE_OF = {"duty": "duty", "q_des": "goal"}
 """Sources of a servo's torque where no column holds it, by the signal that is there; best first."""
 
@@ -149,18 +150,13 @@ def _signal(name: str, columns: str) -> dict[str, Any]:
     return {"columns": columns, "unit": unit.replace("rad", "deg") if "deg" in columns else unit}
 
 
-def _shared() -> list[str]:
-    """Keys that several signals have."""
-    return [one.name for one in fields(SignalTable) if sum(one.name in signal.keys for signal in SIGNALS.values()) > 1]
-
-
 def _shared_keys(topics: Sequence[str]) -> str:
-    """What the keys that several signals have mean, once for all."""
+    """The comment that explains them."""
     words = field_help(SignalTable)
     lines = ["# Signals. Keys of several of them:"]
-    for name in (name for name in _shared() if name in words):
+    for name in (name for name in SHARED if name in words):
         more = f" The source has {', '.join(topics)}." if name == "topic" and len(topics) > 1 else ""
-        lines += _comment(f"{name}: {words[name]}{more}", "#   ")
+        lines += comment_lines(f"{name}: {words[name]}{more}", "#   ")
     return "\n".join(lines) + "\n\n"
 
 
@@ -173,23 +169,19 @@ def _table(
         shown: keys; empty: all.
     """
     helps, signal = field_help(kind), table.removeprefix("signals.")
-    lines = [*_comment(about), f"{'' if in_force else '# '}[{table}]"]
+    lines = [*comment_lines(about), f"{'' if in_force else '# '}[{table}]"]
     for one in (one for one in fields(kind) if not shown or one.name in shown):
         rule = one.metadata["rule"]
         choices = (rule if isinstance(rule, Key) else rule(1)).rule.partition("one of ")[2]
         if kind is SignalTable:
             choices = ", ".join(SIGNALS[signal].units) if one.name == "unit" else ""
-        words = "" if kind is SignalTable and one.name in _shared() else helps.get(one.name, "")
+        words = "" if kind is SignalTable and one.name in SHARED else helps.get(one.name, "")
         words += f"{' ' * bool(words)}One of {choices}." if choices else ""
         value = json.dumps(found[one.name]) if one.name in found else one.metadata["example"] or json.dumps(one.default)
         line = f"{'' if in_force and one.name in found else '# '}{one.name} = {value}"
         beside = f"{line}  # {words}".removesuffix(".") if words else line
-        lines += [beside] if len(beside) <= WIDTH else [*_comment(words), line]
+        lines += [beside] if len(beside) <= WIDTH else [*comment_lines(words), line]
     return "\n".join(lines) + "\n\n"
-
-
-def _comment(words: str, start: str = "# ") -> list[str]:
-    return textwrap.wrap(" ".join(words.split()), WIDTH, initial_indent=start, subsequent_indent=start)
 
 
 def _named_joints(names: Sequence[str]) -> tuple[str, ...]:

@@ -77,9 +77,8 @@ def recalibrate(
     loaded = load_bundle(bundle)
     history = read_loss_history(loaded, bundle) or []
     facts = json.loads(loaded.provenance or "{}")
-    checked = check_for_bundle(
-        loaded, "calibration", dataset.files("calibration"), str(dataset.folder), accept, threads, report
-    )
+    files, where = dataset.files("calibration"), str(dataset.folder)
+    checked = check_for_bundle(loaded, "calibration", files, where, accept, threads, report)
     facts["checks"] = facts.get("checks", {}) | checked
     if refit_error_scale:
         loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)

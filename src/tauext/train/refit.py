@@ -407,7 +407,7 @@ def refit_recordings(
     report: Reporter = SILENT,
     like: FleetPrior | None = None,
 ) -> Refitted:
-    """The same in memory, and nothing is checked at: what a monitor's buffer recorded, for example.
+    """The same in memory, without the data check: what a monitor's buffer recorded, for example.
 
     Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
 

@@ -244,8 +244,8 @@ class ServoTable:
 
     torque_from: TorqueSource = key(one_of(get_args(TorqueSource)), example='"torque"')
     """torque: it is [signals.tau]; for all others leave that out. phase-current: [signals.current] is that of the
-    windings, signed. supply-current: it is what the servo draws, unsigned. duty: [signals.duty]. goal: [signals.q_des]
-    minus q, by the position loop's gain."""
+    windings, signed. supply-current: it is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
+    position loop times goal minus position, [signals.q_des] minus q."""
     type: tuple[str, ...] = listed(
         one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint", example='"sts3215-7.4v"'
     )

@@ -4,7 +4,7 @@
 
 Arms are of one simulated type (unseen.arms), as CSV files of currents: friction, tool and constants are each
 arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an
-empty memory of looks. MODELS: folder of the arms' URDFs, as of unseen_arms.py.
+empty cache of findings. MODELS: folder of the arms' URDFs, as of unseen_arms.py.
 """
 
 from __future__ import annotations

@@ -261,7 +261,7 @@ def of_arm(case: Case, data: Path, judged: Path, out: Path) -> dict:
     """A training, and what its bundle says of recordings that have no noise."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / "bundle.tauext"
-    bundle = train_bundle(load_dataset(data), file, case=case.case, config=case.config, look=False)
+    bundle = train_bundle(load_dataset(data), file, case=case.case, config=case.config, check=False)
     facts = json.loads(file.with_suffix(".run.json").read_text())
     free, limits, collisions = [], [], 0
     dataset = load_dataset(judged)

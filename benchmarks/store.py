@@ -5,7 +5,7 @@
 DATASET has test recordings of the arm's free motion, BUNDLE is one that was trained on it. Recordings of 15 minutes are
 put together of them, each from another moment on, with a gap in the stamps at every seam; each is put into the store
 under several names until there are so many hours. The store is versitygw on loopback, its objects are files in FOLDER.
-On disk the names are links. The doctor's memory is empty at every run, so each recording is looked at, then judged.
+On disk the names are links. The cache of findings is empty at every run, so each recording is checked.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_servos import COUNT_RAD, Servo, drive, recorded
 
-from tauext.check.examine import as_data, as_text, examine, quick_look
+from tauext.check.examine import as_data, as_text, examine, quick_checks
 from tauext.check.sensors import coarse_findings
 from tauext.check.servo import efforts_of, servo_findings
 from tauext.data.drive_signal import backlash_widths, play_of, position_step, step_of
@@ -73,7 +73,7 @@ def test_a_round_with_a_supply_current_says_nothing_of_signs_or_scales(two, tmp_
 def test_without_goals_an_unsigned_current_is_a_fault_all_the_same(two):
     recording = recorded(two, supply(two), goals=False)
     assert codes(recording) == {("unsigned-torque", "servo1"), ("unsigned-torque", "servo2")}
-    assert {f.code for f in quick_look(recording, None)} >= {"unsigned-torque"}
+    assert {f.code for f in quick_checks(recording, None)} >= {"unsigned-torque"}
     diagnosis = examine([recording])
     assert diagnosis.faulty and not {f.code for f in diagnosis.findings} & {"effort-sign", "spike"}
 

@@ -9,7 +9,7 @@ import pytest
 from made_arms import planar_arm
 from made_recordings import Drive, made_motion
 
-from tauext.check.examine import examine, quick_look
+from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import Finding
 from tauext.check.sensors import normal_ranges, spikes_of, without_spikes
 from tauext.data.recording import Recording
@@ -36,7 +36,7 @@ def changed(r: Recording, signal: str, rows: slice, by: float | np.ndarray) -> R
 def spikes(recordings: list[Recording], limits: np.ndarray | None = None) -> list[Finding]:
     found = []
     for r in recordings:
-        found += [f for f in quick_look(r, limits) if f.code == "spike"]
+        found += [f for f in quick_checks(r, limits) if f.code == "spike"]
     return found
 
 

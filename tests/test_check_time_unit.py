@@ -10,7 +10,7 @@ from made_arms import planar_arm
 from made_recordings import made_motion
 
 from tauext.check.clock import time_findings, time_unit
-from tauext.check.examine import examine, quick_look
+from tauext.check.examine import examine, quick_checks
 from tauext.data.assemble import derived_velocity
 from tauext.data.recording import Recording
 
@@ -32,7 +32,7 @@ def stamped(r: Recording, factor: float, derived: bool = False) -> Recording:
 def test_recorded_velocity_tells_the_unit(good, factor):
     found = time_unit(stamped(good[0], factor))
     assert found is not None and found.factor == pytest.approx(factor) and not found.velocity_derived
-    codes = [f.code for f in quick_look(stamped(good[0], factor), None) if f.severity == "fault"]
+    codes = [f.code for f in quick_checks(stamped(good[0], factor), None) if f.severity == "fault"]
     assert codes == ["time-unit"]
 
 

@@ -17,7 +17,7 @@ from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
-from tauext.train.limits import calibrate, factor_after
+from tauext.train.limits import factor_after, put_limits
 from tauext.train.preparation import Given, training_motion, wants_constants
 from tauext.train.promised_limits import NOT_MEASURED
 from tauext.train.stage import train_on_recordings
@@ -69,9 +69,9 @@ def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, mon
 
     def watched(job, bundle, setup, fit):
         seen.append(bundle.largest_torque_nm)
-        calibrate(job, bundle, setup, fit)
+        put_limits(job, bundle, setup, fit)
 
-    monkeypatch.setattr("tauext.train.stage.calibrate", watched)
+    monkeypatch.setattr("tauext.train.stage.put_limits", watched)
     bundle, _ = trained(tmp_path, monkeypatch, [still, moving], recipe="prior")
     assert seen == [bundle.largest_torque_nm] == [np.abs(np.vstack([still.tau, moving.tau])).max(axis=0).tolist()]
 

@@ -36,9 +36,9 @@ SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact
 @pytest.fixture
 def s3(monkeypatch, tmp_path, own_cache):
     """A server without objects. What is staged is of one test, looks are of all."""
-    for folder in (tmp_path / "cache/tauext", own_cache / "tauext/looks"):
+    for folder in (tmp_path / "cache/tauext", own_cache / "tauext/checks"):
         folder.mkdir(parents=True, exist_ok=True)
-    (tmp_path / "cache/tauext/looks").symlink_to(own_cache / "tauext/looks")
+    (tmp_path / "cache/tauext/checks").symlink_to(own_cache / "tauext/checks")
     with s3_server() as server:
         for name, value in s3_environment(server.port).items():
             monkeypatch.setenv(name, value)

@@ -35,7 +35,7 @@ def made(tmp_path_factory) -> tuple[Path, list[Path]]:
     data = fleet(folder)
     out = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.prior_arms.check_first", lambda *told: {})
+        patch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
     return out, data
 
@@ -47,7 +47,7 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
     data = load_dataset(dataset(folder / "data", moving(70, SECONDS, (0.75, 1.15))))
     like = load_fleet_prior(made[0])
     return {
-        name: train_bundle(data, folder / f"{name}.tauext", config=CONFIG, look=False, like=known)
+        name: train_bundle(data, folder / f"{name}.tauext", config=CONFIG, check=False, like=known)
         for name, known in (("like", like), ("alone", None))
     }
 
@@ -57,11 +57,11 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
 def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
     """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
     monkeypatch.setattr("tauext.fit.regression.RIDGE_TIE", tie)
-    monkeypatch.setattr("tauext.fleet.prior_arms.check_first", lambda *told: {})
+    monkeypatch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
-    bundle = train_bundle(data, tmp_path / "new.tauext", config=CONFIG, look=False, like=load_fleet_prior(prior))
+    bundle = train_bundle(data, tmp_path / "new.tauext", config=CONFIG, check=False, like=load_fleet_prior(prior))
     assert bundle.prior.corrected_links and all(link.rotor_inertia >= 0 for link in bundle.prior.corrected_links)
 
 
@@ -150,7 +150,7 @@ def test_a_prior_of_another_type_is_refused_in_one_line(made, tmp_path, changes,
     other = replace(like, type=replace(like.type, **changes))
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
     with pytest.raises(ConfigError, match=f": {says} = .* must be .* as of the fleet prior"):
-        train_bundle(data, tmp_path / "no.tauext", config=CONFIG, look=False, like=other)
+        train_bundle(data, tmp_path / "no.tauext", config=CONFIG, check=False, like=other)
     assert not (tmp_path / "no.tauext").exists()
 
 
@@ -167,7 +167,7 @@ def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
     steps = {step.task.stage: step.why for one in plan_fleet(load_fleet(fleet), tmp_path / "out") for step in one.steps}
     assert steps == {"check": "", "train": "inputs changed: train.like", "evaluate": "train is done again"}
     work = {"name": "new", "dataset": str(data), "case": None, "robot": None, "accept": [], "settings": plain(CONFIG)}
-    monkeypatch.setattr("tauext.train.stage.check_first", lambda *told: {})
+    monkeypatch.setattr("tauext.train.stage.check_data", lambda *told: {})
     train_arm(work | {"like": str(made[0])}, tmp_path)
     like = load_fleet_prior(made[0])
     assert json.loads((tmp_path / "new.run.json").read_text())["like"]["sha256"] == like.sha256
@@ -195,7 +195,7 @@ def test_recipes_without_such_a_prior_refuse_it(made, tmp_path):
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
     with pytest.raises(ConfigError, match="recipe = friction must be tauext or prior"):
         config = replace(CONFIG, recipe="friction", observer=replace(CONFIG.observer, gain_per_s=None))
-        train_bundle(data, tmp_path / "no.tauext", config=config, look=False, like=load_fleet_prior(made[0]))
+        train_bundle(data, tmp_path / "no.tauext", config=config, check=False, like=load_fleet_prior(made[0]))
 
 
 def test_too_few_arms_or_one_twice_are_refused(made, tmp_path, capsys):
@@ -300,7 +300,7 @@ def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, 
     monkeypatch.setattr("tauext.train.limits.ENOUGH_S", SECONDS / 2)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
     like = load_fleet_prior(made[0])
-    bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, look=False, like=like)
+    bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, check=False, like=like)
     limits = json.loads(bundle.provenance)["limits"]
     assert "like" not in limits and limits["minutes_factor"] == UNPROMISED_FACTOR
 

@@ -51,7 +51,7 @@ def fleets(tmp_path_factory) -> list[Path]:
             data = dataset(folder / "data" / f"arm-{k}", moving(10 * date + k, 40.0, now))
             bundle = folder / "arms" / f"arm-{k}" / "train" / f"arm-{k}.tauext"
             bundle.parent.mkdir(parents=True)
-            train_bundle(load_dataset(data), bundle, config=CONFIG, look=False)
+            train_bundle(load_dataset(data), bundle, config=CONFIG, check=False)
             place = f"arms/arm-{k}/train/arm-{k}.tauext"
             entries.append(entry(f"arm-{k}", serial=f"arm-{k}", date=day, bundle=place))
         folders.append(fleet_folder(folder, *entries, failed("broken", "bag.mcap: the file <is> empty")))

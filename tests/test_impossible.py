@@ -57,7 +57,7 @@ def test_what_no_arm_sends_is_found_and_the_rest_is_not():
     bad = with_values(bad, "dq", {(900, 0): -10.1, (1000, 0): 9.9})
     bad = with_values(bad, "q", {(1500, 1): bad.q[1500, 1] + 1.0, (1700, 0): bad.q[1700, 0] + 0.1})
     counted = LeftOut("training")
-    assert counted.look(bad, observer(), BOUNDS).tolist() == [500, 501, 900, 1500]
+    assert counted.find(bad, observer(), BOUNDS).tolist() == [500, 501, 900, 1500]
     assert [(one.cause, one.joint) for one in counted.found] == [
         ("impossible torque", "elbow"),
         ("impossible torque", "elbow"),
@@ -71,13 +71,13 @@ def test_what_no_arm_sends_is_found_and_the_rest_is_not():
     )
     assert counted.found[3].value == pytest.approx(1.0, abs=0.05)  # how far it jumps
     assert counted.facts()["samples"] == 4 and counted.facts()["of"] == 2500
-    assert json.loads(json.dumps(counted.facts()))["told"][2]["time_s"] == 7.2
+    assert json.loads(json.dumps(counted.facts()))["listed"][2]["time_s"] == 7.2
 
 
 def test_bounds_hold_for_the_torque_behind_its_constants():
     made = motion(seconds=4.0)
     amperes = with_values(replace(made, tau=made.tau / [-10, 1]), "tau", {(100, 0): 40.0, (200, 0): -25.0})
-    found = LeftOut("training").look(amperes, observer(nm_per_unit=[-10.0, 1.0]), BOUNDS)
+    found = LeftOut("training").find(amperes, observer(nm_per_unit=[-10.0, 1.0]), BOUNDS)
     assert found.tolist() == [100]
 
 
@@ -91,7 +91,7 @@ def test_a_monitor_refuses_the_same_samples(tmp_path, monkeypatch):
             at = int(rng.integers(100, made.samples - 100))
             values = getattr(made, signal)[:, 1] + size
             made = with_values(made, signal, {(k, 1): values[k] for k in range(at, at + length)})
-    found = LeftOut("calibration").look(made, bundle.observer, SignalBounds.of(bundle))
+    found = LeftOut("calibration").find(made, bundle.observer, SignalBounds.of(bundle))
     said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
     np.testing.assert_array_equal(found, np.flatnonzero(said["health"] == FAULT))
     assert len(found) == 2 * 10 + 1 + 2 + 2  # a position that stays for two samples or more jumps there and back
@@ -165,7 +165,7 @@ def test_one_impossible_sample_changes_neither_limits_nor_friction(signal, value
     np.testing.assert_allclose(bundle.error_scale.largest, clean.error_scale.largest, rtol=0.05)
     np.testing.assert_allclose(bundle.largest_torque_nm, clean.largest_torque_nm, rtol=0.01)
     np.testing.assert_allclose(bundle.coverage.fastest_rad_s, clean.coverage.fastest_rad_s, rtol=0.01)
-    (told,) = facts["impossible"]["told"]
+    (told,) = facts["impossible"]["listed"]
     assert (told["recording"], told["time_s"], told["joint"]) == ("made-1", 16.0, "elbow")
     assert any("left out 1 impossible sample" in note and "16 s of 'made-1'" in note for note in facts["notes"])
     assert "impossible" not in before and not any("impossible" in note for note in before["notes"])

@@ -137,7 +137,7 @@ def test_the_page_leads_from_each_log_to_the_alarm(form, arm, tmp_path, monkeypa
         if "--new" in command:
             text = Path("arm.toml").read_text()
             assert f"unit = {UNITS[form]}" in text[text.index("[time]") : text.index("[signals.q]")]
-            assert ('unit = "A"' in text) == (form == "UR")
+            assert ('\nunit = "A"' in text) == (form == "UR")
             Path("arm.toml").write_text(text + split("free.csv", "touched.csv"))
     out = capsys.readouterr().out
     alarms = [float(line.split()[0]) for line in out.splitlines() if "collision" in line and line.split()[1] == "s"]

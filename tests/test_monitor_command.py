@@ -61,7 +61,7 @@ def test_json_says_what_run_says_and_more(place, capsys):
     for key in ("samples", "alarms", "health_share", "worst_margin_nm", "bridged_ticks"):
         assert summary[key] == other[key], key
     assert summary["source"]["received"] == 6000 and summary["missing"] == 0
-    assert summary["reactions"]["note"]["done"] == 1 and summary["told_after"]["count"] == 6000
+    assert summary["reactions"]["note"]["done"] == 1 and summary["reported_after"]["count"] == 6000
 
 
 def test_lines_of_text_end_with_a_summary(place, capsys):

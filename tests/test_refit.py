@@ -482,11 +482,11 @@ def made(tmp_path_factory):
         arms.append(dataset(folder / f"arm-{k}" / "data", *warm))
     prior = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.prior_arms.check_first", lambda *told: {})
+        patch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in arms]), prior, CONFIG)
     new = load_dataset(dataset(folder / "new", moving(90, 120.0, (1.0, 1.0))))
     bundle = folder / "new.tauext"
-    train_bundle(new, bundle, config=CONFIG, look=False)
+    train_bundle(new, bundle, config=CONFIG, check=False)
     return prior, bundle
 
 

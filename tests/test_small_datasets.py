@@ -202,7 +202,7 @@ def test_held_parameters_are_listed_by_the_training(tmp_path):
     folder = dataset(tmp_path / "data", moving(1, 40.0, (1.0, 1.0)))
     text = (folder / "robot.xml").read_text().replace('mass="9.920"', 'mass="9.920"').replace("0.07 0.07 0.07", "5 5 5")
     (folder / "robot.xml").write_text(text)
-    train_bundle(load_dataset(folder), tmp_path / "x.tauext", config=CONFIG, look=False)
+    train_bundle(load_dataset(folder), tmp_path / "x.tauext", config=CONFIG, check=False)
     facts = json.loads(load_bundle(tmp_path / "x.tauext").provenance)
     links = load_bundle(tmp_path / "x.tauext").prior.corrected_links
     for name, link in zip(("shoulder", "elbow"), links, strict=True):

@@ -104,14 +104,14 @@ def measured(bundle) -> Touches:
 
 def test_pushes_on_known_links_are_told_on_them_with_their_newtons(bundle):
     summary = measured(bundle)
-    assert [one.id for one in summary.told] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
+    assert [one.id for one in summary.reported] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
     links = summary.links
     assert (links.collisions, links.first_two) == (3, 3)
     assert sum(map(sum, links.table)) == 3 and sum(links.table[3]) == 1 and sum(links.table[5]) == 0
     assert links.first == sum(links.table[k][k] for k in range(7)) >= 2
-    assert summary.told[0].links[0].joint == links.joints[3]
-    # What is told is of the second after the alarm; the push grows on for longer.
-    assert summary.told[0].force_n == pytest.approx(MOST_N * (ALARM_S + 1.0) / HELD_S, rel=0.1)
+    assert summary.reported[0].links[0].joint == links.joints[3]
+    # The report covers the second after the alarm; the push grows on for longer.
+    assert summary.reported[0].force_n == pytest.approx(MOST_N * (ALARM_S + 1.0) / HELD_S, rel=0.1)
 
 
 def test_kinds_are_those_known_when_the_collision_is_over(bundle):
@@ -126,7 +126,7 @@ def test_a_bundle_that_tells_no_place_still_tells_kinds(bundle):
     measures.add(find_collisions(recording), recording, said)
     summary = measures.summary()
     assert summary.links is None and summary.kinds["hands"]["clamp"] == 1
-    assert not any(one.links for one in summary.told)
+    assert not any(one.links for one in summary.reported)
 
 
 def test_a_stated_link_counts_as_right_or_wrong():

@@ -15,7 +15,7 @@ from tauext.evaluate.events import EventMeasures, event_time
 from tauext.evaluate.injected import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
-from tauext.train.preflight import view_dataset
+from tauext.train.preflight import check_results
 from tauext.train.preparation import Given
 from tauext.train.stage import train_bundle
 
@@ -104,8 +104,8 @@ def looked_at(folder: Path) -> list[Seen]:
     robot = dataset.robot_file(None)
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
-    looks = view_dataset(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
-    findings = [finding for look in looks.values() for finding in look.findings]
+    results = check_results(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
+    findings = [finding for result in results.values() for finding in result.findings]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 
 
@@ -115,7 +115,7 @@ def worth_of(folder: Path, out: Path, judged: Iterable[Recording]) -> Worth:
     Raises:
         TauextError: the training refuses, or the bundle does not fit the recordings.
     """
-    bundle = train_bundle(load_dataset(folder), out, config=CONFIG, look=False)
+    bundle = train_bundle(load_dataset(folder), out, config=CONFIG, check=False)
     measures = EventMeasures(EventsConfig(), CONFIG.observer.near_stiction_rad_s)
     limits = []
     for recording in judged:

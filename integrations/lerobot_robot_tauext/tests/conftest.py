@@ -21,5 +21,5 @@ def trained(tmp_path_factory) -> Path:
     arms.write_dataset(folder / "free", arms.episodes(range(6), 1200), "v3.0")
     import_dataset([folder / "free"], folder / "arm.toml", folder / "data", "tauext", lambda _: None)
     config = tauext.TrainConfig(recipe="prior")
-    tauext.train_bundle(tauext.load_dataset(folder / "data"), folder / "arm.tauext", config=config, look=False)
+    tauext.train_bundle(tauext.load_dataset(folder / "data"), folder / "arm.tauext", config=config, check=False)
     return folder

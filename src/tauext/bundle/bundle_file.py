@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
 from tauext import _core
+from tauext.bundle.loss_history import LossHistory
 from tauext.errors import BundleError, ConfigError
 from tauext.files.atomic_write import atomic_files
 from tauext.files.copies import local_file, written_as
@@ -61,19 +63,23 @@ def expect_text(bundle: _core.Bundle) -> None:
         raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
 
 
-def write_bundle(bundle: _core.Bundle, path: Place, run: dict, wall_time: dict) -> None:
+def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, wall_time: dict) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
-    The bundle comes last: where it stands, its run file stands.
+    The bundle is written last: where it exists, its run file exists.
+
+    Args:
+        facts: the bundle's provenance; the run file has them too, with the loss history.
 
     Raises:
         ConfigError: one of them cannot be written.
     """
     beside = (path.with_suffix(".run.json"), path.with_suffix(".wall_time_s.json"))
+    bundle.provenance = json.dumps(facts, sort_keys=True, allow_nan=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_files(*beside, path) as (run_part, wall_part, part):
-            run_part.write_text(json_text(run))
+            run_part.write_text(json_text(facts | {"loss_history": history}))
             wall_part.write_text(json_text(wall_time))
             bundle.save(str(part))
     except OSError as error:

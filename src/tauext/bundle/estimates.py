@@ -119,15 +119,15 @@ class Estimates:
         cls,
         joints: tuple[str, ...],
         t_ns: np.ndarray,
-        said: Mapping[str, np.ndarray],
+        values: Mapping[str, np.ndarray],
         lacking: Collection[str],
         rows: np.ndarray | slice = slice(None),
     ) -> Estimates:
         """Rows of the core's answers; `t_ns` of these rows. lacking: columns that its bundle does not have."""
         known: dict[str, Any] = {
-            column.name: said[column.name][rows].astype(column.kind, copy=False)
+            column.name: values[column.name][rows].astype(column.kind, copy=False)
             for column in STORED
-            if column.name in said and column.name not in lacking
+            if column.name in values and column.name not in lacking
         }
         return cls(joints, t_ns, **known)
 
@@ -231,13 +231,13 @@ def load_estimates(path: Path) -> Estimates:
         held = {name: table.column(name).to_numpy() for name in table.column_names}
         if odd := [name for name, values in held.items() if values.dtype.kind not in "fiub"]:
             raise ValueError(f"column '{odd[0]}' holds no numbers")
-        said = {}
+        found = {}
         for column in STORED:
             names = [f"{column.name}_{joint}" for joint in joints] if column.per_joint else [column.name]
             if names[0] in held:
                 values = [held[name] for name in names]
-                said[column.name] = np.stack(values, axis=1) if column.per_joint else values[0]
-        return Estimates(joints, held["t_ns"], **said)
+                found[column.name] = np.stack(values, axis=1) if column.per_joint else values[0]
+        return Estimates(joints, held["t_ns"], **found)
     except FileNotFoundError as error:
         raise RecordingError(
             f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"

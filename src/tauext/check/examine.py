@@ -567,7 +567,7 @@ OF_ALL = ("quantised", "smoothed", "saturated")
 """A joint that rests in one recording, or holds one torque, shows none of these; all of them together do."""
 
 
-def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
+def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
     """Unsigned efforts, clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the
     worst first.
 

@@ -17,7 +17,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
-from tauext.check.examine import Diagnosis, examine, quick_look, unlabelled_contacts
+from tauext.check.examine import Diagnosis, examine, quick_checks, unlabelled_contacts
 from tauext.check.finding import CODES, Finding, Severity
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
@@ -149,7 +149,7 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
     Args:
         parts: all that the findings depend on but for the code of the checks, as digests or words.
     """
-    text = json.dumps([VERSION, looking_version(), *parts])
+    text = json.dumps([VERSION, checks_version(), *parts])
     path = folder() / f"{hashlib.sha256(text.encode()).hexdigest()}.json"
     try:
         return [Finding(**entry) for entry in json.loads(path.read_text())]
@@ -166,12 +166,12 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
 
 
 def folder() -> Path:
-    """Where findings are cached: $XDG_CACHE_HOME/tauext/looks, or ~/.cache/tauext/looks."""
-    return cache_folder() / "looks"
+    """Where findings are cached: $XDG_CACHE_HOME/tauext/checks, or ~/.cache/tauext/checks."""
+    return cache_folder() / "checks"
 
 
 @cache
-def looking_version() -> str:
+def checks_version() -> str:
     """Digest of the code of the checks: other code may find other things."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.glob("*.py")):
@@ -213,7 +213,7 @@ NARROW = 2
 
 
 @dataclass(frozen=True)
-class Look:
+class CheckResult:
     """Faults and warnings of one set of recordings, notes left out."""
 
     findings: list[Finding] = field(default_factory=list)
@@ -264,8 +264,8 @@ def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
     return finding.code in accept or f"{finding.code}:{finding.joint}" in accept
 
 
-def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: Reporter) -> dict[str, dict]:
-    """Report warnings and accepted faults, each once; the facts of each look, for provenance.
+def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequence[str], report: Reporter) -> dict:
+    """Report warnings and accepted faults, each once; the facts of each result, for provenance.
 
     Args:
         where: the data, for the message.
@@ -273,7 +273,7 @@ def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: 
     Raises:
         FaultyDataError: a fault that is not accepted; the message is a block with all of them.
     """
-    findings = [finding for look in looks.values() for finding in look.findings]
+    findings = [finding for result in results.values() for finding in result.findings]
     refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
     if refused:
         count = len(by_code(refused))
@@ -288,7 +288,7 @@ def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: 
         report.say(f"accepted: {sentence(entry)}")
     for entry in entries(f for f in findings if f.severity == "warning"):
         report.say(f"warning: {sentence(entry)}")
-    return {name: look.facts(accept) for name, look in looks.items()}
+    return {name: result.facts(accept) for name, result in results.items()}
 
 
 def sentence(entry: dict) -> str:
@@ -358,14 +358,14 @@ AT_A_TIME = 4
 """Most recordings that are checked at a time."""
 
 
-def look_at_training(
+def check_training(
     recordings: Sequence[Recording],
     robot: Path | None,
     limits_nm: np.ndarray | None,
     finds_constants: bool,
     threads: int,
     report: Reporter,
-) -> Look:
+) -> CheckResult:
     """Run all checks on the data of a training; findings are cached by content.
 
     Contacts that are labelled are left out of it, hence no fault.
@@ -391,7 +391,7 @@ def look_at_training(
             return diagnoses[0].findings
 
         tasks: list[Callable[[], list[Finding]]] = [examined]
-        tasks += [partial(quick_look, one, limits_nm) for one in recordings]
+        tasks += [partial(quick_checks, one, limits_nm) for one in recordings]
         general, *quick = _in_parallel(tasks, workers, "check the data", report)
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
             general = [f for f in general if f.code not in TOO_FEW]
@@ -401,15 +401,17 @@ def look_at_training(
                 general += unlabelled_contacts(recordings, diagnoses[0])
         return together([f for f in map(forgiven, general) if not (finds_constants and f.code in FITTED)], quick)
 
-    return Look(_without_notes(remembered(["training", *settings, *digests], find)))
+    return CheckResult(_without_notes(remembered(["training", *settings, *digests], find)))
 
 
-def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter) -> Look:
+def check_calibration(
+    files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter
+) -> CheckResult:
     """Run the cheap checks on every calibration recording; findings are cached by content.
 
     Args:
         files: the recordings.
-        limits_nm: as of look_at_training.
+        limits_nm: as of check_training.
     """
     workers = _workers(threads)
     with ThreadPoolExecutor(workers) as pool:
@@ -417,14 +419,14 @@ def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, th
 
     def find() -> list[Finding]:
         def checked(load: Callable[[], Recording]) -> list[Finding]:
-            return quick_look(load(), limits_nm)
+            return quick_checks(load(), limits_nm)
 
         found = _in_parallel(
             [partial(checked, load) for load in stretches(files)], workers, "check the calibration recordings", report
         )
         return [forgiven(finding) for of_recording in found for finding in of_recording]
 
-    return Look(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
+    return CheckResult(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
 
 
 def check_for_bundle(
@@ -444,7 +446,7 @@ def check_for_bundle(
     """
     expect_codes(accept, [link.joint_name for link in bundle.links])
     limits_nm = np.array(bundle.torque_limit_nm) if all(unit == "N m" for unit in bundle.torque_units) else None
-    return judge({name: look_at_calibration(files, limits_nm, threads, report)}, where, accept, report)
+    return refuse_faults({name: check_calibration(files, limits_nm, threads, report)}, where, accept, report)
 
 
 def shares(recordings: Sequence[Recording]) -> list[Recording]:

@@ -103,8 +103,12 @@ class JsonLines(PrintContext):
     def finish(self, outcome: Outcome) -> None:
         content: dict[str, Any] = outcome.tally.summary()
         del content["us_per_sample"]
-        content |= {"source": asdict(outcome.counts), "missing": outcome.missing, "told_after": outcome.tick.summary()}
-        content |= {"flights": outcome.flights.summary()}
+        content |= {
+            "source": asdict(outcome.counts),
+            "missing": outcome.missing,
+            "reported_after": outcome.tick.summary(),
+            "flights": outcome.flights.summary(),
+        }
         content |= {"reactions": {name: count.summary() for name, count in outcome.reactions.items()}}
         content |= {"recorded": asdict(outcome.recorded)} if outcome.recorded else {}
         self._write("summary", **content)

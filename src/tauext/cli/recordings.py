@@ -112,7 +112,7 @@ def print_findings(out: Path) -> None:
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
-    from tauext.train.preflight import view_dataset
+    from tauext.train.preflight import check_results
     from tauext.train.preparation import Given
 
     dataset, terminal = load_dataset(out), Terminal()
@@ -121,8 +121,8 @@ def print_findings(out: Path) -> None:
     robot = dataset.robot_file(None)
     case = PAPER_CASES[chosen_case(None, robot)[0]]
     training, validation = dataset.training(), dataset.recordings("validation")
-    looks = view_dataset(dataset, Given(robot, case, training, validation), TrainConfig(), terminal)
-    findings = [finding for look in looks.values() for finding in look.findings]
+    results = check_results(dataset, Given(robot, case, training, validation), TrainConfig(), terminal)
+    findings = [finding for result in results.values() for finding in result.findings]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]

@@ -87,7 +87,7 @@ def reproduce_paper(
     from tauext.report.page import write_report
     from tauext.sim.collect import simulate_dataset
     from tauext.sim.config import RigConfig
-    from tauext.train.preflight import check_first
+    from tauext.train.preflight import check_data
     from tauext.train.preparation import Given, finished
     from tauext.train.stage import train_on_recordings
 
@@ -110,11 +110,11 @@ def reproduce_paper(
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
         # One check for all: with a model it contains every check that works without a model.
         case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
-        looked = check_first(dataset, Given(robot, case, training, validation), config, (), report)
+        checked = check_data(dataset, Given(robot, case, training, validation), config, (), report)
         for name in missing:
             case, config = jobs[name]
             given = Given(robot, case, training, validation)
-            train_on_recordings(given, config, bundles[name], report=report, looked=looked)
+            train_on_recordings(given, config, bundles[name], report=report, checked=checked)
     evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     return write_report(out / "results", data, out / "report")
 

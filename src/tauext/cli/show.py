@@ -330,11 +330,11 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     rows |= prior_words(facts.get("prior", {}), units)
     rows |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
     rows |= changed_since_training(facts)
-    for recordings, looked in facts.get("look", {}).items():
-        for what, entries in looked.items():
+    for recordings, checked in facts.get("checks", {}).items():
+        for what, entries in checked.items():
             for entry in entries:
                 joint = f" of {entry['joint']}" if entry["joint"] else ""
-                rows[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
+                rows[f"{what.removesuffix('s')} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
     if "minutes_factor" in limits:
         rows["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
@@ -358,10 +358,6 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return rows
-
-
-LOOKED = {"accepted": "accepted", "warnings": "warning"}
-"""Words for the findings of the checks before training, by their names in the provenance."""
 
 
 def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.description import NORMALISED, TIME_UNITS, UNITS, Arm, SignalTable
+from tauext.data.description import NORMALISED, SIGNALS, TIME_UNITS, Arm, SignalTable
 from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.recording import BRIDGE_STEPS, Recording, fitted_period_ns, fresh, lost_samples, ordered
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
@@ -126,7 +126,7 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
     """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added (rad where normalised)."""
     if signal.unit == NORMALISED:
         values = _of_normalised(key, values, arm)
-    factor = np.full(len(arm.robot.joints), UNITS[key][signal.unit])
+    factor = np.full(len(arm.robot.joints), SIGNALS[key].units[signal.unit])
     if signal.torque_constant and signal.torque_constant != "unknown":
         factor *= signal.torque_constant
     if signal.side == "motor":
@@ -135,7 +135,7 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
     if signal.sign:
         factor = factor * signal.sign
     converted = values * factor
-    return converted + np.array(signal.offset) * UNITS[key][signal.unit] if signal.offset else converted
+    return converted + np.array(signal.offset) * SIGNALS[key].units[signal.unit] if signal.offset else converted
 
 
 def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
@@ -156,7 +156,7 @@ def conversions(arm: Arm) -> list[str]:
     lines = []
     for key, signal in arm.signals.items():
         is_current = signal.is_current and key == "tau"
-        plain = UNITS[key][signal.unit] == 1 and signal.unit != NORMALISED and not is_current
+        plain = SIGNALS[key].units[signal.unit] == 1 and signal.unit != NORMALISED and not is_current
         done = [] if plain else [f"from {signal.unit}"]
         if is_current:
             known = signal.torque_constant != "unknown"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from tauext.data.recording import TORQUE_TIMINGS, TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
@@ -31,30 +31,23 @@ from tauext.files.toml_file import (
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
-UNITS: dict[str, dict[str, float]] = {
-    "q": {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0},
-    "dq": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
-    "tau": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3, "A": 1.0, "mA": 1e-3},
-    "tau_ext": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
-    "q_des": {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0},
-    "temperature": {"degC": 1.0},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "duty": {"1": 1.0, "%": 0.01, "permille": 0.001},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-}
-"""Units of each signal, and what one of them is in rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
 CURRENTS = ("A", "mA")
 NORMALISED = "normalised"
 """LeRobot's -100 to 100 over the range of its calibration; 0 to 100 of a gripper."""
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
-# --- The tables of an arm.toml: each field declares how its value is read.
+# --- The tables of an arm.toml: a field is a key; its rule, default, example and docstring make reader and template.
 
 
-def key(rule: Key | Callable[[int], Key], default: Any = MISSING) -> Any:
-    """A field, and how its value is read; a rule that depends on the number of joints is a function of it."""
-    return field(default=default, metadata={"rule": rule})
+def key(rule: Key | Callable[[int], Key], default: Any = MISSING, example: str = "") -> Any:
+    """A field.
+
+    Args:
+        rule: how its value is read; a rule that depends on the number of joints is a function of it.
+        example: in TOML, for the template; empty: the default.
+    """
+    return field(default=default, metadata={"rule": rule, "example": example})
 
 
 def each(of: Key, other: str = "") -> Callable[[int], Key]:
@@ -75,13 +68,13 @@ def each(of: Key, other: str = "") -> Callable[[int], Key]:
     return of_joints
 
 
-def listed(of: Key, rule: str, default: Any = ()) -> Any:
+def listed(of: Key, rule: str, default: Any = (), example: str = "") -> Any:
     """A field of one value or a list of them; "" is none."""
 
     def read(value: Any) -> tuple[str, ...]:
         return tuple(map(of.read, value if isinstance(value, list) else [value] * (value != "")))
 
-    return key(Key(read, rule), default)
+    return key(Key(read, rule), default, example)
 
 
 def _spans(value: Any) -> dict[str, tuple[tuple[float, ...], ...]]:
@@ -105,60 +98,137 @@ NUMBERS = "a number or a list of numbers"
 
 @dataclass(frozen=True)
 class RobotTable:
-    """[robot]"""
+    """Robot file and joints."""
 
     joints: tuple[str, ...] = listed(text(), "the names of the joints in use, at least one", MISSING)
+    """Joints in use, as the robot file names them, from the base on. All others are held at the file's rest
+    position."""
     model: str = key(WORD, "")
-    names: tuple[str, ...] = listed(text(), TEXTS)
-    gear_ratio: tuple[float, ...] = key(each(NOT_0), ())
-    rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), ())
-    gravity_m_s2: tuple[float, ...] = key(numbers((0, 3), number(), "three numbers"), ())
-    calibration: str = key(WORD, "")
-    """LeRobot's calibration file of the arm, for positions that are normalised."""
+    """URDF or MJCF file, relative to this file. "": there is no model; train takes the case none."""
+    names: tuple[str, ...] = listed(text(), TEXTS, example='["Base", "Shoulder"]')
+    """The same joints as the recording names them, where it names them otherwise."""
+    gear_ratio: tuple[float, ...] = key(each(NOT_0), (), "1")
+    """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
+    rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), (), "0.0001")
+    """Inertia of motor, rotor and whatever turns with it, before the gear; times gear_ratio squared it is the joint's.
+    It replaces the robot file's; left out, the file's holds."""
+    gravity_m_s2: tuple[float, ...] = key(numbers((0, 3), number(), "three numbers"), (), "[0, 0, -9.81]")
+    """Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the
+    file's."""
+    calibration: str = key(WORD, "", '"my_arm.json"')
+    """LeRobot's calibration file of the arm, for positions and goals of unit "normalised"."""
 
 
 @dataclass(frozen=True)
 class PayloadTable:
-    """[payload]"""
+    """What the arm carries and the robot file lacks: a tool, a gripper, a sensor."""
 
-    link: str = key(WORD, "")
+    link: str = key(WORD, "", '"tool0"')
+    """Of the robot file."""
     mass_kg: float = key(LEAST_0, 0.0)
     com_m: tuple[float, ...] = key(numbers((3,), number(), "three numbers"), (0.0,) * 3)
+    """Centre of mass in that link's frame."""
     inertia_kg_m2: tuple[float, ...] = key(numbers((6,), number(), "six numbers: xx, yy, zz, xy, xz, yz"), (0.0,) * 6)
+    """About the centre of mass: xx, yy, zz, xy, xz, yz."""
 
 
 @dataclass(frozen=True)
 class TimeTable:
-    """[time]"""
+    """Times of the samples."""
 
     column: str = key(WORD, "")
+    """Column of the sample times. "" for bags and LeRobot folders, which bring stamps, or where rate_hz is enough."""
     unit: str = key(one_of(tuple(TIME_UNITS)), "s")
     rate_hz: float = key(number(0, 1e6), 0.0)
-    """0: as measured."""
+    """Nominal rate of the recordings. 0: as measured (the median step of the first recording)."""
     repeats: Repeats = key(one_of(get_args(Repeats)), "keep")
+    """Rows whose measured values all equal the row before, for at most 0.1 s, hold one measurement. keep: the clock
+    stays regular, and a monitor behind the same reader gets such rows too. drop: for a reader several times faster
+    than the robot's state, where the monitor will be fed each state once."""
 
 
 @dataclass(frozen=True)
 class SignalTable:
-    """[signals.NAME]; which of the keys a signal has is in KEYS."""
+    """Signals; SIGNALS lists the keys of each."""
 
     columns: tuple[str, ...] = listed(text(), TEXTS)
-    """One name that stands for all joints, or one a joint; none: the velocity is derived from the position."""
+    """An array whose elements are the joints ("position"), a pattern with {joint} (name in the recording), {index}
+    (from 0) or {number} (from 1), or a list of names."""
     unit: str = key(WORD, "")
-    topic: str = key(WORD, "")
+    topic: str = key(WORD, "", '"/joint_states"')
+    """Of a bag, where several are read; signals of several topics are merged by their stamps."""
     side: Side = key(one_of(get_args(Side)), "joint")
-    sign: tuple[float, ...] = key(each(SIGN), ())
-    offset: tuple[float, ...] = key(each(number()), ())
+    """joint, or motor where it is measured before the gear (then gear_ratio applies)."""
+    sign: tuple[float, ...] = key(each(SIGN), (), "1")
+    """1, or -1 where the recording counts against the robot file."""
+    offset: tuple[float, ...] = key(each(number()), (), "0")
+    """Added after all else, in the signal's unit: where the recording's zero is not the robot file's."""
     low_pass_hz: float = key(LEAST_0, 20.0)
-    """0: no low-pass."""
-    torque_constant: tuple[float, ...] | str = key(each(NOT_0, "unknown"), ())
-    """[N m/A] a joint, or "unknown"; signs go in `sign`."""
+    """Cut-off of the low-pass of a derived velocity; 0: none. Without effect on a measured velocity."""
+    torque_constant: tuple[float, ...] | str = key(each(NOT_0, "unknown"), (), '"unknown"')
+    """For currents: Nm/A, at the motor where side = "motor", else at the joint; "unknown": it is to be fitted."""
     timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "instant")
+    """instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: over the step
+    before."""
 
     @property
     def is_current(self) -> bool:
         """Whether it is a motor current, [A]."""
         return self.unit in CURRENTS
+
+
+class Signal(NamedTuple):
+    """One table of [signals]."""
+
+    units: dict[str, float]
+    """What one of each is in rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
+    keys: tuple[str, ...]
+    """Those of SignalTable that it has."""
+    help: str
+
+
+ANGLES = {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0}
+TORQUES = {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3}
+AMPERES = {"A": 1.0, "mA": 1e-3}
+MEASURED = ("columns", "topic", "unit")
+SIGNED = (*MEASURED, "sign")
+SIGNALS = {
+    "q": Signal(
+        ANGLES,
+        (*SIGNED, "side", "offset"),
+        "Joint position; normalised: LeRobot's -100 to 100, which needs [robot] calibration.",
+    ),
+    "dq": Signal(
+        {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
+        (*SIGNED, "side", "low_pass_hz"),
+        'Joint velocity. Without columns (""): derived from the position, through a first-order low-pass.',
+    ),
+    "tau": Signal(
+        TORQUES | AMPERES,
+        (*SIGNED, "side", "torque_constant", "timing"),
+        "Motor torque with friction not subtracted, or motor current. Positive where the motor drives the joint in its "
+        "positive direction.",
+    ),
+    "q_des": Signal(ANGLES, (*SIGNED, "side", "offset"), "Commanded position. Optional; keys as of q."),
+    "tau_ext": Signal(
+        TORQUES,
+        SIGNED,
+        "External torque as the robot itself estimates it, to compare with; positive where the environment pushes the "
+        "joint in its positive direction (sign = -1 turns it). Optional.",
+    ),
+    "temperature": Signal({"degC": 1.0}, MEASURED, "Motor temperature. Optional."),
+    "current": Signal(
+        AMPERES,
+        SIGNED,
+        "Current as a servo reports it: of its windings or of its supply, see [servo]. Optional.",
+    ),
+    "duty": Signal(
+        {"1": 1.0, "%": 0.01, "permille": 0.001},
+        SIGNED,
+        "Share of the supply voltage at a servo's motor, from -1 to 1; Feetech: load, Dynamixel: PWM. Optional.",
+    ),
+    "voltage": Signal({"V": 1.0, "mV": 1e-3}, MEASURED, "Supply voltage of a servo. Optional."),
+}
 
 
 TorqueSource = Literal["torque", "phase-current", "supply-current", "duty", "goal"]
@@ -169,77 +239,90 @@ DELAY = number(0, 0.5)
 
 @dataclass(frozen=True)
 class ServoTable:
-    """[servo]: joints are driven by servos, and what these report is turned into velocity and torque."""
+    """Joints driven by servos: velocity and torque are made of what these report, in recordings and live loops
+    alike."""
 
-    torque_from: TorqueSource = key(one_of(get_args(TorqueSource)))
-    type: tuple[str, ...] = listed(one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint")
-    """One that stands for all joints or one a joint; none: an unknown servo."""
-    gain: tuple[float, ...] = key(each(POSITIVE), ())
-    """P gain of the position controller, in the servo's own unit; none: what its type usually has."""
-    duty_per_rad: tuple[float, ...] = key(each(POSITIVE), ())
-    """Duty a rad of position error, in place of `gain`."""
-    most_duty: tuple[float, ...] = key(each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), ())
-    """Largest duty that the servo's registers allow; none: the type's."""
-    voltage_v: tuple[float, ...] = key(each(POSITIVE), ())
-    """Of the supply, where no signal measures it; none: the type's."""
-    ohm: tuple[float, ...] = key(each(POSITIVE), ())
-    back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), ())
-    torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), ())
-    """[N m/A] a joint, or "unknown"; none: the type's."""
-    counts_a_turn: tuple[float, ...] = key(each(POSITIVE), ())
-    """Of the encoder; none: the type's, or else as the recordings show."""
+    torque_from: TorqueSource = key(one_of(get_args(TorqueSource)), example='"torque"')
+    """torque: it is [signals.tau]; for all others leave that out. phase-current: [signals.current] is that of the
+    windings, signed. supply-current: it is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
+    position loop times goal minus position, [signals.q_des] minus q."""
+    type: tuple[str, ...] = listed(
+        one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint", example='"sts3215-7.4v"'
+    )
+    """Left out: an unknown servo. The constants below are those that the type lacks, or that differ from it; all at the
+    joint, after the gear."""
+    gain: tuple[float, ...] = key(each(POSITIVE), (), "16")
+    """P gain of the position controller, as its register has it."""
+    duty_per_rad: tuple[float, ...] = key(each(POSITIVE), (), "2.7")
+    """In place of gain: duty a rad of position error."""
+    most_duty: tuple[float, ...] = key(
+        each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), (), "0.97"
+    )
+    """That its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)."""
+    voltage_v: tuple[float, ...] = key(each(POSITIVE), (), "7.4")
+    """Of the supply, where no [signals.voltage] is."""
+    ohm: tuple[float, ...] = key(each(POSITIVE), (), "2.75")
+    """Of the windings."""
+    back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), (), "1.28")
+    """V s/rad."""
+    torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), (), '"unknown"')
+    """Nm/A, or "unknown": it is to be fitted."""
+    counts_a_turn: tuple[float, ...] = key(each(POSITIVE), (), "4096")
+    """Of the encoder; left out: the type's, or else as the recordings show."""
     velocity_window_s: float = key(number(0, 2), 0.2)
-    """Longest stretch that a velocity is derived from, [s]; 0: the velocity is taken as measured."""
+    """Longest time that a velocity is derived from; 0: the velocity is [signals.dq]."""
     goal_delay_s: float | str = key(
         Key(lambda value: value if value == "period" else DELAY.read(value), f'{DELAY.rule}, or "period"'), "period"
     )
-    """A goal acts so long after its stamp, [s]; "period": one sample period, since most loops read the position first
-    and send the goal then, so that the next position is the first that it moves."""
+    """A goal acts so long after its stamp. "period": one sample period, since most loops read the position first and
+    send the goal then, so that the next position is the first that it moves."""
     timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "held")
-    """Of the torque."""
-
-
-COMMON = ("columns", "topic", "unit", "sign")
-KEYS = {
-    "q": (*COMMON, "side", "offset"),
-    "dq": (*COMMON, "side", "low_pass_hz"),
-    "tau": (*COMMON, "side", "torque_constant", "timing"),
-    "tau_ext": COMMON,
-    "q_des": (*COMMON, "side", "offset"),
-    "temperature": ("columns", "topic", "unit"),
-    "current": COMMON,
-    "duty": COMMON,
-    "voltage": ("columns", "topic", "unit"),
-}
-"""Keys of each table of [signals]."""
+    """Of the torque, as in [signals.tau]."""
 
 
 @dataclass(frozen=True)
 class ContactTable:
-    """[contact]"""
+    """Labels of contacts."""
 
     column: str = key(WORD, "")
-    topic: str = key(WORD, "")
+    """Column that marks whether the arm is touched. "": there is none."""
+    topic: str = key(WORD, "", '"/touch"')
+    """Its topic, where several are read."""
     contact_values: tuple[float, ...] = listed(number(), NUMBERS, (1.0,))
+    """Values that mean contact."""
     free_values: tuple[float, ...] = listed(number(), NUMBERS, (0.0,))
+    """Values that mean free; all others mean unknown."""
     intervals: dict[str, tuple[tuple[float, float], ...]] = field(
-        default_factory=dict, metadata={"rule": Key(_spans, "a table of lists [[t0, t1], ...], t0 < t1")}
+        default_factory=dict,
+        metadata={
+            "rule": Key(_spans, "a table of lists [[t0, t1], ...], t0 < t1"),
+            "example": '{"run2.bag" = [[40.7, 41.0]]}',
+        },
     )
+    """Where there is no label: contacts by file, in s after its first sample."""
     before_s: float = key(LEAST_0, 0.5)
+    """Contacts are cut out of training, validation, test and calibration, with this much before."""
     after_s: float = key(LEAST_0, 1.0)
+    """And this much after."""
     cut: bool = key(flag(), True)
+    """false: recordings keep their contacts, where the free times between them are short; training and limits leave
+    them out by their label all the same (--margins of train)."""
 
 
 @dataclass(frozen=True)
 class SplitTable:
-    """[split]"""
+    """Which recording serves for what, by file name, or a part of it in s after its first sample: "run2.bag[0:40]".
+    Left out: recordings with contacts are for collisions, the others are split whole (6 or more) or each by time."""
 
-    train: tuple[str, ...] = listed(text(), TEXTS)
+    train: tuple[str, ...] = listed(text(), TEXTS, example='["run1.bag"]')
     validation: tuple[str, ...] = listed(text(), TEXTS)
-    test: tuple[str, ...] = listed(text(), TEXTS)
-    collisions: tuple[str, ...] = listed(text(), TEXTS)
+    """Empty: train finds limits on training motion that it leaves out in turn."""
+    test: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[0:40]"]')
+    collisions: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[40:]"]')
     calibration: tuple[str, ...] = listed(text(), TEXTS)
+    """Free motion for the limits alone."""
     gap_s: float = key(LEAST_0, 2.0)
+    """Between two parts of one recording."""
 
     @property
     def named(self) -> bool:
@@ -386,8 +469,8 @@ class Arm:
 
 
 TABLES = {
-    "robot": RobotTable, "payload": PayloadTable, "time": TimeTable, "contact": ContactTable, "split": SplitTable,
-    "servo": ServoTable,
+    "robot": RobotTable, "payload": PayloadTable, "time": TimeTable, "servo": ServoTable, "contact": ContactTable,
+    "split": SplitTable,
 }  # fmt: skip
 
 
@@ -419,11 +502,11 @@ def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) 
     joints = given["robot"].get("joints", [])
     count = len(joints) if isinstance(joints, list) else 1
     signals = given.pop("signals", {})
-    refuse_unknown(path, "[signals]", signals, KEYS)
+    refuse_unknown(path, "[signals]", signals, SIGNALS)
     read = {name: _table(path, name, TABLES[name], table, count) for name, table in given.items()}
     read["signals"] = {
         name: _table(path, f"signals.{name}", SignalTable, signals[name], count, name)
-        for name in KEYS
+        for name in SIGNALS
         if name in signals
     }
     read["signals"].setdefault("dq", SignalTable((), "rad/s"))
@@ -443,8 +526,8 @@ def _table(path: Place, name: str, kind: type, content: Any, joints: int, signal
         default = REQUIRED if one.default is MISSING and one.default_factory is MISSING else one.default
         keys[one.name] = (rule if isinstance(rule, Key) else rule(joints))._replace(default=default)
     if signal:
-        units = tuple(UNITS[signal])
-        keys = {key: keys[key] for key in KEYS[signal]} | {"unit": one_of(units, units[0])}
+        units = tuple(SIGNALS[signal].units)
+        keys = {key: keys[key] for key in SIGNALS[signal].keys} | {"unit": one_of(units, units[0])}
     values = read_table(path, f"[{name}]", content, keys)
     return kind(**{key: value for key, value in values.items() if value is not MISSING})
 

@@ -237,7 +237,7 @@ class LeftOut:
     recordings: int = 0
     """That hold some."""
 
-    def look(self, recording: Recording, observer: _core.ObserverSettings, bounds: SignalBounds) -> np.ndarray:
+    def find(self, recording: Recording, observer: _core.ObserverSettings, bounds: SignalBounds) -> np.ndarray:
         """Which samples a monitor refuses whose bundle has these bounds, (impossible,); they are counted."""
         limits = (bounds.torque_nm.tolist(), bounds.speed_rad_s.tolist())
         signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -273,7 +273,7 @@ class LeftOut:
 
     def facts(self) -> dict:
         """For provenance: how many, and the first KEPT of them."""
-        return {"samples": len(self.found), "of": self.samples, "told": [asdict(one) for one in self.found[:KEPT]]}
+        return {"samples": len(self.found), "of": self.samples, "listed": [asdict(one) for one in self.found[:KEPT]]}
 
     def _listed(self) -> str:
         more = len(self.found) - LISTED
@@ -292,7 +292,7 @@ def possible_parts(
     Raises:
         TrainingError: too many samples are impossible.
     """
-    found = [left_out.look(recording, observer, bounds) for recording in recordings]
+    found = [left_out.find(recording, observer, bounds) for recording in recordings]
     left_out.expect_few()
     parts = []
     for recording, samples in zip(recordings, found, strict=True):

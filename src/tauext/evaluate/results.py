@@ -523,7 +523,7 @@ class Touches:
     links: LinkTable | None
     kinds: dict[str, dict[str, int]]
     """How many of each kind, by the recordings' word for their contacts."""
-    told: tuple[TouchEstimate, ...]
+    reported: tuple[TouchEstimate, ...]
 
 
 # --- The results of one evaluation.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import difflib
 import inspect
+import json
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -265,23 +266,20 @@ def key_lines(settings: Any, table: str) -> Iterator[str]:
     hints, words = get_type_hints(type(settings)), field_help(type(settings))
     inner = [one.name for one in fields(settings) if is_dataclass(getattr(settings, one.name))]
     for name in (one.name for one in fields(settings) if one.name not in inner):
-        yield from textwrap.wrap(words[name], 110, initial_indent="# ", subsequent_indent="# ")
-        yield f"# {name} = {toml_value(getattr(settings, name))}  # {described(hints[name])}"
+        yield from comment_lines(words[name])
+        default = getattr(settings, name)
+        yield f"# {name} = {'' if default is None else json.dumps(default)}  # {described(hints[name])}"
         yield ""
     for name in inner:
-        yield from textwrap.wrap(words[name], 110, initial_indent="# ", subsequent_indent="# ")
+        yield from comment_lines(words[name])
         yield f"[{table}{name}]"
         yield ""
         yield from key_lines(getattr(settings, name), f"{table}{name}.")
 
 
-def toml_value(value: Any) -> str:
-    """The value in TOML syntax; empty for None."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value is None else f'"{value}"' if isinstance(value, str) else repr(value)
+def comment_lines(words: str, start: str = "# ") -> list[str]:
+    """The words as comments of a TOML file."""
+    return textwrap.wrap(" ".join(words.split()), 110, initial_indent=start, subsequent_indent=start)
 
 
 def unknown_key(where: str, key: str, known: Iterable[str]) -> ConfigError:

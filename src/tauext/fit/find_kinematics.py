@@ -353,12 +353,12 @@ class Fitted:
         self, sample: KinematicSample, joints: Sequence[str], free: frozenset[str]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Turns and shifts, (n, 2), and logarithms of scales, (n,), that explain most of r, all else fitted anew."""
-        n, base = sample.joints, self._said(sample, joints, self.kinematics)
+        n, base = sample.joints, self._predicted(sample, joints, self.kinematics)
         unknowns = np.eye(4 * n)[0 if "axes" in free else 2 * n :]
         slopes = []
         for unknown in unknowns:
             turns, shifts = (DELTA * unknown).reshape(2, n, 2)
-            slopes.append((self._said(sample, joints, self.kinematics.moved(turns, shifts)) - base) / DELTA)
+            slopes.append((self._predicted(sample, joints, self.kinematics.moved(turns, shifts)) - base) / DELTA)
         of_scales = np.eye(n)[:, :, None] * base.T[None] if "scales" in free else np.zeros((0, n, len(base)))
         both = [self.columns, np.stack(slopes, axis=2), of_scales.transpose(2, 1, 0)]
         regression = sample.regression(np.concatenate(both, axis=2), self.scales)
@@ -374,7 +374,7 @@ class Fitted:
             np.clip(ratios, -MOST_RATIO, MOST_RATIO),
         )
 
-    def _said(self, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> np.ndarray:
+    def _predicted(self, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> np.ndarray:
         """What its inertia adds to r with these kinematics, (rows, n)."""
         links = kinematics.tree(joints, sample.gravity).links
         extra = np.zeros_like(self.parameters)  # without it, a fitted mass or rotor may be one that no link can have

@@ -56,7 +56,7 @@ def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFi
 
     Every stand-in of `left_out` gets the same two shares and corrections: they are two numbers of all of the motion.
     """
-    warmth = look(setup, [one for one in recordings if one.temperature is not None], fit.settings)
+    warmth = measure_warmth(setup, [one for one in recordings if one.temperature is not None], fit.settings)
     if warmth is None:
         return fit
     n = setup.tree.size
@@ -105,7 +105,7 @@ def fit_joint(warmth: Warmth, joint: int, known: np.ndarray, reference_c: float)
     return np.linalg.solve(gram + shrink, moment)
 
 
-def look(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> Warmth | None:
+def measure_warmth(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> Warmth | None:
     """What the recordings show; None where there is nothing."""
     if not recordings:
         return None

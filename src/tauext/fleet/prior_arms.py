@@ -19,7 +19,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
 from tauext.train.network import choose_gain
-from tauext.train.preflight import check_first
+from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, prepare
 
 LEAST_ARMS = 3
@@ -97,14 +97,14 @@ def job_of(
     config: TrainConfig,
     minutes: float | None = None,
     like: FleetPrior | None = None,
-    look: Sequence[str] | None = None,
+    accept: Sequence[str] | None = None,
     report: Reporter = SILENT,
 ) -> Job:
     """A training of the arm up to its motion, as `train` begins it.
 
     Args:
         minutes: of its training recordings; None: all.
-        look: codes that are accepted when its recordings are checked; None: they are not checked.
+        accept: codes that are accepted when its recordings are checked; None: they are not checked.
 
     Raises:
         TauextError: whatever makes `train` refuse it; and no model.
@@ -117,8 +117,8 @@ def job_of(
         raise ConfigError(f"{arm.data}: it has no model, and a fleet prior holds corrections of one; import with one")
     training = dataset.training()
     given = Given(robot, model, training)
-    if look is not None:
-        check_first(dataset, given, config, look, report)
+    if accept is not None:
+        check_data(dataset, given, config, accept, report)
     config = replace(like_settings(config, like), minutes=minutes)
     name = Path(f"{arm.name}.tauext")
     return prepare(given, config, name, report, like)
@@ -130,7 +130,7 @@ def own_terms_of(arm: FleetArm, config: TrainConfig, accept: Sequence[str], repo
     Raises:
         TauextError: as job_of; a bundle without a prior.
     """
-    job = job_of(arm, config, look=accept if arm.bundle is None else None, report=report)
+    job = job_of(arm, config, accept=accept if arm.bundle is None else None, report=report)
     recordings = job.motion.uncut
     if arm.bundle is None:
         setup = observe(job)

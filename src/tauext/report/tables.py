@@ -466,7 +466,7 @@ def touch_estimates_table(results: Results) -> Table | None:
     touches = touched(results)
     if not touches:
         return None
-    estimates = [{one.id: one for one in touch.told} for _, touch in touches]
+    estimates = [{one.id: one for one in touch.reported} for _, touch in touches]
     rows = []
     for collision in results.collisions:
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE

@@ -13,7 +13,7 @@ from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import chosen_case
-from tauext.train.preflight import check_first
+from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
@@ -74,7 +74,7 @@ def train_baselines(
         training, validation = dataset.training(), dataset.recordings("validation")
         given = Given(robot_file, case, training, validation, calibration)
         # One check for all: none of them uses more than limits that keep a promise do.
-        looked = check_first(dataset, given, TrainConfig(seed=seed, threads=threads), accept, report)
+        checked = check_data(dataset, given, TrainConfig(seed=seed, threads=threads), accept, report)
         for name, config in missing.items():
-            train_on_recordings(given, config, bundles[name], report, looked, accept=accept)
+            train_on_recordings(given, config, bundles[name], report, checked, accept=accept)
     return bundles

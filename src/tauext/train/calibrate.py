@@ -51,7 +51,7 @@ def recalibrate(
 ) -> PromisedLimits:
     """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
 
-    First the quick checks (tauext.check) look at every recording: faults refuse, warnings are reported and kept.
+    First the quick checks (tauext.check) run on every recording: faults refuse, warnings are reported and kept.
     A killed or interrupted run goes on with the recording after the last one that was taken in.
 
     Its run file, with what the first one knew, and its wall time stand beside it.
@@ -77,10 +77,9 @@ def recalibrate(
     loaded = load_bundle(bundle)
     history = read_loss_history(loaded, bundle) or []
     facts = json.loads(loaded.provenance or "{}")
-    looked = check_for_bundle(
-        loaded, "calibration", dataset.files("calibration"), str(dataset.folder), accept, threads, report
-    )
-    facts["look"] = facts.get("look", {}) | looked
+    files, where = dataset.files("calibration"), str(dataset.folder)
+    checked = check_for_bundle(loaded, "calibration", files, where, accept, threads, report)
+    facts["checks"] = facts.get("checks", {}) | checked
     if refit_error_scale:
         loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
@@ -92,8 +91,7 @@ def recalibrate(
     if refit_error_scale:
         settings["refit_error_scale"] = True
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
-    loaded.provenance = json.dumps(facts, sort_keys=True)
-    write_bundle(loaded, out, facts | {"loss_history": history}, {"calibrate_s": time.monotonic() - started})
+    write_bundle(loaded, out, facts, history, {"calibrate_s": time.monotonic() - started})
     remove_checkpoint(out)
     return promised
 
@@ -134,7 +132,7 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
     """The recording, whose name is noted and whose impossible samples are counted: the bundle refuses them itself."""
     expect_fit(bundle, recording)
     names.append(recording.name)
-    left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
+    left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
     return recording
 
 
@@ -187,7 +185,7 @@ def calibrate_bundle(
 
         def load_all() -> Iterator[Recording]:
             for recording in ahead(loaders[: len(names)]):  # what was impossible in them is reported again
-                left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
+                left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
             for recording in ahead(loaders[len(names) :]):
                 yield counted(bundle, recording, names, left_out)
                 show(len(names), len(loaders), "recordings")

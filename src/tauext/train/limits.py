@@ -146,7 +146,7 @@ at the promise's confidence; asked again of each of a dozen limits, that confide
 error ever seen, and half of all contacts stayed below."""
 
 
-def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
+def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
     """Put limits and hold times into the bundle, and let its drift tracker stand still by them.
 
     Raises:

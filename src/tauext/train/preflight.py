@@ -1,10 +1,10 @@
-"""The look before training: what a dataset's recordings have wrong, before anything is learned from them."""
+"""The data check before training: faults of a dataset's recordings refuse the training."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tauext.check.preflight import Look, expect_codes, judge, look_at_calibration, look_at_training
+from tauext.check.preflight import CheckResult, check_calibration, check_training, expect_codes, refuse_faults
 from tauext.config import TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.servo import in_amperes
@@ -13,7 +13,7 @@ from tauext.robot.torque_limits import torque_limits
 from tauext.train.preparation import Given, chosen_recordings, wants_constants
 
 
-def check_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
+def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
     """Check all that a training of the dataset would use; the facts for provenance: what was accepted, warnings.
 
     Args:
@@ -24,13 +24,13 @@ def check_first(dataset: Dataset, given: Given, config: TrainConfig, accept: Seq
         FaultyDataError: a fault that nobody accepted.
     """
     expect_codes(accept, given.training[0].joints)
-    _ = given.tree  # a robot file that lacks a joint is refused before all checks
+    given.expect_joints()
     report.say("checking the data")
-    looks = view_dataset(dataset, given, config, report)
-    return judge(looks, str(dataset.folder), accept, report)
+    results = check_results(dataset, given, config, report)
+    return refuse_faults(results, str(dataset.folder), accept, report)
 
 
-def view_dataset(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, Look]:
+def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, CheckResult]:
     """Findings in the recordings of the training, and in those of the limits.
 
     Without a model nothing is compared with the robot file: the training does not use it.
@@ -43,10 +43,10 @@ def view_dataset(dataset: Dataset, given: Given, config: TrainConfig, report: Re
     no_torque = in_amperes(training) or bool(config.fit_torque_constants)
     limits_nm = None if given.case.no_model or no_torque else torque_limits(given.robot, training[0].joints)
     model = None if given.case.no_model else given.robot
-    looks = {"training": look_at_training([*training, *validation], model, limits_nm, unknown, config.threads, report)}
+    results = {"training": check_training([*training, *validation], model, limits_nm, unknown, config.threads, report)}
     if uses_calibration(config) and dataset.split.calibration:
-        looks["calibration"] = look_at_calibration(dataset.files("calibration"), limits_nm, config.threads, report)
-    return looks
+        results["calibration"] = check_calibration(dataset.files("calibration"), limits_nm, config.threads, report)
+    return results
 
 
 def uses_calibration(config: TrainConfig) -> bool:

@@ -416,6 +416,10 @@ class Given:
             return self.model
         return estimated_model(self.robot, self.training[0].joints, self.case)
 
+    def expect_joints(self) -> None:
+        """Raise RobotError where the robot file lacks a joint of the recordings, or cannot be read."""
+        _ = self.tree  # which is kept for the training
+
 
 @dataclass(frozen=True)
 class Job:

@@ -306,7 +306,7 @@ def number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# --- A new bundle from an old one and some motion of today: look, cut, fit, say what changed, write.
+# --- A new bundle from an old one and some motion of today: check, cut, fit, report what changed, write.
 
 
 MARGINS = FreeMotionConfig()
@@ -348,7 +348,7 @@ def refit_bundle(
 ) -> Refitted:
     """Write a bundle like this one whose friction is that of the arm in today's recordings.
 
-    First the quick checks (tauext.check) look at them: faults refuse, warnings are reported and kept.
+    First the quick checks (tauext.check) run on them: faults refuse, warnings are reported and kept.
 
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
@@ -373,7 +373,7 @@ def refit_bundle(
     recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
         expect_fit(loaded, recording)
-    looked = check_for_bundle(loaded, "refit", files, str(data), accept, threads, report)
+    checked = check_for_bundle(loaded, "refit", files, str(data), accept, threads, report)
     spans = [part for recording in recordings if (part := span.of(recording)) is not None]
     if not spans:
         raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
@@ -389,16 +389,14 @@ def refit_bundle(
         "data": {file.name: file_sha256(file) for file in files},
         "span": asdict(span),
     }
-    facts["look"] = facts.get("look", {}) | looked
+    facts["checks"] = facts.get("checks", {}) | checked
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
     if like is not None:
         facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
     if words:
         facts["refitted"]["rejected"] = asdict(rejected.summary())
     refitted.bundle.name = out.stem
-    refitted.bundle.provenance = json.dumps(facts, sort_keys=True)
-    run = facts | {"loss_history": history}
-    write_bundle(refitted.bundle, out, run, {"refit_s": time.monotonic() - started})
+    write_bundle(refitted.bundle, out, facts, history, {"refit_s": time.monotonic() - started})
     return refitted
 
 
@@ -409,7 +407,7 @@ def refit_recordings(
     report: Reporter = SILENT,
     like: FleetPrior | None = None,
 ) -> Refitted:
-    """The same in memory, and nothing is looked at: what a monitor's buffer recorded, for example.
+    """The same in memory, without the data check: what a monitor's buffer recorded, for example.
 
     Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
@@ -30,10 +31,10 @@ from tauext.train.fitting import (
     put_prior,
     with_fit,
 )
-from tauext.train.limits import calibrate, limits_kind
+from tauext.train.limits import limits_kind, put_limits
 from tauext.train.load import put_load
 from tauext.train.network import assemble, choose_gain, fit_network
-from tauext.train.preflight import check_first
+from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.writing import put_wrench, write
 
@@ -46,6 +47,20 @@ LEAST_INPUTS = 3
 """Of a network: one joint's q(k), dq(k) and dq(k-1)."""
 BYTES_A_SEQUENCE = 3 * 8
 """Of a training step: which sequences are drawn, and the rows at which they end."""
+
+
+def accepted_settings(config: TrainConfig, calibration: Sequence[object], like: FleetPrior | None) -> TrainConfig:
+    """The settings to train with; those that cannot be met are refused before any recording is read.
+
+    Args:
+        calibration: the calibration recordings, which promised limits need.
+
+    Raises:
+        ConfigError: see expect_size, limits_kind and like_settings.
+    """
+    expect_size(config)
+    limits_kind(config, calibration)
+    return like_settings(config, like)
 
 
 def expect_size(config: TrainConfig) -> None:
@@ -101,7 +116,7 @@ def train_bundle(
     config: TrainConfig = TrainConfig(),  # noqa: B008
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
-    look: bool = True,
+    check: bool = True,
     like: FleetPrior | None = None,
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
@@ -116,7 +131,7 @@ def train_bundle(
         config: recipe, seed and sizes.
         report: receives the progress and sentences about what was found.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
-        look: False: do not look; for recordings that are known to be good.
+        check: False: skips the checks, for recordings that are known to be good.
         like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
 
     Raises:
@@ -130,17 +145,15 @@ def train_bundle(
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
-    expect_size(config)
-    like_settings(config, like)
-    limits_kind(config, dataset.split.calibration)
+    config = accepted_settings(config, dataset.split.calibration, like)
     robot_file = dataset.robot_file(robot)
     case, note = chosen_case(case, robot_file)
     if note:
         report.say(note)
     training, validation = dataset.training(), dataset.recordings("validation")
     given = Given(robot_file, PAPER_CASES[case], training, validation, dataset.stretches("calibration"))
-    looked = check_first(dataset, given, config, accept, report) if look else None
-    train_on_recordings(given, config, out, report, looked, like, accept)
+    checked = check_data(dataset, given, config, accept, report) if check else None
+    train_on_recordings(given, config, out, report, checked, like, accept)
     return load_bundle(out)
 
 
@@ -149,7 +162,7 @@ def train_on_recordings(
     config: TrainConfig,
     out: Place,
     report: Reporter = SILENT,
-    looked: dict | None = None,
+    checked: dict | None = None,
     like: FleetPrior | None = None,
     accept: Sequence[str] = (),
 ) -> None:
@@ -159,9 +172,10 @@ def train_on_recordings(
     training goes on.
 
     Args:
+        config: from accepted_settings.
         out: NAME.tauext; its folder is made.
         report: receives the progress and sentences about what was found.
-        looked: findings of the checks (check_first), for provenance; None: none were made.
+        checked: findings of the checks (check_data), for provenance; None: none were made.
         like: the fleet prior of this type; None: the arm is by itself.
         accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
 
@@ -169,11 +183,9 @@ def train_on_recordings(
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, motion that a monitor rejects, or a loss that diverges.
     """
-    limits_kind(config, given.calibration)  # refuses what could not be kept before anything is learned
-    config = like_settings(config, like)
     job = prepare(given, config, out, report, like)
-    if looked is not None:
-        job.facts["look"] = looked
+    if checked is not None:
+        job.facts["checks"] = checked
     job.say("observing the motion")
     setup = observe(job)
     if like is not None:
@@ -195,11 +207,20 @@ def train_on_recordings(
     bundle = assemble(job, with_fit(setup, fit), network)
     if config.row.gated:
         bundle, fit = gate(job, bundle, setup, fit)
-    put_prior(job, bundle, fit)
+    complete(job, bundle, given.robot, setup, fit)
+    write(job, bundle, network)
+
+
+def complete(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
+    """Add to a fitted bundle all that training determines besides estimates; each step relies on those before.
+
+    Args:
+        setup: without the prior.
+    """
+    put_prior(job, bundle, fit)  # region and drift: the errors from which limits follow depend on both
     put_coverage(job, bundle, setup)
-    put_load(job, bundle, given.robot, with_fit(setup, fit), fit)
-    put_wrench(job, bundle, given.robot)
+    put_load(job, bundle, robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
+    put_wrench(job, bundle, robot)  # settings and facts of forces, to which put_limits adds
     note_recordings(job)
     job.say("finding the limits")
-    calibrate(job, bundle, setup, fit)
-    write(job, bundle, network)
+    put_limits(job, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content

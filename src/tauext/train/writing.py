@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +26,10 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     """Write all three, or none; the notes are reported, too."""
     for note in job.notes:
         job.say(note)
-    facts = facts_of(job, bundle, network)
     bundle.servo = servo_of_recordings(job.training)
-    bundle.provenance = json.dumps(facts | job.run, sort_keys=True, allow_nan=False)
     history = [list(entry) for entry in network.trained.history] if network else []
     seconds = network.trained.seconds if network else 0.0
-    run = facts | job.run | {"loss_history": history}
-    write_bundle(bundle, job.out, run, {"train_s": seconds})
+    write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, {"train_s": seconds})
     remove_checkpoint(job.out)
     at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
 

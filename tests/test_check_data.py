@@ -1,4 +1,4 @@
-"""Training looks before it learns: faults refuse, a person may overrule, and nobody looks at the same data twice."""
+"""Training checks its data first: faults refuse unless accepted, and the same data are checked once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from made_recordings import made_motion
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.check.finding import CODES, Finding
-from tauext.check.preflight import MOST_MOVING_S, Look, folder, judge, shares
+from tauext.check.preflight import MOST_MOVING_S, CheckResult, folder, refuse_faults, shares
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
 from tauext.data.dataset import Split, load_dataset, save_split
@@ -82,7 +82,7 @@ def spike(tau: np.ndarray) -> np.ndarray:
 
 
 def kept(bundle: Path) -> dict:
-    return json.loads(_core.Bundle.load(str(bundle)).provenance)["look"]
+    return json.loads(_core.Bundle.load(str(bundle)).provenance)["checks"]
 
 
 def train(data: Path, out: Path, *options: str) -> int:
@@ -90,7 +90,7 @@ def train(data: Path, out: Path, *options: str) -> int:
     return main(["train", "--data", str(data), "--out", str(out), *recipe, *options])
 
 
-def test_good_data_is_trained_on_and_the_bundle_says_that_somebody_looked(data, tmp_path, capsys):
+def test_good_data_is_trained_on_and_the_bundle_holds_the_checks(data, tmp_path, capsys):
     assert train(data, tmp_path / "a.tauext") == 0
     assert kept(tmp_path / "a.tauext")["training"]["accepted"] == []
     assert "fault" not in capsys.readouterr().err
@@ -115,7 +115,7 @@ def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, 
     assert "accepted: spike (joint2)" in capsys.readouterr().err
     (entry,) = kept(out)["training"]["accepted"]
     assert (entry["code"], entry["joint"], entry["recordings"], entry["count"]) == ("spike", "joint2", ["two"], 1)
-    assert json.loads(out.with_suffix(".run.json").read_text())["look"] == kept(out)
+    assert json.loads(out.with_suffix(".run.json").read_text())["checks"] == kept(out)
     assert main(["show", str(out)]) == 0
     assert "accepted in training: spike of joint2" in capsys.readouterr().out
 
@@ -132,7 +132,7 @@ def test_a_code_or_joint_that_does_not_exist_is_refused_with_the_choices(accept,
         recalibrate(tmp_path / "none.tauext", load_dataset(data), tmp_path / "b.tauext", AlarmConfig(), accept=["x"])
 
 
-def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, unexamined):
+def test_the_same_data_are_checked_once_and_other_data_again(data, tmp_path, unexamined):
     def once_more(**settings):
         train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER, **settings)
         return len(unexamined)
@@ -147,9 +147,9 @@ def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, un
     (file,) = [
         f for f in folder().iterdir() if f.stat().st_mtime_ns == max(f.stat().st_mtime_ns for f in folder().iterdir())
     ]
-    file.write_text("[{")  # damaged: as if nobody had looked
+    file.write_text("[{")  # damaged: checked again
     assert once_more() == 4 and once_more() == 4
-    assert once_more(look=False) == 4 and "look" not in json.loads((tmp_path / "a.run.json").read_text())
+    assert once_more(check=False) == 4 and "checks" not in json.loads((tmp_path / "a.run.json").read_text())
 
 
 def test_what_is_remembered_refuses_and_warns_as_what_is_seen(data, tmp_path, unexamined):
@@ -182,7 +182,7 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
     assert not kept(tmp_path / "a.tauext")["training"]["accepted"]
 
 
-def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, tmp_path, monkeypatch):
+def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
     monkeypatch.setattr("tauext.check.preflight.MOST_MOVING_S", 20.0)
     monkeypatch.setattr("tauext.check.preflight.LEAST_MOVING_S", 8.0)
@@ -198,10 +198,8 @@ def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, 
         assert len(contacts) == (1 if late_s else 0) and all("at 14." in told for told in contacts)
 
 
-def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(
-    data, tmp_path, capsys, monkeypatch, unexamined
-):
-    """Its 20 s of motion support no limits: these are not looked for."""
+def test_calibrate_checks_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch, unexamined):
+    """Its 20 s of motion support no limits: no limits are searched for."""
     found = SimpleNamespace(sentence=lambda: "found")
     monkeypatch.setattr("tauext.train.calibrate.calibrate_bundle", lambda *a, **more: (found, {}))
     spoil(data, "one", tau=spike)
@@ -216,12 +214,12 @@ def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(
     assert not list(tmp_path.glob("b*"))
     assert main([*calibrate, "--accept", "spike:joint2"]) == 0
     assert "accepted: spike (joint2)" in capsys.readouterr().err
-    looked = kept(out)
-    assert [e["recordings"] for e in looked["training"]["accepted"]] == [["one"]]
-    assert [e["recordings"] for e in looked["calibration"]["accepted"]] == [["four"]]
+    checked = kept(out)
+    assert [e["recordings"] for e in checked["training"]["accepted"]] == [["one"]]
+    assert [e["recordings"] for e in checked["calibration"]["accepted"]] == [["four"]]
 
 
-def test_training_with_a_promise_looks_at_the_calibration_recordings_too(data, tmp_path, unexamined):
+def test_training_with_a_promise_checks_the_calibration_recordings_too(data, tmp_path, unexamined):
     spoil(data, "four", tau=spike)
     train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)  # the paper's limits do not use them
     with pytest.raises(FaultyDataError, match="recording four"):
@@ -257,15 +255,15 @@ def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
 def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():
     heard = Heard()
     many = [Finding("clock-gaps", "warning", None, f"'{k}': gaps", "look", str(k)) for k in range(50)]
-    judge({"training": Look(many)}, "data", [], heard)
+    refuse_faults({"training": CheckResult(many)}, "data", [], heard)
     assert heard.said == ["warning: clock-gaps: '0': gaps (and 49 more)"]
-    (entry,) = Look(many).facts([])["warnings"]
+    (entry,) = CheckResult(many).facts([])["warnings"]
     assert entry["count"] == 50 and len(entry["recordings"]) < 50
     faults = [Finding("effort-sign", "fault", f"joint{j}", "-1", "negate") for j in range(6)]
     with pytest.raises(FaultyDataError) as caught:
-        judge({"training": Look(faults)}, "data", [], heard)
+        refuse_faults({"training": CheckResult(faults)}, "data", [], heard)
     assert str(caught.value).splitlines()[-1].strip() == "--accept effort-sign"
-    judge({"training": Look(faults)}, "data", ["effort-sign"], heard)
+    refuse_faults({"training": CheckResult(faults)}, "data", ["effort-sign"], heard)
 
 
 def moving(seconds: float, still_s: float) -> Recording:
@@ -276,7 +274,7 @@ def moving(seconds: float, still_s: float) -> Recording:
     return Recording("made", ("a",), t_ns, zeros, dq, zeros, 10.0, "instant", "test", "")
 
 
-def test_a_share_of_every_recording_is_looked_at_whole_where_there_is_little():
+def test_a_share_of_every_recording_is_checked_and_all_of_it_where_there_is_little():
     little = [moving(60.0, 10.0), moving(60.0, 0.0)]
     assert shares(little) == little
     much = [moving(0.5 * MOST_MOVING_S, 20.0), moving(4 * MOST_MOVING_S, 0.0), moving(0.5 * MOST_MOVING_S, 5.0)]
@@ -306,7 +304,7 @@ def test_show_refuses_a_provenance_that_lost_a_key(data, tmp_path, capsys, unexa
     assert train(data, tmp_path / "a.tauext", "--recipe", "observer") == 0
     bundle = load_bundle(tmp_path / "a.tauext")
     facts = json.loads(bundle.provenance)
-    facts["look"]["training"]["warnings"] = [{"code": "spike", "joint": None}]
+    facts["checks"]["training"]["warnings"] = [{"code": "spike", "joint": None}]
     bundle.provenance = json.dumps(facts)
     bundle.save(str(tmp_path / "b.tauext"))
     capsys.readouterr()

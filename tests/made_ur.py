@@ -12,7 +12,12 @@ from collections.abc import Callable
 from contextlib import suppress
 
 GREETING = "Connected: Universal Robots Dashboard Server"
-NOT_ALLOWED = "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port 29999"
+NOT_ALLOWED = "".join(
+    [
+        "Command is not allowed due to safety reasons, ",
+        "please switch robot to Remote Control mode and reconnect to port 29999",
+    ]
+)
 
 
 class Controller:

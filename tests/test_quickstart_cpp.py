@@ -23,7 +23,7 @@ def printed(language: str) -> str:
 def commands(begin: str, end: str) -> list[str]:
     """Those between two headings."""
     part = PAGE[PAGE.index(f"## {begin}") : PAGE.index(f"## {end}")]
-    return re.findall(r"^    (\S.*)$", part, flags=re.MULTILINE)
+    return [line for line in re.findall(r"^    (\S.*)$", part, re.MULTILINE) if not line.startswith("sudo ")]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,12 @@ def project(tmp_path_factory) -> Path:
 
 
 def shell(command: str, folder: Path) -> subprocess.CompletedProcess:
-    environment = os.environ | {"HOME": str(folder / "home"), "PATH": TOOLS, "CXXFLAGS": "-Wall -Wextra -Werror"}
+    environment = os.environ | {
+        "HOME": str(folder / "home"),
+        "PATH": TOOLS,
+        "CMAKE_GENERATOR": "Ninja",
+        "CXXFLAGS": "-Wall -Wextra -Werror",
+    }
     return subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,51 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import PUSHES, pushed, taking_amperes, watching_bundle
+from made_cpp import ROOT, build, build_of_library, run
 
 from tauext import _core
 from tauext.data.recording_file import save_recording
 from tauext.evaluate.injected import estimate_recording
 
-ROOT = Path(__file__).parent.parent
 COMPILERS_APART_NM = 1e-5
 """By how much the answers of two compilers may differ. Each chooses which products and sums it fuses, and the network's
 sums in single precision round accordingly: without any fused operation these answers differ by 1.2e-7 Nm. A wrong
 constant, unit or sample differs by more than 1e-3."""
-TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
-"""cmake and ninja stand beside the Python that the tests run with."""
-
-
-def run(*command: object, text: str = "") -> tuple[int, list[str], str]:
-    """Exit code, lines of stdout, stderr."""
-    environment = os.environ | {"PATH": TOOLS}
-    done = subprocess.run(
-        [str(part) for part in command], input=text, capture_output=True, text=True, env=environment, timeout=300
-    )
-    return done.returncode, done.stdout.splitlines(), done.stderr
-
-
-def build(source: Path, folder: Path, *options: str) -> None:
-    for command in (
-        ("cmake", "-S", source, "-B", folder, "-G", "Ninja", *options),
-        ("cmake", "--build", folder),
-    ):
-        code, out, err = run(*command)
-        assert code == 0, "\n".join([*out, err])
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    """A build of the library: that of `make build` where that is up to date, since to compile takes a minute."""
-    if shutil.which("g++") is None:
-        pytest.skip("the C and C++ examples need g++")
-    library = ROOT / "build" / "cpp" / "libtauext_core.a"
-    sources = [ROOT / "CMakeLists.txt", ROOT / "pyproject.toml", *(ROOT / "cpp" / "src").iterdir()]
-    sources += (ROOT / "cpp" / "include" / "tauext").iterdir()
-    if library.exists() and library.stat().st_mtime > max(source.stat().st_mtime for source in sources):
-        return library.parent
-    folder = tmp_path_factory.mktemp("package")
-    build(ROOT, folder)
-    return folder
+    return build_of_library(tmp_path_factory.mktemp("package"))
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ ALSO = {
     "data/importers/ros": {"rosbags", "ruamel"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
-    "sources/ur": {"rtde_receive", "dashboard_client"},
+    "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},
     "sources/servo_bus": {"serial", "scservo_sdk", "dynamixel_sdk"},
     "sources/damiao": {"can"},

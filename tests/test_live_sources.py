@@ -19,7 +19,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.loop import Loop
-from tauext.monitor.source import SourceSettings, Stoppable
+from tauext.monitor.source import SourceSettings
 from tauext.sources.franka import FrankaSource
 from tauext.sources.replay import ReplaySource
 from tauext.sources.ur import UrSource
@@ -80,23 +80,9 @@ def ur(monkeypatch):
         def disconnect(self):
             pass
 
-    class DashboardClient:
-        def __init__(self, hostname, port=29999, verbose=False):
-            pass
-
-        def connect(self, timeout_ms=2000):
-            pass
-
-        def stop(self):
-            arm.stopped += 1
-
-        def disconnect(self):
-            pass
-
-    receive, dashboard = ModuleType("rtde_receive"), ModuleType("dashboard_client")
-    receive.RTDEReceiveInterface, dashboard.DashboardClient = RTDEReceiveInterface, DashboardClient
+    receive = ModuleType("rtde_receive")
+    receive.RTDEReceiveInterface = RTDEReceiveInterface
     monkeypatch.setitem(sys.modules, "rtde_receive", receive)
-    monkeypatch.setitem(sys.modules, "dashboard_client", dashboard)
     return arm
 
 
@@ -234,13 +220,6 @@ def test_franka_sends_measured_torques_and_keeps_its_own_estimate_beside(franka)
     t_ns, reference = source.reference[0]
     assert t_ns == one.t_ns and reference.tolist() == franka.signal(4, k)
     assert franka.asked == {"host": "10.0.0.3", "config": "ignore"} and franka.stopped == 1
-
-
-def test_ur_stops_by_the_dashboard(ur, constants):
-    source = UrSource("10.0.0.2", constants)
-    assert isinstance(source, Stoppable)
-    source.stop()
-    assert ur.stopped == 1
 
 
 @pytest.mark.parametrize("kind", ["ur", "franka"])

@@ -9,10 +9,15 @@ from pathlib import Path
 
 def find_python(version: str) -> str | None:
     """TAUEXT_PYTHON_3_12, else python3.12 of the PATH where it runs, else pyenv's; None where there is none."""
-    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    pyenv = Path(pyenv_root()) / "versions"
     named = os.environ.get(variable(version))
     candidates = [named] if named else [f"python{version}", *sorted(map(str, pyenv.glob(f"{version}.*/bin/python3")))]
     return next((python for python in candidates if runs(python, version)), None)
+
+
+def pyenv_root() -> str:
+    """The folder of pyenv, whether it is there or not."""
+    return os.environ.get("PYENV_ROOT", str(Path.home() / ".pyenv"))
 
 
 def variable(version: str) -> str:

@@ -3,20 +3,23 @@
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
 For every Python that is there (pythons.py): installs the wheel and its extra `live`, runs `tauext --help`, the
-experiment at smoke scale and five seconds of the demo. Times are printed only.
+experiment at smoke scale and five seconds of the demo. With the first of these Pythons it also follows docs/install.md
+in the unpacked sdist, where a compiler is there: the block of commands as printed. Times are printed only.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import time
 from pathlib import Path
 
-from pythons import find_python
+from pythons import find_python, pyenv_root
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "dist" / "try"
@@ -33,6 +36,8 @@ def main() -> None:
     for version in arguments.parse_args().pythons:
         python = find_python(version)
         if python:
+            if not tried:
+                try_install_page(version, python)
             try_wheel(version, python, wheel_of(version))
             tried += 1
         else:
@@ -67,6 +72,35 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
         sys.exit(f"Python {version}: no report of the experiment in {folder / 'smoke'}")
     timed(version, "install [live]", [*pip, f"{wheel}[live]"], folder, settings)
     timed(version, "demo", [tauext, "demo", "--headless-seconds", "5"], folder, settings)
+
+
+def install_block(page: str) -> list[str]:
+    """The commands of docs/install.md that make a wheel of the source tree and install it."""
+    part = page.partition("## From a source tree")[2].partition("\n## ")[0]
+    return [line for line in re.findall(r"^    (\S.*)$", part, re.MULTILINE) if not line.startswith("sudo ")]
+
+
+def try_install_page(version: str, python: str) -> None:
+    """The commands of docs/install.md in the unpacked sdist, with a home of its own."""
+    archives = sorted((ROOT / "dist").glob("tauext-*.tar.gz"))
+    if not archives:
+        sys.exit("dist/ has no sdist: make dist")
+    folder = WORK / "page"
+    shutil.rmtree(folder, ignore_errors=True)
+    for name in ("home", "bin"):
+        (folder / name).mkdir(parents=True)
+    with tarfile.open(archives[-1]) as opened:
+        opened.extractall(folder, filter="data")
+    sources = folder / archives[-1].name.removesuffix(".tar.gz")
+    (folder / "bin" / "python3").write_text(f'#!/bin/sh\nexec {python} "$@"\n')
+    (folder / "bin" / "python3").chmod(0o755)
+    settings = os.environ | {"HOME": str(folder / "home"), "PATH": f"{folder / 'bin'}:{os.environ['PATH']}"}
+    settings |= {"PIP_CONSTRAINT": str(ROOT / "constraints.txt"), "PYENV_ROOT": pyenv_root()}
+    settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
+    commands = install_block((sources / "docs" / "install.md").read_text())
+    timed(version, "docs/install.md", ["sh", "-ec", "\n".join(commands)], sources, settings)
+    demo = [folder / "home" / "tauext-env" / "bin" / "tauext", "demo", "--headless-seconds", "5"]
+    timed(version, "its demo", demo, folder, settings)
 
 
 def bare(folder: Path) -> dict[str, str]:

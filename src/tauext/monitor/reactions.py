@@ -22,7 +22,7 @@ from tauext.errors import ConfigError
 from tauext.monitor.latency import Latencies
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.sink import Event, Publisher, Sink
-from tauext.monitor.source import Source, Stoppable
+from tauext.monitor.source import Source, StopChecked, Stoppable
 
 # --- Commands and functions of reactions in processes of their own: a process that hangs is killed, one that died is
 # restarted.
@@ -344,6 +344,8 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
             if rule.stop:
                 if not isinstance(source, Stoppable):
                     raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
+                if isinstance(source, StopChecked):
+                    source.check_stop()
                 threads.append(partial(ReactionThread, rule, lambda event: source.stop()))
             elif rule.publish:
                 if not publishers:

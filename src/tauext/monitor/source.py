@@ -113,6 +113,19 @@ class Stoppable(Protocol):
         ...
 
 
+@runtime_checkable
+class StopChecked(Protocol):
+    """A Stoppable source that can check at the start whether stop() would work."""
+
+    def check_stop(self) -> None:
+        """Called before the first sample if a reaction stops the robot.
+
+        Raises:
+            ConfigError: stop() would fail.
+        """
+        ...
+
+
 # --- Velocity and torque of a servo arm's live samples, by the bundle's word.
 
 

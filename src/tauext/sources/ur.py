@@ -13,6 +13,7 @@ from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables
 from tauext.monitor.source import Sample, SourceSettings
 from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
+from tauext.sources.ur_dashboard import PORT, Dashboard, DashboardError
 
 # --- Torque constants of an arm that reports motor currents, from a file.
 
@@ -47,16 +48,19 @@ class UrSource(ReaderSource):
     """actual_q [rad], actual_qd [rad/s] and actual_current, joints base to wrist 3; currents as they come for a bundle
     that takes amperes, times torque constants [N m/A] for one that takes N m; joint_temperatures [degC].
 
-    The stamp is the controller's time since its start. stop() ends the program on the controller by its dashboard.
+    The stamp is the controller's time since its start. stop() ends the program on the controller, through the dashboard
+    server.
     """
 
     robot_joints = 6
+    dashboard_port = PORT
 
     def __init__(self, host: str, torque_constants: Place | None = None):
         """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants
         self._receive: Any = None
+        self._dashboard = Dashboard(host, self.dashboard_port)
 
     def open(self, settings: SourceSettings) -> None:
         amperes = "A" in settings.torque_units
@@ -72,7 +76,7 @@ class UrSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = ur_rtde("rtde_receive")
+        library = optional_library("rtde_receive", "source ur", "ur_rtde", "ur")
         rate_hz = 1e9 / self.settings.period_ns
         try:
             self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)
@@ -103,20 +107,20 @@ class UrSource(ReaderSource):
             self._receive.disconnect()
             self._receive = None
 
+    def check_stop(self) -> None:
+        try:
+            self._dashboard.check()
+        except DashboardError as error:
+            raise ConfigError(f"{self.name}: `stop = true` would fail: {error}") from error
+
     def stop(self) -> None:
         """Ends the program that the controller runs."""
-        dashboard = ur_rtde("dashboard_client").DashboardClient(self._host)
-        dashboard.connect()
-        try:
-            dashboard.stop()
-        finally:
-            dashboard.disconnect()
+        self._dashboard.stop()
+
+    def close(self) -> None:
+        super().close()
+        self._dashboard.close()
 
     def _getters(self) -> Sequence:
         receive = self._receive
         return receive.getActualQ, receive.getActualQd, receive.getActualCurrent, receive.getJointTemperatures
-
-
-def ur_rtde(module: str) -> Any:
-    """A module of the optional library."""
-    return optional_library(module, "source ur", "ur_rtde", "ur")

@@ -1,0 +1,77 @@
+"""docs/install.md: its commands fit together; `make test-dist` runs them in the sdist."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs" / "install.md").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+FOR_DEVELOPERS = {"dev", "docs", "bench", "browser"}
+
+
+@pytest.fixture
+def block(monkeypatch) -> list[str]:
+    monkeypatch.syspath_prepend(str(ROOT / "wheels"))
+    return importlib.import_module("try_wheels").install_block(PAGE)
+
+
+def made_wheel(folder: Path) -> None:
+    """A wheel of this version without content."""
+    version = PROJECT["version"]
+    info = f"tauext-{version}.dist-info"
+    folder.mkdir(parents=True)
+    with zipfile.ZipFile(folder / f"tauext-{version}-py3-none-any.whl", "w") as wheel:
+        wheel.writestr(
+            f"{info}/METADATA",
+            f"Metadata-Version: 2.1\nName: tauext\nVersion: {version}\nProvides-Extra: live\n",
+        )
+        wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        wheel.writestr(f"{info}/RECORD", "")
+
+
+def test_the_block_makes_an_environment_a_wheel_and_installs_it(block):
+    make, activate, wheel, install, run = block
+    environment = re.fullmatch(r"python3 -m venv (\S+)", make)[1]
+    assert activate == f". {environment}/bin/activate" and run == "tauext --version"
+    folder = re.fullmatch(r"pip wheel \. --no-deps -w (\S+)", wheel)[1]
+    assert f"ls {folder}/tauext-*.whl" in install
+    assert f"`{wheel}`" in (ROOT / "CONTRIBUTING.md").read_text()
+
+
+def test_pip_takes_the_wheel_with_its_extra_as_the_block_names_it(block, tmp_path):
+    (install,) = (line for line in block if line.startswith("pip install "))
+    made_wheel(tmp_path / re.search(r"-w (\S+)", "\n".join(block))[1])
+    command = install.replace(
+        "pip install ", f"'{sys.executable}' -m pip install --dry-run --no-index --no-deps --target t "
+    )
+    done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0 and f"Would install tauext-{PROJECT['version']}" in done.stdout, done.stderr
+    assert "does not provide the extra" not in done.stderr
+
+
+def test_every_extra_for_users_is_in_the_table_and_no_other():
+    (table,) = re.findall(r"^\| extra \| adds \|\n(.*?)\n\n", PAGE, re.MULTILINE | re.DOTALL)
+    named = {name for row in table.splitlines()[1:] for name in re.findall(r"`(\w+)`", row.split("|")[1])}
+    assert named == set(PROJECT["optional-dependencies"]) - FOR_DEVELOPERS
+
+
+def test_the_commands_of_the_library_are_those_of_the_quickstart_in_cpp():
+    quickstart = (ROOT / "docs" / "quickstarts" / "cpp.md").read_text()
+    part = PAGE[PAGE.index("## As a C++ library") :]
+    for command in re.findall(r"^    (\S.*)$", part, re.MULTILINE):
+        assert f"{command}\n" in quickstart, command
+
+
+def test_every_make_target_of_the_page_is_there():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    named = re.findall(r"(?:^    |`)make ([a-z-]+)", PAGE, re.MULTILINE)
+    assert len(named) > 4 and set(named) <= targets

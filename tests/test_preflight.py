@@ -94,7 +94,7 @@ def test_a_place_where_no_file_can_stand_is_refused(place, tmp_path):
         ("simulate --out d --seed -1", "seed = -1 must be >= 0"),
         ("simulate --out d --collision-recordings 100000000000", "of disk, and"),
         ("simulate --out /dev/full", "/dev/full: full is no folder"),
-        ("simulate --out d --minutes x", "Error parsing --minutes"),
+        ("simulate --out d --minutes x", "--minutes takes a number, not 'x'"),
         ("simulate --out d --minutez 1", "Unrecognized options: --minutez"),
         ("demo --port 65536", "port = 65536 must be 1 to 65535"),
         ("run a.tauext b.parquet --speed 1e-300", "speed = 1e-300 must be > 0: 1e-6 to 1e6"),

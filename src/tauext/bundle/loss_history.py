@@ -6,8 +6,6 @@ import json
 import math
 from typing import Any
 
-import numpy as np
-
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.files.places import Place
@@ -75,5 +73,5 @@ def thin(history: LossHistory, most: int = MOST_ENTRIES) -> LossHistory:
     if len(history) <= most:
         return history
     lowest = min(range(len(history)), key=lambda k: history[k][2])
-    spread = (len(history) - 1) * np.linspace(0, 1, most - 1) ** 2
-    return [history[k] for k in sorted({*spread.round().astype(int).tolist(), lowest})]
+    spread = (round((len(history) - 1) * (k / (most - 2)) ** 2) for k in range(most - 1))
+    return [history[k] for k in sorted({*spread, lowest})]

@@ -78,7 +78,7 @@ def main() -> None:
     tauext("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
     tauext("fleet", "report", fleets[-1], "--out", root / "page-alone", "--no-arm-pages")
     both, alone = (json.loads((root / page / "fleet-report.json").read_text()) for page in ("page", "page-alone"))
-    days = f"days-{100 * (1 - truth.day_arm):.0f}-{100 * (1 - truth.day_joint):.0f}"  # the largest changes first
+    days = f"days-{100 * (1 - truth.day_arm):03.0f}-{100 * (1 - truth.day_joint):03.0f}"  # the largest changes first
     write_section(options.out, INTRO, days, markdown(maker, truth, both, alone, options))
 
 

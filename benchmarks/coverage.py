@@ -63,7 +63,7 @@ def main() -> None:
     bent = with_presliding(setup, PriorConfig().widths_rad)
     whole = fit_prior(bent, training, PriorConfig()).settings if options.errors else None
 
-    columns = "unfamiliar | training, min | reach, rad | together, rad | reported there | reported elsewhere"
+    columns = "unfamiliar | training, min | reach, rad | together, rad | reported there | reported in similar motion"
     print("\n".join(head(columns + " | RMSE there, ratio" * options.errors)))
     largest = np.max([np.abs(one.dq).max(axis=0) for one in training], axis=0)
     slow = [np.abs(one.dq[(np.abs(one.dq) <= SLOW * largest).all(axis=1)]).max(axis=0) for one in training]

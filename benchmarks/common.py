@@ -95,6 +95,13 @@ def table_row(*cells: object) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
+def write_section(out: Path, intro: str, name: str, section: str | Iterable[str]) -> None:
+    """Write OUT/NAME.inc, and OUT/README.md with the sections of all runs in OUT."""
+    write_page(out / f"{name}.inc", section)
+    sections = [path.read_text() for path in sorted(out.glob("*.inc"))]
+    (out / "README.md").write_text("\n".join([intro, *sections]))
+
+
 def write_page(path: Path, lines: str | Iterable[str]) -> None:
     """Write a page and print it."""
     text = lines if isinstance(lines, str) else "\n".join(lines) + "\n"

@@ -116,7 +116,7 @@ def tables(out: Path) -> str:
 HEAD = "\n".join(
     head(
         "method | L1 | RMSE near stiction | RMSE sliding | limits sliding | near stiction | false collisions "
-        "(promised an hour; 95 % of the count) | latched | strong latched | delay, median and 95 %, ms"
+        "(allowed per hour; 95 % interval of the rate) | latched | strong latched | delay, median and 95 %, ms"
     )
 )
 

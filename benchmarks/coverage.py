@@ -1,4 +1,4 @@
-"""How much of motion that training never saw is told, by what of it is unfamiliar, and of the like of training.
+"""Share of unseen motion, and of motion like that of training, that `unfamiliar` reports.
 
     python benchmarks/coverage.py DATASET [--minutes 15] [--recordings 40] [--errors]
 
@@ -63,7 +63,7 @@ def main() -> None:
     bent = with_presliding(setup, PriorConfig().widths_rad)
     whole = fit_prior(bent, training, PriorConfig()).settings if options.errors else None
 
-    columns = "unfamiliar | training, min | reach, rad | together, rad | told there | told in the like of training"
+    columns = "unfamiliar | training, min | reach, rad | together, rad | reported there | reported in similar motion"
     print("\n".join(head(columns + " | RMSE there, ratio" * options.errors)))
     largest = np.max([np.abs(one.dq).max(axis=0) for one in training], axis=0)
     slow = [np.abs(one.dq[(np.abs(one.dq) <= SLOW * largest).all(axis=1)]).max(axis=0) for one in training]

@@ -4,7 +4,7 @@
 
 BUNDLE: of recipe prior or tauext, with limits, trained on DATASET, which the virtual rig made with its default settings
 and calibration recordings; the last of these are used. What follows friction that is off at once is judged beside none.
-docs/method/evidence.md holds the tables that it prints.
+docs/results/drift holds the tables that it prints.
 """
 
 import os
@@ -38,7 +38,7 @@ def main() -> None:
     bundle = _core.Bundle.load(str(options.bundle))
     names = load_split(options.dataset).calibration[-options.recordings :]
     free = end_to_end([load_recording(options.dataset / name) for name in names])
-    titles = (WITHOUT, SLOW, BOTH, f"frozen, {SLOW} and {BOTH}", "false collisions", "the last after")
+    titles = (WITHOUT, SLOW, BOTH, f"frozen, {SLOW} and {BOTH}", "false collisions", "last one after")
     print("\n".join(head(" | ".join(["friction of both joints", *titles]))))
     print_errors("as trained", bundle, free)
     print_errors("falls to 85 % in 30 minutes", bundle, with_friction(np.linspace(1, 0.85, 20).tolist()))

@@ -149,39 +149,54 @@ def swing(course: Course) -> Swing:
 # --- The page.
 
 
-HEAD = """# Feeling what the follower touches
+HEAD = """# Force feedback at the leader's hand
 
-Written by `python benchmarks/feeling.py OUT --seed {seed}`. All of this is simulated; nothing ran on hardware. What is
-tried here: [servo arms](../../servo-arms.md).
+Everything on this page is simulated; nothing ran on hardware. For how to use leader feedback, see [servo
+arms](../../servo-arms.md).
 
-A hand leads one arm; a second one follows it by position control over a wire of 1 to 3 ticks each way, 50 ticks a
-second, and comes upon a table of 10 N/mm. Both arms have the size of an SO-101, with three joints and 12-bit encoders.
-The follower's servos are STS3215 at 7.4 V as Rhoban's BAM identified them: motor, position loop at P = 16, friction
-that grows with the load. tau_ext is tauext's own, from position and goal alone, by a bundle trained on 10 minutes of
-free motion; its observer adds 50 ms to the wire. The leader's motors give the torque that they are told, and the hand
-carries its weight. Its gears are the same, or light ones that hardly rub, which is the harder case. Hands are a
-spring, a damper and a mass: two fingers 50 N/m, 2 N s/m, 0.1 kg; loose 150, 6, 0.3; firm 400, 20, 0.5.
+    python benchmarks/feeling.py OUT --seed {seed}
 
-Gain 1, at most {cap:g} N m, a tank of {tank:g} mJ into which 2 mW flow at rest. The dead band is {sigmas} standard
-errors (pan, lift, elbow): 1.5 times the most that the validation recordings showed.
+A hand guides a leader arm. A follower arm follows it by position control and reaches a table with a stiffness
+of 10 N/mm. The link runs at 50 ticks a second and delays signals by 1 to 3 ticks in each direction.
 
-## In free motion there is nothing to feel
+- **Arms**: the size of an SO-101, three joints, 12-bit encoders.
+- **Follower**: STS3215 servos at 7.4 V, as identified by Rhoban's BAM: motor, position loop at P = 16,
+  friction that grows with the load.
+- **tau_ext**: estimated by tauext from position and goal alone, with a bundle trained on 10 minutes of free
+  motion. Its observer adds 50 ms to the delay of the link.
+- **Leader**: its motors produce the commanded torque, and the hand carries its weight. Its gears are those of
+  the follower (*STS3215*) or have almost no friction (*light*). Light gears are the harder case.
+- **Hands**: spring, damper and mass. Two fingers: 50 N/m, 2 N s/m, 0.1 kg; loose: 150, 6, 0.3; firm: 400, 20,
+  0.5.
+- **Feedback**: gain 1, at most {cap:g} N m, an energy tank of {tank:g} mJ that refills at 2 mW at rest. The
+  dead band is {sigmas} standard errors (pan, lift, elbow), 1.5 times the largest value in the validation
+  recordings.
 
-Motion that neither training nor the dead band saw, 2 ticks each way. (On two earlier draws one tick in 12 minutes was
-felt, with 5 and 10 mN m: since then the dead band narrows no faster than the observer forgets. These draws are others.)
+## Free motion
 
-| gears | hand | minutes | largest tau_ext, N m: pan, lift, elbow | largest torque of the leader, N m | ticks felt |
+Neither training nor the choice of the dead band used this motion. The link delays by 2 ticks in each
+direction.
+
+| gears | hand | minutes | largest tau_ext, N m: pan, lift, elbow | largest leader torque, N m | ticks with feedback |
 |---|---|---|---|---|---|
+"""
+AFTER_FREE = """
+On two earlier draws, one tick in 12 minutes had feedback, of 5 and 10 mN m. Since then the dead band narrows
+no faster than the observer's memory fades. The draws above are different ones.
 """
 PRESS = """
 ## Pressing on the table
 
-The hand wants to be {deep:.0f} cm below the table's surface within a second, and stays there for 10 s. Swing is peak
-to peak of the leader's hand along the vertical, in seconds 3 to 5 → 10 to 12. Given is the most energy that the
-leader's motors had given the hand at any time: a real wall gives none. Felt is the leader's torque over the table's at
-the end, which is below 100 % for the dead band, and where the cap is reached.
+Within one second the hand moves its target {deep:.0f} cm below the surface of the table, and holds it there
+for 10 s.
 
-| gears | hand | ticks each way | swing, mm: no tank | tank | given, mJ: no tank | tank | felt: no tank | tank |
+- **Swing**: peak to peak of the leader's hand along the vertical, in seconds 3 to 5 → 10 to 12.
+- **Energy**: the largest net energy that the leader's motors had delivered to the hand at any time. A real
+  wall delivers none.
+- **Share**: the leader's torque divided by the table's torque at the end. It is below 100 % because of the
+  dead band, and where the torque reaches its cap.
+
+| gears | hand | ticks each way | swing, mm: no tank | tank | energy, mJ: no tank | tank | share: no tank | tank |
 |---|---|---|---|---|---|---|---|---|
 """
 TAIL = """
@@ -189,15 +204,16 @@ TAIL = """
 
 ![Height of both hands, torque and energy of a press, without and with the tank](press.png)
 
-Two fingers on light gears, 3 ticks each way. Grey: the table. Without the tank the leader swings up within two seconds.
+The figure shows two fingers on light gears with 3 ticks each way. The table is grey. Without the tank the
+leader swings up within two seconds.
 
 ## Tapping
 
-The same leader and wire, {hz:g} taps a second: the motors gave up to {taps_free:.0f} mJ without the tank,
-{taps_kept:.0f} mJ with it.
-After the first tap next to nothing is felt with it: what comes back when the hand is on its way out gives energy alone.
+Two fingers on light gears with 3 ticks each way tap {hz:g} times a second. The motors delivered up to
+{taps_free:.0f} mJ without the tank and {taps_kept:.0f} mJ with it. With the tank, feedback after the first
+tap is close to zero: a torque that arrives while the hand moves away only delivers energy.
 
-![The same of taps](taps.png)
+![Height of both hands, torque and energy of taps, without and with the tank](taps.png)
 """
 
 
@@ -209,7 +225,7 @@ def page(numbers: dict[str, Any]) -> str:
         errors = ", ".join(f"{value:.2f}" for value in row["most_tau_ext_nm"])
         torque = f"{row['most_torque_nm']:.3f}" if row["ticks_felt"] else "0"
         text += f"| {row['gears']} | {row['hand']} | {row['minutes']:g} | {errors} | {torque} | {row['ticks_felt']} |\n"
-    text += PRESS.format(deep=100 * numbers["below_m"])
+    text += AFTER_FREE + PRESS.format(deep=100 * numbers["below_m"])
     pairs = []
     for gears, hand, delay, *pair in numbers["press"]:
         free, kept = (Swing(**measured) for measured in pair)
@@ -223,16 +239,16 @@ def page(numbers: dict[str, Any]) -> str:
 
 
 def verdict(pairs: list[tuple[Swing, Swing]]) -> str:
-    """What the table of presses comes to, in words."""
+    """The summary of the table of presses."""
     (free, kept), n = zip(*pairs, strict=True), len(pairs)
     swinging, growing = sum(not one.settles for one in free), sum(one.grows for one in free)
     with_tank = sum(not one.settles for one in kept)
     grown = sum(one.grows for one in kept)
     worst = max(one.last_mm for one in kept)
     return (
-        f"With the tank {grown or 'none'} of {n} grow, and {with_tank or 'none'} still swing by 3 mm or more at the "
-        f"end (worst {worst:.1f} mm).\nWithout it {swinging} of {n} go on swinging, {growing} of them more than at "
-        "first; what bounds them is the cap of the torque."
+        f"With the tank, {grown or 'none'} of {n} presses grow, and {with_tank or 'none'} still swing by 3 mm or more "
+        f"at the end (at most {worst:.1f} mm). Without\nit, {swinging} of {n} keep swinging, {growing} of them more "
+        "than at first. Only the torque cap bounds them."
     )
 
 

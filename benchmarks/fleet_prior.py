@@ -4,8 +4,8 @@
 
 Simulated arms of one type (unseen.arms): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
 the type's), tool, torque constants (8 % about those of the data sheet) and ripple's size and phase are each arm's own.
-MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and README.md (TYPE.md of
-another type than ur5); what is there is used again. Those of docs/results/fleet-prior are of these.
+MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles, a section for
+each type and README.md with all sections; existing files are used again. docs/results/fleet-prior has two types.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from common import (
     tauext,
     trained,
     type_arguments,
-    write_page,
+    write_section,
 )
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import Take, make_dataset, told_constants
@@ -98,7 +98,7 @@ def main() -> None:
         }
         rows.append(judge(maker, NEW_SEED + k, folder, data, bundles))
     lines = markdown(rows, options, json.loads(prior.read_text()))
-    write_page(options.out / ("README.md" if options.type == "ur5" else f"{options.type}.md"), lines)
+    write_section(options.out, INTRO, f"{len(maker.joints)}-{options.type}", lines)
 
 
 def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Path]) -> dict:
@@ -166,25 +166,35 @@ def contacts(recording: Recording) -> list[tuple[int, int]]:
     return [] if recording.contact is None else runs(recording.contact == 1)
 
 
+INTRO = """# A new arm with a fleet prior
+
+A new arm of a known type is trained on one minute of its own motion with a [fleet prior](../../fleets.md). This
+page compares that with one minute alone and with ten minutes alone.
+
+Each simulated fleet has one type of arm: links, gears and drives are shared. Friction of each joint (0.7 to 1.3 of
+the type's), tool, torque constants (8 % about those of the data sheet) and ripple are each arm's own. All three
+bundles of a new arm are tested on the same four minutes of free motion and 50 contacts, at other times of its day.
+
+- **Error**: RMS of tau_ext without contact, divided by that after ten minutes; mean over joints.
+- **Limit**: the mean limit in force, with the same division.
+- **Strong**: contacts whose torque at some joint is at least three times the error after ten minutes.
+- **False**: false collisions, with the minutes of free motion in parentheses.
+
+All torques are true torques.
+"""
+
+
 def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> list[str]:
-    """The tables, and what they are of."""
+    """The section of one type."""
     given = flags(options, {"type": "ur5", "type_seed": 1, "arms": 10, "minutes": 6, "new": 6})
     lines = [
-        "# A new arm with a minute of its own",
+        f"## {options.type}",
         "",
-        f"Written by `python benchmarks/fleet_prior.py MODELS OUT{given}`.",
+        f"    python benchmarks/fleet_prior.py MODELS OUT{given}",
         "",
-        f"A fleet of {len(prior['arms'])} simulated arms of one type ({options.type}), "
-        f"{options.minutes:g} minutes each, and {len(rows)} new arms. Links, gears and",
-        "drives are the type's; friction of each joint (0.7 to 1.3 of the type's), tool, torque constants (8 %",
-        "about those of the data sheet) and ripple are each arm's own. Each new arm is trained on its first minute",
-        "by itself, on that minute with the fleet's prior, and on ten minutes by itself; and judged on the same four",
-        "minutes of free motion and 50 contacts, at other times of its day. Error: RMS of tau_ext where nothing",
-        "touches, by that with ten minutes, the mean over joints. Limit likewise: the mean limit in force. Strong: a",
-        f"contact whose torque at some joint is {STRONG:g} times the error with ten minutes or more. Torques are the",
-        "true ones.",
+        f"{len(prior['arms'])} arms in the fleet, {options.minutes:g} minutes each, and {len(rows)} new arms.",
         "",
-        *head("new arm | trained on | error, by 10 min | limit, by 10 min | found | of strong | false (minutes)"),
+        *head("new arm | trained on | error | limit | detected | of strong | false (minutes)"),
     ]
     for k, arm in enumerate(rows):
         for way, (words, _) in WAYS.items():

@@ -4,8 +4,9 @@
 
 Simulated arms of one type (unseen.arms), each recorded for three and a half minutes at two dates.
 Between them one joint of some arms wears (friction x 1.3), one arm gets another tool and one
-another drive. MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, fleets, pages and
-README.md; what is there is used again. That of docs/results/fleet-report is one of these.
+another drive. MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, fleets, pages, a
+section for each kind of days and README.md with all sections; existing files are used again. docs/results/fleet-report
+has two kinds of days.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import flags, head, in_parallel, table_row, tauext, type_arguments, write_page
+from common import flags, head, in_parallel, table_row, tauext, type_arguments, write_section
 from unseen.arms import Maker, TrueArm, add_ball, arm_of, makers
 from unseen.recordings import Take, description, import_csv, simulate_takes
 
@@ -77,7 +78,8 @@ def main() -> None:
     tauext("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
     tauext("fleet", "report", fleets[-1], "--out", root / "page-alone", "--no-arm-pages")
     both, alone = (json.loads((root / page / "fleet-report.json").read_text()) for page in ("page", "page-alone"))
-    write_page(options.out / "README.md", markdown(maker, truth, both, alone, options))
+    days = f"days-{100 * (1 - truth.day_arm):03.0f}-{100 * (1 - truth.day_joint):03.0f}"  # the largest changes first
+    write_section(options.out, INTRO, days, markdown(maker, truth, both, alone, options))
 
 
 def make_fleets(maker: Maker, truth: Truth, root: Path, arms: int, workers: int) -> list[Path]:
@@ -97,35 +99,48 @@ def make_fleets(maker: Maker, truth: Truth, root: Path, arms: int, workers: int)
     return fleets
 
 
+INTRO = """# Wear found by the fleet report
+
+Whether `tauext fleet report` names the joints that wear. For how to run it, see [fleets](../../fleets.md).
+
+Simulated arms of one type (ur5) are recorded for three and a half minutes at each of two dates. Both dates are
+trained with recipe prior (`tauext fleet run`) and compared (`tauext fleet report`). A joint or arm is named if its
+probability is 50 % or more.
+
+- **Arms**: friction of each joint is 0.7 to 1.3 of the type's; tools weigh 0.5 to 1.5 kg; torque constants are
+  within 8 % of the data sheet's.
+- **Days**: at each date an arm has worked for up to half an hour, so its gears are cold or warm (10 to 15 % of
+  friction). In the first section the day also changes friction, in the second it does not.
+- **Changes between the dates**: four joints of four arms get 1.3 times their friction. One arm gets a tool that is
+  0.5 to 1 kg heavier. One joint of one arm gets 1.1 times its torque constant.
+
+The method was fixed on another type with twelve arms (`--type-seed 1 --arms 12 --worn 3`). One number was set after
+the first run on this fleet: the lower bound of the error of gravity. Without it, six constants of wrists were named
+falsely. It was checked on the other type.
+"""
+
+
 def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argparse.Namespace) -> list[str]:
-    """The tables, and what they are of."""
+    """The section of one kind of days."""
     joints = both["groups"][0]["joints"]
     usual = {"type_seed": 2, "arms": 40, "worn": 4, "day_arm": DAY_ARM, "day_joint": DAY_JOINT}
+    days = "Warming up alone"
+    if truth.day_arm or truth.day_joint:
+        days = f"Days change friction by {truth.day_arm:.0%} and {truth.day_joint:.0%}"
     lines = [
-        "# Which arm is wearing",
+        f"## {days}",
         "",
-        f"Written by `python benchmarks/fleet_report.py MODELS OUT{flags(options, usual)}`.",
-        "",
-        *paragraph(
-            f"{options.arms} simulated arms of one type ({options.type}), three and a half minutes each at two dates, "
-            "recipe prior, `tauext fleet run` at each date and `tauext fleet report` of both. Friction of each joint "
-            "is 0.7 to 1.3 of the type's, tools weigh 0.5 to 1.5 kg, torque constants are within 8 % of the data "
-            "sheet's. At each date an arm has been at work for up to half an hour, so gears are cold or warm (10 to "
-            f"15 % of friction), and the day moves friction by {truth.day_arm:.0%} in all joints of an arm and by "
-            f"{truth.day_joint:.0%} in each by itself besides. Between the dates one joint of {options.worn} arms gets "
-            f"x {WORN:g} of its friction, one arm a tool 0.5 to 1 kg heavier, and one joint of one arm a torque "
-            f"constant of x {CONSTANT:g}. A joint or arm is named if the probability is {NAMED:.0%} or more."
-        ),
+        f"    python benchmarks/fleet_report.py MODELS OUT{flags(options, usual)}",
         "",
         *paragraph(
-            "The method was fixed on another type with twelve arms (--type-seed 1 --arms 12 --worn 3). One number was "
-            "set after this fleet had been seen once: how well gravity is known at least, without which six "
-            "constants of wrists were named falsely; it was checked on the other type."
+            f"{options.arms} arms, {options.worn} worn joints. The day changes friction by {truth.day_arm:.0%} in all "
+            f"joints of an arm together and by {truth.day_joint:.0%} in each joint by itself (standard deviations), "
+            "besides warming up."
         ),
         "",
-        "## Beside its own first date",
+        "### Against the arm's own first date",
         "",
-        *head("what was done | truth | found | probability"),
+        *head("change | truth | estimate | probability"),
     ]
     lines += own_rows(maker, truth, both, joints)
     own = [one for one in both["named"] if one["against"] == "own"]
@@ -137,8 +152,8 @@ def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argpa
         "",
         *paragraph(
             f"Named falsely, of {options.arms * len(joints)} joints, {options.arms} tools and the constants: {listed}. "
-            f"Learned from the fleet: friction of a healthy arm moves by {table['arm_spread']:.1%} from date to date "
-            f"in all joints, and by {table['joint_spread']:.1%} in each by itself; a joint would be named from "
+            f"Estimated from the fleet: friction of a healthy arm changes by {table['arm_spread']:.1%} from date to "
+            f"date in all joints together, and by {table['joint_spread']:.1%} in each by itself. A joint is named from "
             f"x {np.exp(table['named_from']):.2f} on."
         ),
         "",
@@ -156,12 +171,12 @@ def row_of(content: dict, arm: int) -> dict[str, Any]:
 
 
 def own_rows(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) -> list[str]:
-    """What was done, and what is said of it."""
+    """Each change and its estimate."""
     rows = []
     for arm, j in sorted(truth.worn.items()):
         told = row_of(both, arm)["own"]["friction"]
         factor = np.exp(told["value"][j] - told["arm"])
-        words = f"x {factor:.2f} beside its other joints"
+        words = f"x {factor:.2f} against its other joints"
         rows.append(f"| arm-{arm:02d} {joints[j]} worn | x {WORN:g} | {words} | {told['more'][j]:.0%} |")
     tool = row_of(both, truth.tool)["own"]["tool"]
     kg = float(maker.random(truth.tool, 500).uniform(0.5, 1.0))
@@ -170,7 +185,7 @@ def own_rows(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) -> l
     arm, j = truth.constant
     told = row_of(both, arm)["own"]["constant"]
     value = told["value"][j]
-    found = "nothing tells" if value is None else f"x {np.exp(value):.2f} ± {told['error'][j]:.2f}"
+    found = "unknown" if value is None else f"x {np.exp(value):.2f} ± {told['error'][j]:.2f}"
     sure = "-" if value is None else f"{told['more'][j]:.0%}"
     return [*rows, f"| arm-{arm:02d} {joints[j]} constant | x {CONSTANT:g} | {found} | {sure} |"]
 
@@ -196,15 +211,18 @@ def days_table(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) ->
         if k in truth.worn:
             x[a, truth.worn[k]] -= np.log(WORN)
     lines = [
-        "## Other days, other arms that wear",
+        "### Other days and other worn arms",
         "",
         *paragraph(
-            "The changes that were measured between the dates (true to 1 %), without what was done to the arms and "
-            "what the days did, which the simulation knows; over them other days (normal, in the logarithm, at "
-            f"both dates) and x {WORN:g} at one joint of {len(truth.worn)} other arms; {DRAWS} draws each."
+            "The measured changes between the dates (accurate to 1 %), without the simulated changes and days. Other "
+            "days are drawn on top (normal, in the logarithm, at both dates), and one joint of each of "
+            f"{len(truth.worn)} other arms gets x {WORN:g}; {DRAWS} draws each."
         ),
         "",
-        *head("a day moves arms, joints by | learned, joint | named | falsely | draws with all, at most 1 false"),
+        *head(
+            "change by the day: arm, joint | spread of a joint, estimated | named | falsely named "
+            "| draws with all named, at most 1 falsely"
+        ),
     ]
     for of_arm, of_joint in DAYS:
         named = false = good = 0
@@ -236,15 +254,15 @@ def alone_table(truth: Truth, alone: dict) -> list[str]:
     named = [one for one in alone["named"] if one["what"] == "friction"]
     lines = [
         "",
-        "## Beside the fleet alone",
+        "### Against the fleet alone",
         "",
         *paragraph(
-            f"The second date by itself: healthy arms differ by {table['joint_spread']:.0%} in a joint's friction. The "
+            f"The second date by itself. Healthy arms differ by {table['joint_spread']:.0%} in a joint's friction. The "
             f"{len(told)} worn joints have probabilities of {', '.join(f'{p:.1%}' for p in told)}; {len(named)} joints "
-            f"are named in all. Worn joints of other factors, one in each of {len(told)} other arms, {DRAWS} draws:"
+            f"are named in all. With other wear factors at one joint of each of {len(told)} other arms, {DRAWS} draws:"
         ),
         "",
-        *head("worn by | named | median probability | named falsely"),
+        *head("wear factor | named | median probability | falsely named"),
     ]
     for arm, j in truth.worn.items():
         x[arms.index(arm), j] -= np.log(WORN)
@@ -269,8 +287,14 @@ def alone_table(truth: Truth, alone: dict) -> list[str]:
         found = [one for one in alone["named"] if one["what"] == what]
         spread, from_x = told_of["joint_spread"], told_of["named_from"]
         unit = f"{spread:.2f} kg" if what == "tool" else f"{spread:.1%}"
-        least = "no" if from_x is None else f"{from_x:.1f} kg more" if what == "tool" else f"x {np.exp(from_x):.2f}"
-        lines += ["", f"{name}: healthy arms differ by {unit}, {least} would be named; {len(found)} are named."]
+        least = (
+            "No difference"
+            if from_x is None
+            else f"A tool {from_x:.1f} kg heavier"
+            if what == "tool"
+            else f"A factor of {np.exp(from_x):.2f}"
+        )
+        lines += ["", f"{name}: healthy arms differ by {unit}. {least} is named. Named in all: {len(found)}."]
     return lines
 
 

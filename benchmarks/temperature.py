@@ -5,7 +5,7 @@
 MODELS: as for unseen_arms.py, whose arms these are. OUT/ARM gets recordings, dataset and bundles; what is there is used
 again. Training: twelve minutes from switch-on. Test: four minutes from switch-on, and four after half an hour.
 The floor is what is left of the error where the two parts of each joint's friction have factors of their own in every
-20 s. docs/method/evidence.md holds the table that it prints.
+20 s. docs/results/temperature holds the table that it prints.
 """
 
 import os
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=["ur5", "seven_axis"])
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    columns = "temperature | tracker | RMSE of each joint, Nm | of all, over that without | floor | false collisions"
+    columns = "temperature | tracker | RMSE of each joint, Nm | ratio | floor | false collisions"
     print("\n".join(head(f"arm, test | {columns}")))
     for name in options.arms:
         maker, folder = makers(options.models)[name], options.out / name

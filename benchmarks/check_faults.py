@@ -1,7 +1,7 @@
-"""What the doctor finds: faults injected, faults named, false findings on good data.
+"""Faults that `tauext check` finds: injected faults, faults named, false findings on good data.
 
-    python benchmarks/doctor.py --out docs/results/doctor        # the tables there; half an hour on one core
-    python benchmarks/doctor.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
+    python benchmarks/check_faults.py --out docs/results/check        # the tables there; half an hour on one core
+    python benchmarks/check_faults.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
 Every way of tests/check_cases.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
@@ -71,17 +71,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for the tables as README.md")
     options = parser.parse_args()
     lines = Lines()
-    lines.say("# What the doctor finds\n")
-    lines.say(f"    python benchmarks/doctor.py {shlex.join(sys.argv[1:])}\n")
+    lines.say("# Faults in recordings and robot files\n")
+    lines.say("Faults put into good data, and what `tauext check` reports.\n")
+    lines.say(f"    python benchmarks/check_faults.py {shlex.join(sys.argv[1:])}\n")
     lines.say(
-        f"Each fault stands in {options.minutes:g} minutes of recordings; good data are {options.good_minutes:g} "
-        "minutes long. *Besides*: findings that do not\nfollow from the fault. In `scara` the faulty joint, the "
-        "second, turns about a vertical axis: gravity shows neither its\nscale nor its zero."
+        f"Each fault is in {options.minutes:g} minutes of recordings. Good data are {options.good_minutes:g} minutes "
+        "long. Faults of one joint are\nin the second joint. *Other findings* do not follow from the fault. In `scara` "
+        "the second joint turns about a vertical\naxis, so gravity shows neither its scale nor its zero position."
     )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for arm in [*filter(None, options.arms.split(",")), *options.urdf]:
-            print_faults(lines, str(arm), folder, options)
+        top = len(lines)
+        arms = [*filter(None, options.arms.split(",")), *options.urdf]
+        summary = [print_faults(lines, str(arm), folder, options) for arm in arms]
         if options.settings:
             print_settings(lines, folder, options)
     for path in options.data:
@@ -90,12 +92,19 @@ def main() -> None:
             lines.say(f"- {f.severity} `{f.code}` {f.joint or ''}: {f.evidence}")
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
+        lines[top:top] = [
+            "",
+            *head("arm | faults reported | other findings | findings on good data | not reported"),
+            *summary,
+        ]
         (options.out / "README.md").write_text("\n".join(lines) + "\n")
 
 
-def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespace) -> None:
-    lines.say(f"\n## {Path(arm).stem}\n\n| fault | named as | joints | besides |\n|---|---|---|---|")
+def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespace) -> str:
+    """The table of one arm; returns the arm's row of the summary."""
+    lines.say(f"\n## {Path(arm).stem}\n\n| fault | reported as | joints | other findings |\n|---|---|---|---|")
     named = tried = others = false = 0
+    missed = []
     case = make_case(arm, folder, options.minutes, 0)
     for fault in FAULTS:
         if arm in PLANAR and not fault.planar:
@@ -110,9 +119,10 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
         tried, found = tried + 1, is_named(fault, recordings, diagnosis)
         named, besides = named + found, beside(fault, diagnosis)
         others += len(besides)
+        missed += [] if found else [fault.name]
         joints = ", ".join(dict.fromkeys(f.joint or "all" for f in diagnosis.findings if f.code == fault.code))
         told = ", ".join(sorted({f"{f.code} ({f.joint})" for f in besides}))
-        lines.say(table_row(fault.name, fault.code if found else "NOT NAMED", joints, told))
+        lines.say(table_row(fault.name, fault.code if found else "NOT REPORTED", joints, told))
     lines.say()
     for seed in range(options.seeds):
         good = make_case(arm, folder, options.good_minutes, seed)
@@ -120,17 +130,17 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
         false += len(findings)
         for f in findings:
             lines.say(f"- good data, seed {seed}: {f.severity} `{f.code}` {f.joint}: {f.evidence}")
-    lines.say(f"{named} of {tried} faults named; {others} other findings beside them; {false} findings on good data.")
+    return table_row(Path(arm).stem, f"{named} of {tried}", others, false, "; ".join(missed) or "none")
 
 
 def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> None:
     lines.say("\n## Other arms and drives\n")
     lines.say(
-        f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, currents and torques before the gear are "
-        "named as such, rightly.\nThe thresholds for stuck efforts, drift and unlabelled contacts were set on these "
-        "data, those of the other checks were not.\n"
+        f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, `tauext check` reports currents and "
+        "torques before the gear as such,\nwhich is right. The thresholds for stuck efforts, drift and unlabelled "
+        "contacts were set on these data; those of the\nother checks were not.\n"
     )
-    lines.say("\n".join(head("arm | with a model | without")))
+    lines.say("\n".join(head("arm | with a model | without a model")))
     for setting in (*SETTINGS, *CURRENTS):
         expected = UNIT_CODES if setting in CURRENTS else ()
         path, recordings = good_data(setting, folder, SETTING_MINUTES)
@@ -146,7 +156,7 @@ def good_data(setting: Setting, folder: Path, minutes: float) -> tuple[Path, lis
 def told_findings(diagnosis: Diagnosis, expected: tuple[str, ...]) -> str:
     right = sum(f.code in expected for f in diagnosis.findings)
     rest = [f for f in diagnosis.findings if f.code not in (*expected, "too-short")]
-    parts = [f"{right} joints named"] if right else []
+    parts = [f"{right} joints reported"] if right else []
     return ", ".join([*parts, *(f"{f.code} ({f.joint})" for f in rest)]) or "none"
 
 

@@ -98,10 +98,9 @@ def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:
         )
         for event in push.events:
             if event.alarm == "collision":
-                late_ms = 1e3 * (event.after_push_s or 0.0)
-                lines.append(
-                    f"          {event.method:9s} collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
-                )
+                over_s = event.after_limit_s
+                after = "below its limit" if over_s is None else f"after {1e3 * over_s:.0f} ms over the limit"
+                lines.append(f"          {event.method:9s} collision at {arm.joints[event.joint]} {after}")
         silent = {"tauext", "paper", "observer"} - {e.method for e in push.events if e.alarm == "collision"}
         lines += [f"          {method:9s} nothing" for method in sorted(silent)]
     lines.append(f"alarms without a push: {len(false)}")

@@ -204,6 +204,8 @@ class Simulation:
         self._estimates: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._newtons: dict[str, float] = {}
+        self._over_since_s: dict[tuple[str, _core.Alarm], float] = {}
+        """By method and level: when the true torque of this push first exceeded the limit."""
         self._sample: Sample | None = None
         self._recent = Recent(arm)
         self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
@@ -254,6 +256,7 @@ class Simulation:
         self.drag, self._holder = Drag.grab(self.plant, joint, point_m), holder
         if self.plant.time_s - self._push_ended_s > 0.0:
             self._push_began_s = self.plant.time_s
+            self._over_since_s = {}
 
     def pull(self, holder: object, target_m: np.ndarray) -> None:
         """Move the pointer to this point in the base frame."""
@@ -271,6 +274,7 @@ class Simulation:
         for monitor in self.monitors.values():
             monitor.resume()
         self._alarms = dict.fromkeys(self._alarms, _core.Alarm.none)
+        self._over_since_s = {}
         self.mover.resume()
 
     def rest(self) -> None:
@@ -327,6 +331,8 @@ class Simulation:
             self.monitors[method].acknowledge()
         for method, monitor in self.monitors.items():
             estimate = self._estimates[method] = monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau)
+            if self.drag is not None:
+                self._note_onset(method, estimate, sample.tau_ext)
             alarm = _core.Alarm.none if method in excused else estimate.alarm
             raised |= self._judge(method, alarm, estimate.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
@@ -334,6 +340,13 @@ class Simulation:
             self._trace.append(np.concatenate([[plant.time_s], tau_ext, sigma, limit, self.tau_ext_nm]))
         self._ticks += 1
         return raised
+
+    def _note_onset(self, method: str, estimate: _core.Estimate, true_nm: np.ndarray) -> None:
+        """Note when the true torque of a push first exceeds a limit of the method, for the delay of its alarms."""
+        limits = ((_core.Alarm.contact, estimate.contact_limit_nm), (_core.Alarm.collision, estimate.limit_nm))
+        for level, limit_nm in limits:
+            if (method, level) not in self._over_since_s and (np.abs(true_nm) > limit_nm).any():
+                self._over_since_s[method, level] = self.plant.time_s
 
     def _resuming(self) -> bool:
         """Whether some joint stands where resume() found it, with what the push left in its friction."""
@@ -411,9 +424,18 @@ class Simulation:
         now_s = self.plant.time_s
         pushed = self.drag is not None or now_s - self._push_ended_s < LET_GO_S
         after_s = now_s - self._push_began_s if pushed else None
+        over_s = self._over_since_s.get((method, alarm)) if pushed else None
         just_gone = now_s - self._emptied_s < LET_GO_S and method in self._unknown_weight
         self._events.append(
-            Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.right_in(method))
+            Event(
+                time_s=now_s,
+                method=method,
+                alarm=alarm.name,
+                joint=joint,
+                after_push_s=after_s,
+                after_limit_s=None if over_s is None else now_s - over_s,
+                by_weight=just_gone or not self.hand.right_in(method),
+            )
         )
         disturbs = now_s >= self._moves_on_until_s and self.mover.doing == "moving"
         if alarm == _core.Alarm.collision and method == self.method and disturbs:

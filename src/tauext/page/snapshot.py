@@ -221,7 +221,10 @@ class Event:
     alarm: str
     joint: int
     after_push_s: float | None
-    """Since a push began; None: nothing pushed."""
+    """Since the link was grabbed; None: nothing pushed."""
+    after_limit_s: float | None
+    """Since the true external torque of some joint first exceeded the method's limit of this level, counted from the
+    grab or from resume(); None: it has not exceeded it."""
     by_weight: bool = False
     """A weight in the hand that is not set in this method, or that has just gone; without push or weight the alarm
     is false."""

@@ -1,4 +1,4 @@
-"""results.json: dataclasses whose fields are its keys, their reader and writer; docs/files.md is its contract."""
+"""results.json: dataclasses whose fields are its keys, their reader and writer; docs/reference/files.md is its contract."""
 
 from __future__ import annotations
 

@@ -113,8 +113,8 @@ SHEET = """<style>
   }
 }
 </style>"""
-"""On a narrow screen viser shows all panels in one sheet at the lower edge, 60 % of the screen high: it would cover half
-of the arm. At 34 % the arm, the banner and Resume are visible; the rest of the sheet scrolls."""
+"""On a narrow screen viser shows all panels in one sheet at the lower edge, 60 % of the screen high, which would cover
+half of the arm. At 34 % the arm, the banner and Resume are visible; the rest of the sheet scrolls."""
 
 Send = Callable[..., None]
 """Sends a command of the simulation: its name, its arguments."""

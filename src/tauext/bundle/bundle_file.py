@@ -61,7 +61,7 @@ def expect_text(bundle: _core.Bundle) -> None:
 def write_bundle(bundle: _core.Bundle, path: Place, run: dict, wall_time: dict) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
-    The bundle comes last: where it stands, its run file stands.
+    The bundle is written last: if it exists, its run file exists.
 
     Raises:
         ConfigError: one of them cannot be written.

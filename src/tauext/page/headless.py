@@ -12,7 +12,7 @@ from tauext.page.simulation import Simulation, weigh, weighed_words
 from tauext.page.snapshot import LEAST_KG, MOST_KG, Event
 from tauext.sim.arms import DemoArm
 
-# --- The demo without a browser: scripted pushes, as fast as the machine can, and what every method found.
+# --- The demo without a browser: scripted pushes, as fast as the machine can, and the result of every method.
 
 
 FIRST_PUSH_S = 3.0
@@ -116,13 +116,13 @@ FREE_S, HELD_S = 3.0, 5.0
 
 @dataclass(frozen=True)
 class Carried:
-    """One weight, put in while the arm moves, and what was made of it."""
+    """One weight, put in while the arm moves, and the result of every method."""
 
     mass_kg: float
     load_set: bool
     begin_s: float
     collisions: dict[str, Event]  # of each method that raised one: the first while the weight was held
-    refused: dict[str, str]  # why methods refused the load
+    refused: dict[str, str]  # reason, by method that refused the load
     weighed: str
 
 

@@ -28,7 +28,7 @@ WEIGHED_S = 4.0
 LEAD_S = 3.0
 """Samples before it: the prior needs them to find the joints' presliding state."""
 SETTLED = 5.0
-"""Times 1/K0, after which the observer has followed what was put in to less than 1 %."""
+"""Multiple of 1/K0 after which the observer shows a new weight to 1 %."""
 EVERY_S = 1.0
 LEAST_S = 1.0
 """Shortest weighed motion: in less no joint moves far."""
@@ -125,8 +125,8 @@ class Weigher:
         self._since_s = self._moved_s = self._started_s = -np.inf
 
     def wants(self, snapshot: Snapshot) -> bool:
-        """Whether samples should be sent to start(); not of an arm that has stood so long that they hold less
-        information again."""
+        """Whether samples should be sent to start(); not after the arm has been at rest so long that the
+        samples hold less information."""
         if snapshot.held is None:
             self.words, self._since_s = "", -np.inf
             return False
@@ -136,8 +136,8 @@ class Weigher:
         if snapshot.doing == "moving":
             self._moved_s = snapshot.time_s
         busy = self._thread is not None and self._thread.is_alive()
-        stands = snapshot.time_s - self._moved_s > WEIGHED_S - LEAST_S
-        if busy or stands or snapshot.time_s - self._started_s < EVERY_S:
+        rests = snapshot.time_s - self._moved_s > WEIGHED_S - LEAST_S
+        if busy or rests or snapshot.time_s - self._started_s < EVERY_S:
             return False
         self._started_s = snapshot.time_s
         return True
@@ -158,7 +158,7 @@ class Weigher:
             self.words = words
 
 
-# --- Arm, mover, push and monitors together: one sample after the other, and what a viewer shows of it.
+# --- Arm, mover, push and monitors together: one sample after the other, and its snapshots for viewers.
 
 
 TRACE_EVERY_S = 0.02
@@ -167,8 +167,8 @@ TRACE_ROWS = 100
 EVENTS = 20
 RESUME_RAD, RESUME_S = 0.02, 1.2
 """After resume() a method that is blind to static friction is acknowledged at every sample until each joint has
-moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
-joint has slid, and would stop the arm again before it does."""
+moved so far, or for so long: the stress that a push leaves in the friction of a joint at rest looks like a push
+until the joint slides, and would stop the arm again before that."""
 MOVE_ON_S = WEIGHED_S + LEAST_S
 """Time for which the arm moves to be weighed, whatever the monitors report about its load."""
 LET_GO_S = 0.5
@@ -200,7 +200,7 @@ class Simulation:
         self._resumed_at = np.array(arm.home)
         self._places: dict[str, Places] = {}
         self._blind_to_stiction: list[str] = []
-        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
+        """Methods without a prior: stress left in a joint's static friction raises none of their limits."""
         self._estimates: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._newtons: dict[str, float] = {}
@@ -349,7 +349,7 @@ class Simulation:
                 self._over_since_s[method, level] = self.plant.time_s
 
     def _resuming(self) -> bool:
-        """Whether some joint stands where resume() found it, with what the push left in its friction."""
+        """Whether some joint is still at its position of resume(), with the push's stress in its friction."""
         if self._stuck.any() and self._sample is not None:
             self._stuck &= np.abs(self._sample.q - self._resumed_at) < RESUME_RAD
             self._stuck &= self.plant.time_s < self._resumed_s + RESUME_S

@@ -177,6 +177,26 @@ def test_a_push_raises_the_alarm_at_the_joint_that_feels_it(trained):
     assert all(e.after_push_s is not None and e.after_push_s < 0.3 for e in first + second)
 
 
+def test_the_delay_counts_from_the_contact_torque_over_the_limit_and_not_from_the_grab(trained):
+    simulation = watched(trained)
+    origin, rotation = simulation.plant.body_pose(0)
+    point = origin + rotation @ [0.0, 0.0, 0.25]
+    simulation.grab("test", 0, point)  # held for half a second before it pulls
+    for _ in range(500):
+        simulation.pull("test", simulation.drag.point_m(simulation.plant))
+        simulation.step()
+    assert not simulation.take_events()
+    over_s = None
+    simulation.pull("test", point + [0.3, 0.0, 0.0])
+    for _ in range(200):
+        simulation.step()
+        if over_s is None and (np.abs(simulation.tau_ext_nm) > simulation._estimates["tauext"].limit_nm).any():
+            over_s = simulation.plant.time_s
+    (event,) = [e for e in simulation.take_events() if (e.method, e.alarm) == ("tauext", "collision")]
+    assert event.after_push_s > 0.5
+    assert event.after_limit_s == pytest.approx(event.time_s - over_s) and event.after_limit_s < 0.1
+
+
 def test_reactions_change_what_the_arm_does(trained):
     where = {}
     for reaction in ("stop", "comply", "ignore"):

@@ -15,8 +15,9 @@ import pytest
 from made_page import CHROMIUM, PATIENCE_S, SHORT, drag, on_screen, open_pages, until
 
 from tauext.page.page import Session, free_port, open_server
-from tauext.page.panel import GIVE, TAKE, HandPanel
-from tauext.page.snapshot import Held
+from tauext.page.panel import GIVE, TAKE, HandPanel, last_alarm
+from tauext.page.snapshot import Event, Held
+from tauext.sim.arms import ARMS
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 
@@ -104,6 +105,20 @@ def test_the_hands_button_puts_a_weight_in_and_takes_it_out():
     finally:
         server.stop()
     assert sent == [("hold", 1.5, True), ("let_go",)]
+
+
+@pytest.mark.parametrize(
+    "after_push_s, after_limit_s, by_weight, text",
+    [
+        (0.9, 0.0224, False, "joint2, 22 ms"),
+        (0.9, None, False, "joint2, below its limit"),
+        (None, None, True, "joint2, weight"),
+        (None, None, False, "joint2, false"),
+    ],
+)
+def test_the_last_alarm_shows_the_delay_over_the_limit(after_push_s, after_limit_s, by_weight, text):
+    event = Event(1.0, "tauext", "collision", 1, after_push_s, after_limit_s, by_weight)
+    assert last_alarm(event, ARMS["seven"]()) == text
 
 
 def told(held):

@@ -66,10 +66,10 @@ def expect_text(bundle: _core.Bundle) -> None:
 def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, wall_time: dict) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
-    The bundle is written last: where it exists, its run file exists.
+    The bundle is written last: if it exists, its run file exists.
 
     Args:
-        facts: the bundle's provenance; the run file has them too, with the loss history.
+        facts: the bundle's provenance; the run file contains them too, with the loss history.
 
     Raises:
         ConfigError: one of them cannot be written.

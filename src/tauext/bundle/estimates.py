@@ -112,7 +112,7 @@ class Estimates:
     contact_limit_nm: np.ndarray | None = None
     """What |tau_ext| must exceed for a contact; None in files of `tauext evaluate`."""
     alarm: np.ndarray | None = None
-    """The alarm level, latched until somebody acknowledges it; of a monitor alone, else None."""
+    """The alarm level, latched until acknowledged; None unless from a monitor."""
 
     @classmethod
     def of(
@@ -167,7 +167,7 @@ STORED = tuple(column for column in COLUMNS if column.name in Estimates.__datacl
 
 
 def lacking(bundle: _core.Bundle) -> frozenset[str]:
-    """Columns that say nothing in the estimates of this bundle."""
+    """Columns without content for this bundle."""
     has_prior = bool(bundle.prior.terms or bundle.prior.corrected_links)
     has = {"prior": has_prior, "drift": bundle.drift.time_constant_s > 0}
     has |= dict.fromkeys(("sigma_nm", "contact_sigma_nm"), bundle.error_scale.on)
@@ -175,7 +175,7 @@ def lacking(bundle: _core.Bundle) -> frozenset[str]:
 
 
 def number(value: float) -> float | None:
-    """For JSON, which knows no NaN."""
+    """For JSON, which has no NaN."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -192,7 +192,7 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
     """Write under a temporary name, then rename; columns that are None are left out.
 
     Raises:
-        RecordingError: the file cannot be written; what was written of it is removed.
+        RecordingError: the file cannot be written; the incomplete file is removed.
     """
     import pyarrow as pa
 
@@ -231,13 +231,13 @@ def load_estimates(path: Path) -> Estimates:
         held = {name: table.column(name).to_numpy() for name in table.column_names}
         if odd := [name for name, values in held.items() if values.dtype.kind not in "fiub"]:
             raise ValueError(f"column '{odd[0]}' holds no numbers")
-        found = {}
+        content = {}
         for column in STORED:
             names = [f"{column.name}_{joint}" for joint in joints] if column.per_joint else [column.name]
             if names[0] in held:
                 values = [held[name] for name in names]
-                found[column.name] = np.stack(values, axis=1) if column.per_joint else values[0]
-        return Estimates(joints, held["t_ns"], **found)
+                content[column.name] = np.stack(values, axis=1) if column.per_joint else values[0]
+        return Estimates(joints, held["t_ns"], **content)
     except FileNotFoundError as error:
         raise RecordingError(
             f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"

@@ -19,7 +19,7 @@ SEVERAL = "unit of the joint"
 
 
 def short(unit: str) -> str:
-    """As it stands behind a number: `Nm` for `N m`, others as they are."""
+    """The unit as printed after a number: `Nm` for `N m`, others unchanged."""
     return unit.replace("N m", "Nm")
 
 

@@ -33,7 +33,7 @@ def open_watcher(as_json: bool) -> JsonLines | TextLines:
 
 
 class JsonLines(PrintContext):
-    """On stdout, an object an event; docs/files.md lists them."""
+    """On stdout, an object an event; docs/reference/files.md lists them."""
 
     def reading(self, done: int, of: int) -> None:
         pass

@@ -47,7 +47,7 @@ def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
         raise RecordingError(f"{path}: cannot be written ({cause})") from error
 
 
-# --- The Parquet file of a recording; docs/files.md is its contract.
+# --- The Parquet file of a recording; docs/reference/files.md is its contract.
 
 
 if TYPE_CHECKING:

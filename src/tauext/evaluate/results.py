@@ -1,4 +1,4 @@
-"""results.json: dataclasses whose fields are its keys, their reader and writer; docs/files.md is its contract."""
+"""results.json: dataclasses whose fields are its keys, their reader and writer; contract: docs/reference/files.md."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def evaluate_bundles(
 ) -> dict[str, Any]:
     """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
 
-    Returns the content of results.json; docs/files.md describes it.
+    Returns the content of results.json; docs/reference/files.md describes it.
 
     A killed or interrupted run goes on with the recording after the last one that was taken in.
 

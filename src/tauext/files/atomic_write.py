@@ -74,7 +74,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 def atomic_folder(folder: Place) -> Iterator[Path]:
     """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
 
-    What else stands in the folder stays. Where writing fails nothing has changed.
+    Other files of the folder stay. If writing fails, nothing has changed.
     """
     part = written_as(folder)
     shutil.rmtree(part, ignore_errors=True)  # of a run that was killed

@@ -18,7 +18,7 @@ from tauext.files.atomic_write import atomic_write
 EVERY_S = 20.0
 """Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
 FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train", "evaluate"))
-"""Whose classes may stand in a state."""
+"""Modules whose classes a state may contain."""
 ARRAYS = {
     ("numpy", "ndarray"),
     ("numpy", "dtype"),

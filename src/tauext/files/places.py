@@ -236,7 +236,7 @@ class StoredPlace:
         user = bucket.rpartition("@")[0]
         if user and (scheme.lower() in ("s3", "gs") or ":" in user):
             raise ConfigError(
-                f"{plain}: a URL stands in messages and files, so it must hold no key; the store's usual environment "
+                f"{plain}: a URL appears in messages and files, so it must hold no key; the store's usual environment "
                 "variables give it"
             )
         if not bucket:

@@ -206,7 +206,7 @@ def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mappin
     """The dataclass with these values, and defaults for the others.
 
     Args:
-        content: a table as TOML has it; a table within stands for a dataclass within.
+        content: a TOML table; nested tables are nested dataclasses.
         where: for messages, as `fleet.toml: [train]`.
         left_out: fields that are not to be set here, and why.
 

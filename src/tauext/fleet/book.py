@@ -143,7 +143,7 @@ def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
 
 
 def data_inputs(arm: Arm, contents: Contents) -> dict[str, str]:
-    """Of the arm's own dataset; where it is imported, its import stands for it."""
+    """Of the arm's own dataset; where it is imported, the import's inputs count instead."""
     if arm.dataset is None:
         return {}
     return {"dataset": arm.dataset.name} | digests(dataset_files(arm.dataset, "dataset"), contents)
@@ -179,7 +179,7 @@ def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
     return [name for name in {**new, **old} if old.get(name) != new.get(name)]
 
 
-# --- fleet.json: per arm and stage what stands, of what inputs, and why where it does not.
+# --- fleet.json: state, inputs and reason of failure of every stage of every arm.
 
 
 FILE = "fleet.json"

@@ -73,10 +73,10 @@ if TYPE_CHECKING:
     from tauext.fit.fleet_prior import FleetPrior
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
-"""In their order; docs/files.md lists what each needs."""
+"""In their order; docs/reference/files.md lists what each needs."""
 TABLES = ("train", "calibrate", "evaluate")
 SHARED = ("arm", "robot", "case", "accept", "stages", "date", *TABLES)
-"""Keys that stand at the top for all arms, in [types.NAME] for those of a type, or at an arm; the last one counts."""
+"""Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
 OWN = ("name", "serial", "type", "sources", "dataset", "calibration")
 """Keys of an arm alone."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")

@@ -208,7 +208,7 @@ def factor_cell(group: Content, arm: Content, entries: Content, joint: int, agai
 
 
 def table_of(group: Content, arm: Content, against: str, what: str) -> Content | None:
-    """What healthy arms do, of the table that this arm's last date stands in."""
+    """Variation of healthy arms, from the table of this arm's last date."""
     if against == "fleet":
         return group["tables"].get(f"fleet {what}")
     number = (arm["visits"][-1].get("own") or {}).get("number")

@@ -261,7 +261,7 @@ PAGE = "fleet.html"
 
 
 def write_fleet_page(content: Mapping[str, Any], out: Path) -> Path:
-    """Write PAGE from the content of fleet-report.json; arms whose pages stand in `out` are linked. Returns its path.
+    """Write PAGE from the content of fleet-report.json; arms whose pages are in `out` are linked. Returns its path.
 
     Raises:
         ConfigError: it cannot be written.
@@ -283,7 +283,7 @@ def write_fleet_page(content: Mapping[str, Any], out: Path) -> Path:
 
 
 def arm_folder(fleet: int, name: str) -> str:
-    """Where an arm's own page stands in the folder of the fleet's."""
+    """Path of an arm's own page in the folder of the fleet page."""
     return f"arms/{fleet + 1}/{name}"
 
 

@@ -108,7 +108,7 @@ def compared_facts(numbers: GroupNumbers, k: int, members: Sequence[Visit]) -> d
 
 
 def number_of(numbers: GroupNumbers, k: int) -> int:
-    """The number of the date in the names of the tables that a later visit stands in."""
+    """Number of a later visit's date in the names of its tables."""
     return next(int(name.split()[2]) for name, table in numbers.tables.items() if name[:3] == "own" and k in table.rows)
 
 

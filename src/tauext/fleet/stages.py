@@ -50,7 +50,7 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 
 
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
-    """The bundle NAME.tauext with what stands beside it."""
+    """The bundle NAME.tauext with the files beside it."""
     from tauext.data.dataset import load_dataset
     from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle

@@ -216,7 +216,7 @@ def ripples_nm(bundle: _core.Bundle) -> np.ndarray:
     return np.sqrt(squares)
 
 
-# --- Arms at their dates: what stands in the fleet folders that `tauext fleet run` made.
+# --- Arms at their dates, from the folders of `tauext fleet run`.
 
 
 FLEET = "fleet.json"
@@ -232,7 +232,7 @@ class Visit:
     """What its fleet calls it."""
     type: str
     run: int
-    """Which of the fleet folders it stands in, from 0 on."""
+    """Index of its fleet folder, from 0."""
     date: str
     """YYYY-MM-DD; empty: unknown."""
     state: str

@@ -12,7 +12,7 @@ from tauext.page.simulation import Simulation, weigh, weighed_words
 from tauext.page.snapshot import LEAST_KG, MOST_KG, Event
 from tauext.sim.arms import DemoArm
 
-# --- The demo without a browser: scripted pushes, as fast as the machine can, and what every method found.
+# --- The demo without a browser: scripted pushes, as fast as the machine can, and the result of every method.
 
 
 FIRST_PUSH_S = 3.0
@@ -98,10 +98,9 @@ def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:
         )
         for event in push.events:
             if event.alarm == "collision":
-                late_ms = 1e3 * (event.after_push_s or 0.0)
-                lines.append(
-                    f"          {event.method:9s} collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
-                )
+                over_s = event.after_limit_s
+                after = "below its limit" if over_s is None else f"after {1e3 * over_s:.0f} ms over the limit"
+                lines.append(f"          {event.method:9s} collision at {arm.joints[event.joint]} {after}")
         silent = {"tauext", "paper", "observer"} - {e.method for e in push.events if e.alarm == "collision"}
         lines += [f"          {method:9s} nothing" for method in sorted(silent)]
     lines.append(f"alarms without a push: {len(false)}")
@@ -117,13 +116,13 @@ FREE_S, HELD_S = 3.0, 5.0
 
 @dataclass(frozen=True)
 class Carried:
-    """One weight, put in while the arm moves, and what was made of it."""
+    """One weight, put in while the arm moves, and the result of every method."""
 
     mass_kg: float
     load_set: bool
     begin_s: float
     collisions: dict[str, Event]  # of each method that raised one: the first while the weight was held
-    refused: dict[str, str]  # why methods refused the load
+    refused: dict[str, str]  # reason, by method that refused the load
     weighed: str
 
 

@@ -91,8 +91,8 @@ def guarded(host: str, protocol: str) -> Iterator[None]:
         def checked(connection: Any, request: Any) -> Any:
             try:
                 reason = why_not(request.headers, host, protocol)
-            except LookupError:  # a header that stands twice
-                reason = "a header stands twice"
+            except LookupError:  # a repeated header
+                reason = "a header is repeated"
             if reason:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
             return process_request(connection, request) if process_request is not None else None

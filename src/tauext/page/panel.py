@@ -100,12 +100,28 @@ NOTICES = """<style>
 .mantine-Notification-description, .mantine-Notification-closeButton { display: none; }
 @keyframes tauext-notice-leaves { to { visibility: hidden; opacity: 0; } }
 </style>"""
-"""The notice of viser about the browser (no GPU, too old) is one line at the lower edge, which the mouse goes through
-and
-which leaves: over the arm, where viser puts it, it would take the mouse until the user closes it."""
+"""Moves viser's notice about the browser (no GPU, too old) to the lower edge, lets the mouse pass through it and hides
+it after 8 s. At viser's own position it would cover the arm and block the mouse until the user closes it."""
+
+SHEET = """<style>
+@media (max-width: 576px) {
+  .mantine-Paper-root[style*="position: fixed"][style*="max-height"] {
+    width: 100% !important; max-height: 34% !important;
+  }
+  .mantine-Paper-root[style*="position: fixed"][style*="max-height"] .mantine-ScrollArea-content > div {
+    width: 100% !important;
+  }
+}
+</style>"""
+"""On a narrow screen viser shows all panels in one sheet at the lower edge, 60 % of the screen high, which would cover
+half of the arm. At 34 % the arm, the banner and Resume are visible; the rest of the sheet scrolls."""
 
 Send = Callable[..., None]
 """Sends a command of the simulation: its name, its arguments."""
+
+
+DELAY = "N ms: detected after N ms of contact force over the method's limit"
+"""Caption of the table: the definition of `Event.after_limit_s`."""
 
 
 class Panel:
@@ -131,7 +147,7 @@ class Panel:
         gui.set_panel_label("tauext: push the arm")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(330)
-        Html(gui).show(NOTICES)
+        Html(gui).show(NOTICES + SHEET)
         self._banner = Html(gui)
         self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
         resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, hint="end the collision and move on")
@@ -229,7 +245,7 @@ class Panel:
         return (
             "<table style='margin:4px 12px 8px;font-size:12.5px;width:calc(100% - 24px);border-spacing:0 3px'>"
             "<tr style='color:#6b7683;text-align:left'><th>method</th><th>reports</th><th>last alarm</th></tr>"
-            f"{''.join(rows)}</table>"
+            f"{''.join(rows)}</table><div style='margin:0 12px 8px;font-size:11.5px;color:#6b7683'>{DELAY}</div>"
         )
 
     def _plot(self, joint: str) -> viser.GuiUplotHandle:
@@ -303,11 +319,14 @@ def seen(verdict: Verdict) -> str:
 
 
 def last_alarm(event: Event | None, arm: DemoArm) -> str:
+    """`joint2, 22 ms`: joint and delay; DELAY defines the delay. `false`: neither push nor weight."""
     if event is None:
         return "none yet"
-    after = "false" if event.after_push_s is None else f"after {1e3 * event.after_push_s:.0f} ms"
-    after = "weight" if event.by_weight and event.after_push_s is None else after
-    return f"{arm.joints[event.joint]}, {after}"
+    if event.after_push_s is None:
+        return f"{arm.joints[event.joint]}, {'weight' if event.by_weight else 'false'}"
+    if event.after_limit_s is None:
+        return f"{arm.joints[event.joint]}, below its limit"
+    return f"{arm.joints[event.joint]}, {1e3 * event.after_limit_s:.0f} ms"
 
 
 def legend() -> str:

@@ -28,7 +28,7 @@ WEIGHED_S = 4.0
 LEAD_S = 3.0
 """Samples before it: the prior needs them to find the joints' presliding state."""
 SETTLED = 5.0
-"""Times 1/K0, after which the observer has followed what was put in to less than 1 %."""
+"""Multiple of 1/K0 after which the observer shows a new weight to 1 %."""
 EVERY_S = 1.0
 LEAST_S = 1.0
 """Shortest weighed motion: in less no joint moves far."""
@@ -125,8 +125,8 @@ class Weigher:
         self._since_s = self._moved_s = self._started_s = -np.inf
 
     def wants(self, snapshot: Snapshot) -> bool:
-        """Whether samples should be sent to start(); not of an arm that has stood so long that they hold less
-        information again."""
+        """Whether samples should be sent to start(); not after the arm has been at rest so long that the
+        samples hold less information."""
         if snapshot.held is None:
             self.words, self._since_s = "", -np.inf
             return False
@@ -136,8 +136,8 @@ class Weigher:
         if snapshot.doing == "moving":
             self._moved_s = snapshot.time_s
         busy = self._thread is not None and self._thread.is_alive()
-        stands = snapshot.time_s - self._moved_s > WEIGHED_S - LEAST_S
-        if busy or stands or snapshot.time_s - self._started_s < EVERY_S:
+        rests = snapshot.time_s - self._moved_s > WEIGHED_S - LEAST_S
+        if busy or rests or snapshot.time_s - self._started_s < EVERY_S:
             return False
         self._started_s = snapshot.time_s
         return True
@@ -158,7 +158,7 @@ class Weigher:
             self.words = words
 
 
-# --- Arm, mover, push and monitors together: one sample after the other, and what a viewer shows of it.
+# --- Arm, mover, push and monitors together: one sample after the other, and its snapshots for viewers.
 
 
 TRACE_EVERY_S = 0.02
@@ -167,8 +167,8 @@ TRACE_ROWS = 100
 EVENTS = 20
 RESUME_RAD, RESUME_S = 0.02, 1.2
 """After resume() a method that is blind to static friction is acknowledged at every sample until each joint has
-moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
-joint has slid, and would stop the arm again before it does."""
+moved so far, or for so long: the stress that a push leaves in the friction of a joint at rest looks like a push
+until the joint slides, and would stop the arm again before that."""
 MOVE_ON_S = WEIGHED_S + LEAST_S
 """Time for which the arm moves to be weighed, whatever the monitors report about its load."""
 LET_GO_S = 0.5
@@ -200,10 +200,12 @@ class Simulation:
         self._resumed_at = np.array(arm.home)
         self._places: dict[str, Places] = {}
         self._blind_to_stiction: list[str] = []
-        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
+        """Methods without a prior: stress left in a joint's static friction raises none of their limits."""
         self._estimates: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._newtons: dict[str, float] = {}
+        self._over_since_s: dict[tuple[str, _core.Alarm], float] = {}
+        """By method and level: when the true torque of this push first exceeded the limit."""
         self._sample: Sample | None = None
         self._recent = Recent(arm)
         self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
@@ -254,6 +256,7 @@ class Simulation:
         self.drag, self._holder = Drag.grab(self.plant, joint, point_m), holder
         if self.plant.time_s - self._push_ended_s > 0.0:
             self._push_began_s = self.plant.time_s
+            self._over_since_s = {}
 
     def pull(self, holder: object, target_m: np.ndarray) -> None:
         """Move the pointer to this point in the base frame."""
@@ -271,6 +274,7 @@ class Simulation:
         for monitor in self.monitors.values():
             monitor.resume()
         self._alarms = dict.fromkeys(self._alarms, _core.Alarm.none)
+        self._over_since_s = {}
         self.mover.resume()
 
     def rest(self) -> None:
@@ -327,6 +331,8 @@ class Simulation:
             self.monitors[method].acknowledge()
         for method, monitor in self.monitors.items():
             estimate = self._estimates[method] = monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau)
+            if self.drag is not None:
+                self._note_onset(method, estimate, sample.tau_ext)
             alarm = _core.Alarm.none if method in excused else estimate.alarm
             raised |= self._judge(method, alarm, estimate.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
@@ -335,8 +341,15 @@ class Simulation:
         self._ticks += 1
         return raised
 
+    def _note_onset(self, method: str, estimate: _core.Estimate, true_nm: np.ndarray) -> None:
+        """Note when the true torque of a push first exceeds a limit of the method, for the delay of its alarms."""
+        limits = ((_core.Alarm.contact, estimate.contact_limit_nm), (_core.Alarm.collision, estimate.limit_nm))
+        for level, limit_nm in limits:
+            if (method, level) not in self._over_since_s and (np.abs(true_nm) > limit_nm).any():
+                self._over_since_s[method, level] = self.plant.time_s
+
     def _resuming(self) -> bool:
-        """Whether some joint stands where resume() found it, with what the push left in its friction."""
+        """Whether some joint is still at its position of resume(), with the push's stress in its friction."""
         if self._stuck.any() and self._sample is not None:
             self._stuck &= np.abs(self._sample.q - self._resumed_at) < RESUME_RAD
             self._stuck &= self.plant.time_s < self._resumed_s + RESUME_S
@@ -411,9 +424,18 @@ class Simulation:
         now_s = self.plant.time_s
         pushed = self.drag is not None or now_s - self._push_ended_s < LET_GO_S
         after_s = now_s - self._push_began_s if pushed else None
+        over_s = self._over_since_s.get((method, alarm)) if pushed else None
         just_gone = now_s - self._emptied_s < LET_GO_S and method in self._unknown_weight
         self._events.append(
-            Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.right_in(method))
+            Event(
+                time_s=now_s,
+                method=method,
+                alarm=alarm.name,
+                joint=joint,
+                after_push_s=after_s,
+                after_limit_s=None if over_s is None else now_s - over_s,
+                by_weight=just_gone or not self.hand.right_in(method),
+            )
         )
         disturbs = now_s >= self._moves_on_until_s and self.mover.doing == "moving"
         if alarm == _core.Alarm.collision and method == self.method and disturbs:

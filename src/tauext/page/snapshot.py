@@ -1,4 +1,4 @@
-"""What a viewer shows of a simulation: estimates of every monitor, the weight in the hand, contact places."""
+"""Snapshots of a simulation for viewers: estimates of every monitor, the weight in the hand, contact places."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tauext.sim.arms import DemoArm
 SHOWN = 3
 """Places that are drawn: the first, and two ghosts."""
 STAYS = 0.5
-"""Of the most probable link's probability: a link that was first stays first down to this, and no noise makes the arrow
-jump to and fro."""
+"""Share of the most probable link's probability down to which the first link stays first, so that noise does not move
+the arrow between links."""
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,17 @@ class Place:
     """A force at a point that would explain the torques, in the base frame."""
 
     joint: int
-    """That carries the link."""
+    """Joint that carries the link."""
     probability: float
     point_m: np.ndarray
     force_n: np.ndarray
     pushes: bool
-    """Into the surface; else it pulls."""
+    """The force points into the surface; else it pulls."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """What explains the torques of one sample."""
+    """Contact places that explain the torques of one sample."""
 
     links: tuple[tuple[int, float], ...]
     """Joint that carries the link, and its probability: that of the first place, then the most probable first."""
@@ -55,11 +55,11 @@ class Places:
         self._frames = _core.WrenchModel(bundle)
         self._names = [link.joint_name for link in bundle.links]
         self.refused = self._model.refused
-        """Why it gives none; empty: it does."""
+        """Reason why the bundle gives no place; empty: it gives places."""
         self._first = -1
 
     def find(self, q: np.ndarray, estimate: _core.Estimate) -> Placed | None:
-        """Places of this sample; None where no joint is over a limit, so that nothing would be placed but errors."""
+        """Places of this sample; None where no joint exceeds a limit: only errors would be located."""
         if self.refused:
             return None
         if estimate.held_alarm == _core.Alarm.none:
@@ -109,27 +109,27 @@ def place_words(placed: Placed, joints: tuple[str, ...]) -> str:
     return f"On {links_words(placed.links, joints)}: {placed.newtons:.0f} N."
 
 
-# --- A weight in the arm's hand: what it is, since when it is there, and in which monitors it is set.
+# --- A weight in the arm's hand: its load, its start, and the monitors in which it is set.
 
 
 STEEL_KG_M3 = 7850.0
 LEAST_KG, MOST_KG = 1.0, 3.0
-"""Of the weights on offer: less shows on the last joints alone, more is no load for an arm of this size."""
+"""Range of the weights: less is visible at the last joints only, more is too heavy for an arm of this size."""
 
 
 def ball_radius_m(mass_kg: float) -> float:
-    """Of a steel ball."""
+    """Radius of a steel ball."""
     return float(np.cbrt(3 * mass_kg / (4 * np.pi * STEEL_KG_M3)))
 
 
 def ball(arm: DemoArm, mass_kg: float) -> _core.Load:
     """A steel ball in the hand, in the frame of the last link.
 
-    It lies on the last joint's axis and is round: so it is the same for a bundle without a model, whose last link has
+    It is round and lies on the last joint's axis, so it is the same for a bundle without a model, whose last link has
     another x axis.
 
     Raises:
-        ConfigError: the arm has no hand, or the mass is none of those on offer.
+        ConfigError: the arm has no hand, or the mass is out of range.
     """
     if arm.hand_m is None:
         raise ConfigError(f"arm {arm.name} has no hand; another one has")
@@ -141,7 +141,7 @@ def ball(arm: DemoArm, mass_kg: float) -> _core.Load:
 
 @dataclass(frozen=True)
 class Held:
-    """What a viewer shows of the weight in the hand."""
+    """The weight in the hand, for viewers."""
 
     mass_kg: float
     since_s: float
@@ -152,8 +152,8 @@ class Held:
 
 
 class Hand:
-    """The weight in the hand, and the methods in which it is set; the arm's physics are changed by whoever calls
-    take()."""
+    """The weight in the hand, and the methods in which it is set; the caller of take() changes the arm's
+    physics."""
 
     def __init__(self) -> None:
         self.load: _core.Load | None = None
@@ -177,7 +177,7 @@ class Hand:
         for method, monitor in monitors.items():
             load = self.load if load_set else None
             if load is None:
-                if monitor.load.mass > 0:  # a monitor that refuses loads refuses this, too
+                if monitor.load.mass > 0:  # a monitor that refuses loads refuses clear_load(), too
                     monitor.clear_load()
             elif reason := monitor.why_no_load(load):
                 self._refused[method] = reason
@@ -190,13 +190,13 @@ class Hand:
         return self.load is None or (self.load_set and method not in self._refused)
 
     def held(self, method: str) -> Held | None:
-        """For a viewer of this method; None: nothing."""
+        """The held weight for a viewer of this method; None: none."""
         if self.load is None:
             return None
         return Held(self.load.mass, 1e-9 * self.since_ns, self.right_in(method), self._refused.get(method, ""))
 
 
-# --- What a viewer shows of a simulation: its state, and the events since the last snapshot.
+# --- A snapshot of a simulation: its state, and the events since the last snapshot.
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,10 @@ class Event:
     alarm: str
     joint: int
     after_push_s: float | None
-    """Since a push began; None: nothing pushed."""
+    """Since the link was grabbed; None: nothing pushed."""
+    after_limit_s: float | None
+    """Since the true external torque of some joint first exceeded the method's limit of this level, counted from the
+    grab or from resume(); None: it has not exceeded it."""
     by_weight: bool = False
     """A weight in the hand that is not set in this method, or that has just gone; without push or weight the alarm
     is false."""
@@ -234,16 +237,16 @@ class Touch:
     joint: int
     point_m: np.ndarray
     target_m: np.ndarray
-    """Where the pointer pulls to."""
+    """Position of the pointer."""
     force_n: np.ndarray
     estimate_n: np.ndarray
     directions: int
-    """Of the force that the joints' torques show, 0 to 3."""
+    """Number of force directions visible in the joint torques, 0 to 3."""
 
 
 @dataclass
 class Snapshot:
-    """What a viewer draws; arrays over the joints unless stated otherwise."""
+    """State that a viewer draws; arrays over the joints unless stated otherwise."""
 
     time_s: float
     poses: np.ndarray
@@ -263,6 +266,6 @@ class Snapshot:
     held: Held | None = None
     """The weight in the hand."""
     placed: Placed | None = None
-    """Where the method shown takes the touch to be; None while no joint of it is over a limit."""
+    """Contact places by the method shown; None while none of its joints exceeds a limit."""
     places_refused: str = ""
-    """Why that method gives no place; empty: it does."""
+    """Reason why that method gives no place; empty: it gives places."""

@@ -52,7 +52,7 @@ class DemoArm:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The arm with drives, friction and sensors, compiled; bodies stand in the order of the joints."""
+        """The arm with drives, friction and sensors, compiled; bodies are in the order of the joints."""
         return self.changed_model(1.0)
 
     def changed_model(self, friction: float, held: _core.Load | None = None) -> mujoco.MjModel:

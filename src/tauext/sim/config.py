@@ -8,7 +8,7 @@ from tauext.errors import ConfigError
 
 @dataclass(frozen=True)
 class LinkConfig:
-    """One link of a planar arm and the joint that carries it; its frame stands in that joint, z along the link."""
+    """One link of a planar arm and the joint that carries it; its frame is at that joint, z along the link."""
 
     length_m: float
     """Distance from this joint to the next, or to the tip."""

@@ -126,7 +126,7 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
     pair (position, velocity). Sensors run: per joint (drive, bristles and ripple, all actuators); then per link, with
     pads, (found, force xyz, torque xyz, position xyz) of what touches it. Joints of the arm come before those of pads.
 
-    Friction stands in a second, passive dcmotor, since a dcmotor reports its force net of its own friction: so the
+    Friction is in a second, passive dcmotor, since a dcmotor reports its force net of its own friction: so the
     drive's sensor reads the commanded torque alone.
     """
     spec = mujoco.MjSpec.from_string(arm_xml(config))

@@ -1,4 +1,4 @@
-"""A flight as the report reads it: the recording, the estimates beside it, and what stands in its provenance."""
+"""A flight as the report reads it: the recording, its estimates, and its provenance."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Flight:
 
     @property
     def loads(self) -> list[tuple[float, float]]:
-        """What the arm was taken to carry, [kg], and since when, [s] from the event on; none where it never carried.
+        """Assumed loads, [kg], and their start times, [s] from the event; empty if there was no load.
 
         The first is of the whole time before the second.
         """
@@ -54,12 +54,12 @@ class Flight:
 
     @property
     def torque_unit(self) -> str:
-        """Of the motor torque: Nm, A or whatever the bundle took."""
+        """Unit of the motor torque: Nm, A or the bundle's other unit."""
         return of_all(self.event["torque_units"])
 
     @property
     def estimate_unit(self) -> str:
-        """Of external torque and limits, which need not be Nm where the arm had no model."""
+        """Unit of external torque and limits, which may differ from Nm if the arm had no model."""
         return of_all(self.event["estimate_units"])
 
     def estimate_unit_of(self, joint: int) -> str:

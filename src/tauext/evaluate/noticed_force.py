@@ -207,7 +207,7 @@ def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) ->
 
 
 def kept_poses(bundle: _core.Bundle) -> np.ndarray:
-    """Of its provenance, (poses, joints)."""
+    """Poses from the bundle's provenance, (poses, joints)."""
     try:
         kept = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
         q = np.array(kept or [], dtype=float)

@@ -589,7 +589,7 @@ class EvaluatedBundle:
 
     @property
     def verdicts(self) -> dict[str, Verdict]:
-        """By the ids of the collisions."""
+        """Verdicts by collision id."""
         return {one.id: one for one in self.collisions}
 
 
@@ -642,11 +642,11 @@ class Results:
 
     @property
     def unit(self) -> str:
-        """Of torques in headings: one for all joints and bundles, or that each has its own."""
+        """Unit of torques in headings: one for all joints and bundles, or a note that each has its own."""
         return of_all([unit for bundle in self.bundles for unit in bundle.estimate_units])
 
     def unit_of(self, joint: int) -> str:
-        """Of torques of one joint."""
+        """Unit of one joint's torque."""
         return of_all([bundle.estimate_units[joint] for bundle in self.bundles])
 
     @property

@@ -86,7 +86,7 @@ class KinematicSample:
         return np.concatenate(each)
 
     def regression(self, shared: np.ndarray, scales: np.ndarray | None = None) -> Regression:
-        """Of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
+        """Regression of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
 
         Args:
             scales: (n,) ratio of each joint's r to the columns; None: 1.

@@ -240,7 +240,7 @@ class Gate:
         before, after = self.prior_rmse_nm[joint], self.network_rmse_nm[joint]
         verdict = "prior and network" if self.opened[joint] else "prior only"
         growth = after / before - 1 if before > 0 else np.inf
-        change = f"{growth:+.1%}, asked {-margin:.0%}"
+        change = f"{growth:+.1%}, required {-margin:.0%}"
         return f"{verdict}: RMSE {before:.3g} Nm without a network, {after:.3g} Nm with it ({change})"
 
 

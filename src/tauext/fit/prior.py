@@ -210,7 +210,7 @@ class Inertia:
     loads: tuple[_core.Link, ...] = ()
     kinematics: Kinematics | None = None
     play: Play = ()
-    """Of each joint, see own_terms; empty: of none."""
+    """Play index of each joint, see own_terms; empty: no joint has play."""
     local_memory_nm: tuple[float, ...] = ()
     """Most of each joint's presliding friction that may have local memory; 0: none has. Empty: of no joint."""
 

@@ -57,7 +57,7 @@ def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: n
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric, positive definite matrix, (m, m); symmetric and positive definite itself.
+    """Inverse of a symmetric, positive definite matrix, (m, m); symmetric and positive definite itself.
 
     Directions whose eigenvalue, with the diagonal scaled to 1, is lost in rounding count as if it were the least that
     shows: np.linalg.inv may give a negative variance there.
@@ -77,10 +77,10 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
 RIDGE_TIE = 1e-6
-"""Of the squared error by cross-validation: where the data determine everything, weak ridges differ by rounding alone,
-and the strongest of them is taken. A stronger ridge would distort what the data determine."""
+"""Share of the squared error by cross-validation: if the data determine everything, weak ridges differ by rounding
+alone, and the strongest of them is taken. A stronger ridge would distort what the data determine."""
 LEAST_SQUARE = 1e-12
-"""Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
+"""Smallest mean square of a joint's r used as its weight, [N m squared]."""
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 

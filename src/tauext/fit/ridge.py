@@ -285,7 +285,7 @@ class MapRegression(Regression):
         return shares
 
     def covariance(self) -> np.ndarray:
-        """Of the coefficients, with all of the motion, (columns, columns)."""
+        """Covariance of the coefficients, with all of the motion, (columns, columns)."""
         information, _ = self._normal(self.whole)
         size = self._sizes()
         out = np.zeros_like(information)

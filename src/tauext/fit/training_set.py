@@ -38,7 +38,7 @@ class Setup:
 
     @property
     def columns(self) -> int:
-        """Of the feature rows: q, dq and the presliding states of every joint."""
+        """Number of feature columns: q, dq and the presliding states of every joint."""
         return self.tree.size * (2 + len(self.widths_rad))
 
     @property
@@ -49,7 +49,7 @@ class Setup:
 
     @property
     def warm_up_s(self) -> float:
-        """Of the observer and its filters, [s]."""
+        """Warm-up of the observer and its filters, [s]."""
         return warm_up_s(self.observer.gain_per_s, self.observer.low_pass_per_s)
 
     @property

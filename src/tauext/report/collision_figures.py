@@ -305,7 +305,7 @@ def draw_found_curve(results: Results) -> Drawing:
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
         "in units of the limit that holds there at that moment. Limits differ from bundle to bundle, and so do the "
-        "counts; a larger dot stands for more collisions." + results.shown_note,
+        "counts; a larger dot means more collisions." + results.shown_note,
     )
 
 

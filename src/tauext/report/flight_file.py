@@ -18,9 +18,9 @@ ESTIMATES = ".estimates.parquet"
 LISTS: dict[str, Any] = dict.fromkeys([column.key for column in COLUMNS if column.in_messages], int | float | None)
 LISTS |= dict.fromkeys(("tau", "dq_rad_s"), int | float | None)
 LISTS |= {"near_stiction": bool, "torque_units": str, "estimate_units": str}
-"""Of an event, a value a joint: its kind."""
+"""Fields of an event with one value per joint, and their kinds."""
 NEEDED = {"what", "t_ns", "joint", *LISTS}
-"""Of an event."""
+"""Required fields of an event."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def check_event(path: Path, event: dict[str, Any], joints: int) -> None:
 
 
 def newest(folder: Path) -> Path:
-    """The flight that was written last."""
+    """The flight written last."""
     flights = [path for path in folder.glob("*.parquet") if path.with_name(path.stem + ESTIMATES).is_file()]
     if not flights:
         raise ConfigError(f"{folder}: there are no flights in this folder; `tauext run --flights` writes them")

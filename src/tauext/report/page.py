@@ -287,7 +287,7 @@ MOST_TILES = 5
 SCALES = {
     "smoke": "Scale smoke: seconds of data and training, to test that everything runs. The numbers mean nothing.",
     "quick": "Scale quick: less motion, and every model's network by a short training of its own (recipe dense); "
-    "tauext's own recipe stands beside them. The paper's recipe, whole and for all five models, is in --scale full.",
+    "tauext's own recipe is shown, too. The paper's recipe, complete and for all five models, is in --scale full.",
     "full": "Scale full: as much data as the paper's, and every model by its whole recipe beside tauext's short one.",
 }
 

@@ -153,7 +153,7 @@ class Traced:
     head: dict[str, Any]
     """Names, and times in s from the first sample, as the page reads them."""
     traces: list[tuple[str, str | None, int]]
-    """Of every column: signal, method (None: the recording's own), joint."""
+    """Signal, method (None: the recording's own) and joint of every column."""
     whole: Buckets
     close: list[tuple[int, Buckets]]
     """Windows of every sample in order of time, each with its place in the order of importance."""

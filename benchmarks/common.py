@@ -110,6 +110,15 @@ def write_page(path: Path, lines: str | Iterable[str]) -> None:
     print(text)
 
 
+def replace_section(page: Path, heading: str, lines: Iterable[str]) -> None:
+    """Replace a page's last section, from its heading to the end, by these lines."""
+    text, found, _ = page.read_text().partition(f"\n{heading}\n")
+    if not found:
+        raise SystemExit(f"{page}: has no section {heading!r}")
+    page.write_text("\n".join([text, heading, "", *lines]).rstrip() + "\n")
+    print(page)
+
+
 def runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """Begin and end of each run of true samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))

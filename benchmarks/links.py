@@ -293,39 +293,46 @@ WITHIN_DEG, FROM_N, LAST_LINKS = 30.0, 20.0, 3
 def markdown(rows: list[dict], command: str) -> str:
     arms = list(dict.fromkeys(row["arm"] for row in rows))
     held, rows = [row for row in rows if row["flange"]], [row for row in rows if not row["flange"]]
-    text = f"""# Which link, and where
+    text = f"""# Which link is touched, and where
 
-Written by `{command}`; each touch is in [links.json](links.json).
+Written by `{command}`. Every touch is in [links.json](links.json).
 
-Simulated arms of the trial on [unseen arms](../unseen-arms/README.md), bundles of recipe prior from their twelve
-minutes, links shaped as cylinders (`benchmarks/unseen/surfaces.py`). The method's numbers were looked at on arm ur5
-alone. Touches on every link as often, anywhere on its surface, within {np.degrees(CONE_RAD):.0f} degrees of the
-normal, held for 1.2 s, in motion and at rest; {RATIOS[0]:g} to {RATIOS[1]:g} times the limit of the joint that exceeds
-it most, as far as that takes {FORCES_N[0]:g} to {FORCES_N[1]:g} N. What the monitor has said by {SAID_AT_S:g} s after
-the alarm counts. `Bayes` knows the cylinders, how touches are drawn, and this arm's errors, fitted to the very touches
-that are judged. Stated: with a probability of {STATED:.0%} or more.
+**Data.** Simulated arms of [unseen arms](../unseen-arms/README.md). The bundles are trained by recipe prior on twelve
+minutes of motion. Links are cylinders (`benchmarks/unseen/surfaces.py`). The method's constants were tuned on arm ur5
+alone.
+
+**Touches.** Every link is touched equally often, anywhere on its surface, within {np.degrees(CONE_RAD):.0f} degrees of
+the normal. A touch lasts 1.2 s, in motion or at rest. Its force is {RATIOS[0]:g} to {RATIOS[1]:g} times the limit of
+the joint that exceeds its limit most, within {FORCES_N[0]:g} to {FORCES_N[1]:g} N. The result is the monitor's last one
+within {SAID_AT_S:g} s after the alarm.
+
+**Reference.** `Bayes` is given the cylinders, the distribution of the touches and this arm's errors, fitted to the
+evaluated touches themselves. It is a reference, not a usable method. *Stated*: the most probable link has a probability
+of {STATED:.0%} or more. *Right*: the touched link is the most probable one; *among two*: one of the two most probable.
 
 | arm | touches | alarms | right | Bayes | among two | Bayes | stated | of those right | Bayes stated | right |
 |---|---|---|---|---|---|---|---|---|---|---|
 """
     for arm in [*arms, None]:
         text += links_line(arm or "**all**", [row for row in rows if arm in (None, row["arm"])])
-    text += "\nBy the largest torque over its limit, as the joints' truth had it:\n\n"
-    text += "| ratio | touches seen | right | Bayes right | stated | of those right |\n|---|---|---|---|---|---|\n"
+    text += "\nBy the largest ratio of the true torque to its joint's limit:\n\n"
+    text += (
+        "| ratio | touches with an alarm | right | Bayes right | stated | of those right |\n|---|---|---|---|---|---|\n"
+    )
     for low, high in ((0, 2), (2, 4), (4, 7), (7, 99)):
         some = [row for row in rows if row["seen"] and low <= row["ratio"] < high]
         if some:
             ours, bayes = (Told(padded(some), by) for by in ("probability", "bayes"))
             text += f"| {low} to {high} | {len(some)} | {ours.first:.0%} | {bayes.first:.0%} "
             text += f"| {ours.stated:.0%} | {ours.sure:.0%} |\n"
-    text += "\nLinks that were touched (rows) and what they were taken for, the most probable link:\n"
+    text += "\nTouched link (rows) and most probable link (columns):\n"
     for arm in arms:
         text += confusion(arm, [row for row in rows if row["arm"] == arm and row["seen"]])
     text += f"""
-Pushes on other links taken for a force at the origin of the last link's frame: those of which `Monitor.force` says that
-they are none there (consistent below {REJECTED:g}), and those with a probability below {AT_FLANGE:g} of being one there
-rather than a touch elsewhere (`PlaceModel.find(frame=...)`). Beside them, of forces at that very point, in any
-direction, how many are refused.
+Touches on other links, if the application assumes a force at the origin of the last link's frame. `Monitor.force`
+rejects the assumption if `consistent` is below {REJECTED:g}; `PlaceModel.find(frame=...)` rejects it if the probability
+is below {AT_FLANGE:g}. The right half of the table is the share of true forces at that point, in any direction, that
+are wrongly rejected.
 
 | arm | on other links | by consistency | by probability | at the point | by consistency | by probability |
 |---|---|---|---|---|---|---|
@@ -335,10 +342,10 @@ direction, how many are refused.
             arm or "**all**", *([row for row in some if arm in (None, row["arm"])] for some in (rows, held))
         )
     text += f"""
-The place on the link, which is given, of touches from {FROM_N:g} N within {WITHIN_DEG:g} degrees of the normal on the
-last {LAST_LINKS} links: distance from the true point, the spread that is said, the error of the force's size.
+Place on a given link, for touches of {FROM_N:g} N or more within {WITHIN_DEG:g} degrees of the normal on the last
+{LAST_LINKS} links: distance from the true point, reported spread, and error of the force's magnitude.
 
-| arm | touches | off, cm: median | 90 % | spread, cm | force off, N |
+| arm | touches | distance, cm: median | 90 % | spread, cm | force error, N |
 |---|---|---|---|---|---|
 """
     for arm in [*arms, None]:

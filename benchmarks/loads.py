@@ -57,7 +57,7 @@ from tauext.sim.rig import arm_xml, build_scene, draw_motion, joint_names, measu
 RIG = "rig"
 WRONG = 0.1
 KINDS = {"true": ["--fit-torque-constants", "False"], "off": []}
-"""Constants, and what training is told of them: it corrects those of currents where it is not told otherwise."""
+"""Torque constants, and the ones given to training; training corrects constants of currents unless they are given."""
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,7 @@ TITLES = {
     "true": "true constants",
     "off": "off by up to 10 %, as trained",
     "off, common": "then `--known-kg`, one factor",
-    "off, joints": "then trained anew, `--torque-constants`",
+    "off, joints": "then retrained with `--torque-constants`",
 }
 
 
@@ -353,7 +353,7 @@ class Weighed:
     def of(
         cls, arm: str, kind: str, recording: str, truth: Carried, found: LoadEstimate, axes: Sequence[int] = (0, 1, 2)
     ) -> Weighed:
-        """Axes: of the load frame, those along which the arm's motion can tell a centre of mass at all."""
+        """Axes: those of the load frame along which the arm's motion shows a centre of mass."""
         off = float(np.linalg.norm((found.com_m - truth.com_m)[list(axes)]))
         error = float(np.sqrt(np.diag(found.com_covariance)[list(axes)].sum()))
         return cls(arm, kind, recording, truth, found.verdict, found.mass_kg, found.mass_error_kg, off, error)
@@ -369,7 +369,7 @@ class Weighed:
 
     @property
     def mass_told(self) -> bool:
-        """The estimate itself says that twice its error is within."""
+        """Twice the reported standard error is within the tolerance."""
         return self.verdict == "load" and 2 * self.mass_error_kg <= max(MASS_SHARE * self.truth.mass_kg, MASS_KG)
 
     @property
@@ -382,7 +382,7 @@ class Weighed:
 
     @property
     def com_told(self) -> bool:
-        """The estimate itself says that it is within."""
+        """The reported standard error is within the tolerance."""
         return self.verdict == "load" and self.com_error_m <= self.within_m
 
 
@@ -429,23 +429,28 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
     """The page."""
     facts = summary(outcomes)["weighed"]
     lines = [
-        "# What an arm carries",
+        "# Weighing loads",
         "",
-        f"Written by `{command}`.",
+        f"Written by `{command}`. Every figure is in",
+        "[loads.json](loads.json).",
         "",
-        "Simulated arms of the trial on [unseen arms](../unseen-arms/README.md): a model that is wrong, friction with",
-        "memory, load and warmth, motor currents. Nine minutes to train on, without a load. Then loads of 0.5 to 3 kg",
-        "within 10 cm of the last joint's origin, 25 an arm, two windows of 4 s of each, whatever the arm does:",
-        "some hold little but pauses and creep. Mass: within 5 % or 0.1 kg. Centre: within 2 cm from 1 kg on, 4 cm",
-        "below. Told: twice the mass's own standard error, or the centre's own, is within that.",
+        "Simulated arms of [unseen arms](../unseen-arms/README.md): a wrong model, friction that depends on history,",
+        "load and temperature, and motor currents as torques. Training: nine minutes of motion without a load. Test:",
+        "25 loads an arm of 0.5 to 3 kg, within 10 cm of the last joint's origin, two windows of 4 s each, in any",
+        "motion, pauses and creep included.",
         "",
-        "The rig is the [virtual one](../../paper.md): two joints, a model that is right, measured torques that wrong",
-        "constants scale. Its loads are within 10 cm of its tip, in the plane in which it moves: nothing tells where",
-        "they are across it, and their centres are judged in the plane.",
+        "A mass is right within 5 % or 0.1 kg, whichever is larger. A centre of mass is right within 2 cm for loads",
+        "of 1 kg or more and within 4 cm below. A mass is *certain* if twice its reported standard error is within",
+        "that tolerance; a centre is certain if its reported standard error is.",
+        "",
+        "The [virtual rig](../../paper.md) has two joints, a correct model and measured torques that wrong constants",
+        "scale. Its loads are within 10 cm of the tip, in the plane of motion. The motion does not show the centre",
+        "across that plane, so centres are judged in the plane.",
         "",
         *head(
-            "constants | arm | windows | mass | centre | both | mass told | mass where told | centre told "
-            "| centre where told | mass off by, median (68 %) | mass within two of its errors"
+            "constants | arm | windows | mass | centre | both | mass certain | mass right where certain "
+            "| centre certain | centre right where certain | mass error, median (68 %) "
+            "| mass within two standard errors"
         ),
     ]
     for kind, arms in facts.items():
@@ -456,7 +461,7 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
             told = [f"{f['mass_told']:.0%}", mass, f"{f['com_told']:.0%}", where]
             off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})", f"{f['within_2_errors']:.0%}"]
             lines.append(table_row(TITLES[kind], name, f["windows"], *shares, *told, *off))
-    lines += ["", "What each window was taken for, loads and then constant forces of 10 to 40 N across gravity:", ""]
+    lines += ["", "Verdicts for windows with loads, and for constant forces of 10 to 40 N across gravity:", ""]
     lines += head("constants | arm | loads | forces")
     for kind, arms in facts.items():
         for arm, f in arms.items():
@@ -467,11 +472,11 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
 
 
 def factor_lines(factors: dict[str, dict]) -> list[str]:
-    """What the known weight said beside what was true."""
+    """Factors found with a known weight, and the true ones."""
     lines = [
-        "Factors by which the torques of the arm as trained are off, and what 2.805 kg in 40 s of motion said of them:",
+        "True factors of the trained arm's torques, and factors found with a known 2.805 kg in 40 s of motion:",
         "",
-        *head("arm | true | one factor | joint by joint (in brackets: taken from all)"),
+        *head("arm | true | one factor | joint by joint (in brackets: the common factor)"),
     ]
     for arm, f in factors.items():
         true = joined(f["left"], ".3f")

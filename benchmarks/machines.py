@@ -343,14 +343,14 @@ def of_fleet(arms: Sequence[Path], out: Path) -> dict:
 
 def page(out: Path, sets: Sequence[str], kernels: dict[str, str | None], command: str) -> str:
     """Both tables in Markdown."""
-    lines = ["# Decisions on other machines", "", f"Written by `{command}` on {machine()}.", ""]
+    lines = ["# Training on other processors", "", f"Written by `{command}` on {machine()}.", ""]
     lines += head("setting | kernels")
     lines += [table_row(name, one or "this processor cannot run it") for name, one in kernels.items()]
     lines += [
         "",
-        "Settings with the same kernels are run once. Spread: the largest value by the smallest, less 1, over settings",
-        "and draws; of limits and of the L1 error in free motion that of the worst joint. Collisions: episodes of the",
-        "alarm in recordings with and without contacts.",
+        "Settings with the same kernels run once. Spread is the largest value divided by the smallest, less 1, over",
+        "settings and draws; for limits and the L1 error in free motion, it is that of the worst joint. Collisions",
+        "are alarm episodes in recordings with and without contacts.",
         "",
         *head("set | trainings | decisions that differ | limits | L1 error | collisions"),
     ]

@@ -131,7 +131,9 @@ def span(recording: Recording, from_s: float, to_s: float) -> Recording:
 
 def markdown(rows: Sequence[dict]) -> str:
     """The table of docs/results/minutes-limits: splits of one arm and length together, and all of a length."""
-    lines = head("arm | minutes | splits | false alarms promised | seen | ratio (least to most) | detected | delay, ms")
+    lines = head(
+        "arm | minutes | splits | false alarms promised | observed | ratio (least to most) | detected | delay, ms"
+    )
     used = [row for row in rows if row.get("promised")]
     arms = [*dict.fromkeys(row["arm"] for row in used), "**all**"]
     for arm in arms:

@@ -42,7 +42,7 @@ def main() -> None:
             told[key] = _core.estimate(bundles[name], one.t_ns, one.q, one.dq, one.tau, 1)["tau_ext"]
         tables[title] = table_of(arm, recordings, told, own=name == "observer")
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
-    tables["the robot's own"] = table_of(arm, recordings, own, own=False)
+    tables["the robot's own estimate"] = table_of(arm, recordings, own, own=False)
     write_page(options.out / "README.md", markdown(tables))
 
 
@@ -89,15 +89,18 @@ def table_of(bundle: _core.Bundle, recordings: dict[str, Recording], told: dict[
 def markdown(tables: dict[str, dict]) -> str:
     text = """# Touches on a standing Panda
 
-Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT`: hand touches of
-[tactileGestureDetection](https://github.com/MindLabZHAW/tactileGestureDetection) (MIT), 0.3 to 0.7 s each, one link a
-file, no force known; the arm stands in one pose. Bundles of the recipes observer and bandpass, which need no motion,
-from three of the files. The observer's standard error is the one that training stored in its bundle; the other two
-estimates get that of their samples between touches. Shapes are cylinders of the simulated Panda. A touch in line with
-an axis, or near one, does not show on which side of it it was.
+Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT`.
 
-A band-pass distorts the direction of a touch over time, so tauext refuses links, forces and kinds of touch for bundles
-with residual filters. They are shown here for comparison.
+Hand touches of [tactileGestureDetection](https://github.com/MindLabZHAW/tactileGestureDetection) (MIT). The arm stands
+in one pose. A touch lasts 0.3 to 0.7 s; each file has touches on one link; forces are unknown.
+
+Recipes observer and bandpass need no motion; their bundles are trained on three of the files. The observer's standard
+error is the one stored in its bundle. The other two estimates get the standard error of their samples between
+touches. Link shapes are the cylinders of the simulated Panda. A touch in line with an axis, or near one, does not show
+which side of the axis was touched.
+
+A band-pass distorts the direction of a touch over time. tauext therefore refuses links, forces and kinds of touch for
+bundles with residual filters; they are shown here for comparison only.
 
 """
     for by, one in tables.items():
@@ -105,9 +108,10 @@ with residual filters. They are shown here for comparison.
         count, right = confusion.sum(), np.trace(confusion)
         text += f"## {by[0].upper()}{by[1:]}\n\n"
         text += (
-            f"{right} of {count} on the link that was touched, {one['two']} among the first two. A link was stated "
-            f"with 90% or more {one['stated']} times, {one['sure']} of them right. At {one['own']} of {count} touches "
-            "the touched link's own joint shows three standard errors.\n\n"
+            f"The touched link is the most probable one in {right} of {count} touches, and among the first two in "
+            f"{one['two']}. A link has a probability of 90% or more {one['stated']} times; {one['sure']} of these are "
+            f"right. In {one['own']} of {count} touches, the torque of the link's own joint exceeds "
+            "three standard errors.\n\n"
         )
         lines = head(" | ".join(["touched", *(str(k + 1) for k in range(7))]))
         lines += [table_row(k, *(n or "" for n in confusion[k - 1])) for k in sorted(set(TOUCHED.values()))]

@@ -1,10 +1,10 @@
-"""Recordings of real arms in docs/results/real-arms: every step is a tauext command, what is finished is not repeated.
+"""Recordings of real arms in docs/results/real-arms: every step is a tauext command; finished steps are not repeated.
 
 python benchmarks/real_arms.py OUT [--data DIR] [--only ARM ...]   runs the steps in OUT/ARM, a minute or two
-python benchmarks/real_arms.py OUT --keep                          and puts what they said into docs/results/real-arms
+python benchmarks/real_arms.py OUT --keep                          also writes the pages of docs/results/real-arms
 
 DIR holds the recordings (--data). Each arm's description is docs/results/real-arms/ARM/arm.toml; other descriptions of
-it are made from that one. A step's output stands in OUT/ARM/said/, with its command and exit status.
+it are made from that one. OUT/ARM/output/ keeps each step's output.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from tauext.data.recording_file import load_recording
 
 
 HEALTHY_FROM_S = 0.5
-"""r is warm."""
+"""From here on the observer has warmed up."""
 UR3_SETS = {
     "no-tool": "URDF without the tool",
     "tool": "URDF with the tool",
     "tool-four-runs": "URDF with the tool, four runs of trajectory 1",
     "no-model": "no model",
 }
-"""Name of a dataset of the UR3: what it is made with."""
+"""Datasets of the UR3, and the model that each is made with."""
 EVENTS = {"id2": ((12.15, 12.24), (36.55, 36.68), (40.78, 40.9)), "second10": ((11.62, 11.67),)}
 """What happened in runs of the UR3, [s]; only the last, the impact, is labelled in the dataset."""
 NEAR_S = 0.2
-"""An alarm so long before an event or after it belongs to it."""
+"""An alarm within this time of an event belongs to the event."""
 
 
 def ur3_tables(folder: Path) -> str:
@@ -62,7 +62,7 @@ def ur3_tables(folder: Path) -> str:
                     others.append(f"{time_s:.2f}" if recording == "id2" else f"{recording} {time_s:.2f}")
             counted = f"{len(others)}" + (f": {', '.join(others[:6])}{' ...' * (len(others) > 6)} s" if others else "")
             alarms.append([label, bundle["name"], hit, "; ".join(near) or "none", counted])
-    columns = ["model, trained on id1 unless said", "method"]
+    columns = ["model, trained on id1 except where noted", "method"]
     return "\n\n".join(
         [
             "RMS of the error on `id2.bag` before 40 s, Nm, joints 1 to 6, and the same in percent of the torque's RMS",
@@ -78,7 +78,7 @@ def panda_tables(folder: Path) -> str:
     rows = [event_cells(bundle["name"], bundle["events"]["all"]) for bundle in with_model["bundles"]]
     rows += [event_cells(f"{c['name']}, no model", c["events"]["all"]) for c in without["bundles"]]
     rows.append(
-        event_cells("the robot's own tau_ext, over its largest at rest", with_model["own_torque"]["events"]["all"])
+        event_cells("the robot's own tau_ext, limit: its largest at rest", with_model["own_torque"]["events"]["all"])
     )
     by_file = []
     verdicts = with_model["bundles"][0]["events"]["verdicts"]
@@ -86,33 +86,33 @@ def panda_tables(folder: Path) -> str:
         of = [v for v in verdicts if v["recording"] == name]
         delays = [1e3 * v["delay_s"] for v in of if v["found"]]
         joints = {joint: sum(v["joint"] == joint for v in of) for joint in {v["joint"] for v in of if v["found"]}}
-        told = ", ".join(f"{joint} {n}" for joint, n in sorted(joints.items()))
-        by_file.append([name, f"{len(delays)} of {len(of)}", f"{np.median(delays):.0f}", f"{max(delays):.0f}", told])
+        counts = ", ".join(f"{joint} {n}" for joint, n in sorted(joints.items()))
+        by_file.append([name, f"{len(delays)} of {len(of)}", f"{np.median(delays):.0f}", f"{max(delays):.0f}", counts])
     columns = ["", "found", "missed", "false", "delay from the label, ms, median (95 %)", "from the re-timed onset"]
     return "\n\n".join(
         [
-            "Touches of the five recordings that limits were not found on",
+            "Touches of the five recordings that were not used for the limits",
             table(columns, rows),
-            "The observer by recording: a 7, b 6, c 5, d 4, f 2 is the touched link",
+            "The observer by recording. Touched links: a 7, b 6, c 5, d 4, f 2",
             table(["recording", "found", "delay, ms, median", "largest", "first joint over its limit"], by_file),
         ]
     )
 
 
-def event_cells(name: str, told: dict) -> list[str]:
+def event_cells(name: str, counts: dict) -> list[str]:
     def delays(kind: str) -> str:
-        median, most = (told[f"{kind}_{which}_s"] for which in ("median", "p95"))
+        median, most = (counts[f"{kind}_{which}_s"] for which in ("median", "p95"))
         return "-" if median is None else f"{1e3 * median:.0f} ({1e3 * most:.0f})"
 
-    found, events = told["found"], told["events"]
-    false = f"{told['false_alarms']} in {3600 * told['free_hours']:.0f} s"
+    found, events = counts["found"], counts["events"]
+    false = f"{counts['false_alarms']} in {3600 * counts['free_hours']:.0f} s"
     return [name, f"{found} of {events}", str(events - found), false, delays("delay"), delays("delay_from_onset")]
 
 
 def short_tables(recording: str) -> Callable[[Path], str]:
     def tables(folder: Path) -> str:
-        told = results(folder / "results")["bundles"]
-        rows = [[bundle["name"], *error_cells(bundle, folder / "data", recording)] for bundle in told]
+        bundles = results(folder / "results")["bundles"]
+        rows = [[bundle["name"], *error_cells(bundle, folder / "data", recording)] for bundle in bundles]
         words = f"RMS of the error on the held-out `{recording}`, Nm, and in percent of the torque's RMS"
         return words + "\n\n" + table(["method", "error, Nm", "of the torque"], rows)
 
@@ -125,8 +125,8 @@ def results(folder: Path) -> dict:
 
 def error_cells(bundle: dict, data: Path, recording: str) -> list[str]:
     """RMS of the error of each joint, and its share of the torque's RMS over the same samples."""
-    told = load_recording(data / f"{recording}.parquet")
-    torque = np.sqrt((told.tau[told.time_s >= HEALTHY_FROM_S] ** 2).mean(axis=0))
+    signals = load_recording(data / f"{recording}.parquet")
+    torque = np.sqrt((signals.tau[signals.time_s >= HEALTHY_FROM_S] ** 2).mean(axis=0))
     error = np.array(bundle["free_motion"]["l2_nm"])
     return [" ".join(f"{e:.2f}" for e in error), " ".join(f"{100 * share:.0f}" for share in error / torque) + " %"]
 
@@ -135,7 +135,7 @@ def rises(folder: Path, command: str) -> list[tuple[str, float, str, str]]:
     """(recording, time, joint, level) of every alarm that began in a `tauext run --json`; a contact that becomes a
     collision within half a second is one."""
     found: list[tuple[str, float, str, str]] = []
-    for line in said(folder, command).splitlines():
+    for line in output_of(folder, command).splitlines():
         if not line.startswith("{"):
             continue
         event = json.loads(line)
@@ -160,21 +160,23 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
 
     from tauext.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
 
-    told, said = load_recording(recording), load_estimates(estimates)
+    signals, estimated = load_recording(recording), load_estimates(estimates)
     with rc_context(RC):
         figure = Figure(figsize=(10, 0.6 + 1.15 * len(joints)), layout="constrained")
         for axes, j in zip(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0], joints, strict=True):
             for span in spans:
                 axes.axvspan(*span, color=CONTACT)
-            if told.tau_ext is not None:
-                axes.plot(told.time_s, told.tau_ext[:, j], color=SENSOR, lw=0.8, label="the robot's own tau_ext")
-            axes.plot(told.time_s, said.tau_ext[:, j], color=CASE_COLOURS["exact"], lw=0.9, label="tauext")
+            if signals.tau_ext is not None:
+                axes.plot(signals.time_s, signals.tau_ext[:, j], color=SENSOR, lw=0.8, label="the robot's own tau_ext")
+            axes.plot(signals.time_s, estimated.tau_ext[:, j], color=CASE_COLOURS["exact"], lw=0.9, label="tauext")
             for sign in (-1, 1):
                 label = "limit" if sign > 0 else None
-                axes.plot(told.time_s, sign * said.limit_nm[:, j], color=GREY, lw=0.5, ls="--", zorder=1, label=label)
-            top = 3 * float(np.median(said.limit_nm[:, j])) if told.tau_ext is None else None
+                axes.plot(
+                    signals.time_s, sign * estimated.limit_nm[:, j], color=GREY, lw=0.5, ls="--", zorder=1, label=label
+                )
+            top = 3 * float(np.median(estimated.limit_nm[:, j])) if signals.tau_ext is None else None
             axes.set_ylim(*((-top, top) if top else (None, None)))
-            axes.set_ylabel(f"{told.joints[j].removesuffix('_joint')}\nNm")
+            axes.set_ylabel(f"{signals.joints[j].removesuffix('_joint')}\nNm")
             axes.margins(x=0)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
         axes.set_xlabel("time, s")
@@ -188,18 +190,18 @@ def ur3_figure(folder: Path, path: Path) -> None:
 
 def panda_figure(folder: Path, path: Path) -> None:
     recording = folder / "data/c3.parquet"
-    told = load_recording(recording)
-    spans = [(told.time_s[begin], told.time_s[end - 1]) for begin, end in runs(told.contact == 1)]
+    signals = load_recording(recording)
+    spans = [(signals.time_s[begin], signals.time_s[end - 1]) for begin, end in runs(signals.contact == 1)]
     draw(recording, folder / "results/estimates/observer/c3.parquet", [0, 1, 2, 3], spans, path)
 
 
 def file_of(folder: Path, command: str) -> Path:
-    return folder / "said" / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', command)[:120]}.txt"
+    return folder / "output" / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', command)[:120]}.txt"
 
 
-def said(folder: Path, begins: str) -> str:
-    """What the one command that begins so said."""
-    (path,) = (folder / "said").glob(file_of(folder, begins).stem + "*")
+def output_of(folder: Path, begins: str) -> str:
+    """Output of the one command that begins like this."""
+    (path,) = (folder / "output").glob(file_of(folder, begins).stem + "*")
     return path.read_text()
 
 
@@ -207,7 +209,7 @@ def said(folder: Path, begins: str) -> str:
 
 
 KEPT = ROOT / "docs" / "results" / "real-arms"
-LONGEST_SAID = 14  # lines of a command that are kept, but for check
+LONGEST_OUTPUT = 14  # lines of output kept for each command except check
 
 
 @dataclass(frozen=True)
@@ -374,7 +376,7 @@ def plain(commands: list[str]) -> list[str]:
 
 
 def carry_out(name: str, folder: Path) -> None:
-    (folder / "said").mkdir(exist_ok=True)
+    (folder / "output").mkdir(exist_ok=True)
     for command, bare in zip(ARMS[name].commands, plain(ARMS[name].commands), strict=True):
         path = file_of(folder, bare)
         if path.exists():
@@ -389,9 +391,11 @@ def carry_out(name: str, folder: Path) -> None:
 
 
 def page(name: str, folder: Path) -> str:
-    """What is kept of an arm: tables, figures, and every command with what it said."""
+    """An arm's page: tables, figures, and every command with its output."""
     arm = ARMS[name]
-    parts = [f"# {name}\n\nMade by `python benchmarks/real_arms.py`; [the index](../README.md) says what it means."]
+    parts = [
+        f"# {name}\n\nWritten by `python benchmarks/real_arms.py`. [Real arms](../README.md) explains the results."
+    ]
     tables = arm.tables(folder)
     parts += [tables] if tables else []
     parts += [f"![{figure}]({figure})" for figure in arm.figures]
@@ -399,8 +403,8 @@ def page(name: str, folder: Path) -> str:
     for command, bare in zip(arm.commands, plain(arm.commands), strict=True):
         lines = [line for line in file_of(folder, bare).read_text().splitlines() if line and line[0] != "{"]
         lines = [line for line in lines if not re.match(r"(evaluate|train \w+): ", line)]
-        if not bare.startswith("check") and len(lines) > LONGEST_SAID:
-            lines = [*lines[: LONGEST_SAID - 4], f"... ({len(lines) - LONGEST_SAID + 1} lines)", *lines[-3:]]
+        if not bare.startswith("check") and len(lines) > LONGEST_OUTPUT:
+            lines = [*lines[: LONGEST_OUTPUT - 4], f"... ({len(lines) - LONGEST_OUTPUT + 1} lines)", *lines[-3:]]
         status = f"\n(exit status {command[0]})" if command != bare else ""
         parts.append("```text\n$ tauext " + "\n".join([bare, *lines]) + status + "\n```")
     return "\n\n".join(parts) + "\n"

@@ -51,7 +51,7 @@ PROMISE_PER_HOUR = 1 / 8
 
 @dataclass(frozen=True)
 class Change:
-    """What of the rig's friction is another than in training."""
+    """A change of the rig's friction since training."""
 
     words: str
     factor: float
@@ -170,23 +170,28 @@ AFTER = "before | after 60 s | after 30 s | inside"
 
 
 def heading(command: str) -> list[str]:
-    """What the tables are of."""
+    """The page's heading and the definitions of its columns."""
     return [
-        "# Friction that has changed, and a refit",
+        "# Refit after a change of friction",
         "",
         f"Written by `{command}`.",
         "",
-        "`tauext refit` gets 60 s or 30 s of ordinary motion of the changed arm, and nothing else of it. False",
-        "collisions an hour are then counted on other motion, before (the old bundle) and after. Inside: after a",
-        "monitor kept the minute (`start_refit`, `finish_refit`) and its motion was fitted. Meanwhile: what it does in",
-        "that minute, its limits raised by 0.4 times the friction of its prior. A collision is strong whose true",
-        "torque, low-passed as the observer is, exceeds 1.5 times the limit after 60 s for 20 ms.",
+        "`tauext refit` gets 60 s or 30 s of ordinary motion of the changed arm and no other data of it.",
+        "False collisions an hour are then counted on other motion, before (old bundle) and after the refit.",
+        "",
+        "- *Inside*: the running monitor kept the minute (`start_refit`, `finish_refit`) and its motion was fitted.",
+        "- *Meanwhile*: results during that minute; the limits are then raised by 0.4 times the friction of the prior.",
+        "- A collision is *strong* if its true torque, low-passed by the observer's filter, exceeds 1.5 times the",
+        "  limit after the 60 s refit for 20 ms.",
+        "- *Limits*: the factor by which the refit raised each joint's limits.",
+        "- *Promise*: `stands` if the refitted limits still support the promised false alarm rate, `open` if that is",
+        "  unknown.",
         "",
     ]
 
 
 def rig_table(rows: Sequence[Row]) -> list[str]:
-    """Of the virtual rig, and whether all rows together keep the promise."""
+    """Table of the virtual rig, and whether all rows together keep the promise."""
     lines = [
         "## The virtual rig",
         "",
@@ -201,37 +206,37 @@ def rig_table(rows: Sequence[Row]) -> list[str]:
         latched = [f"{count}/{one.strong}" for count in one.latched]
         meanwhile = one.meanwhile[0], f"{one.meanwhile[1]}/{one.strong}"
         lines.append(table_row(one.words, *false, *latched, *meanwhile, one.found, one.raised, one.promise))
-    return [*lines, "", f"All rows together: {'; '.join(promises(rows))}."]
+    return [*lines, "", "All rows together:", "", *promises(rows)]
 
 
 def promises(rows: Sequence[Row]) -> list[str]:
-    """Of all rows together: false collisions of each refit, strong ones latched, and what is left of the promise."""
+    """Over all rows: false collisions of each refit, strong ones latched, and whether the promise is kept."""
     words = []
     strong = sum(row.strong for row in rows)
     for k, title in ((MINUTE, "after 60 s"), (HALF, "after 30 s"), (INSIDE, "inside the monitor")):
         count, hours = sum(row.false[k] for row in rows), sum(row.hours[k] for row in rows)
         low, high = rate_interval(count, hours)
-        says = "broken" if low > PROMISE_PER_HOUR else "kept as far as that shows"
-        says = "shown to be kept" if high <= PROMISE_PER_HOUR else says
+        if low > PROMISE_PER_HOUR:
+            verdict = "breaks"
+        else:
+            verdict = "keeps" if high <= PROMISE_PER_HOUR else "is consistent with"
         latched = sum(row.latched[k] for row in rows) / max(1, strong)
         words.append(
-            f"{title} {count} false collisions in {hours:.1f} h, {low:.2g} to {high:.2g} an hour (95 %), so a promise "
-            f"of 1 in 8 h is {says}, and {latched:.1%} of {strong} strong collisions latched"
+            f"- {title}: {count} false collisions in {hours:.1f} h, {low:.2g} to {high:.2g} an hour (95 %), which "
+            f"{verdict} a promise of 1 in 8 h; {latched:.1%} of {strong} strong collisions latched"
         )
     return words
 
 
 def cold_table(rows: Iterable[dict]) -> list[str]:
-    """Of arms that were trained warm."""
+    """Table of arms that were trained warm."""
     lines = [
-        "## Arms of the unseen trial, trained warm and met cold",
+        "## Unseen arms, trained warm and refitted cold",
         "",
-        "Friction falls by 10 to 15 % within minutes; nine minutes of the warm arm were trained on, and none "
-        "calibrated.",
-        "The first minute of the cold arm is fitted, and the minutes after it are judged, with the drift tracker on. A",
-        "contact is strong that turns some joint by 3 times the error held out in training or more; found is "
-        "one with a",
-        "collision within its label.",
+        "Friction falls by 10 to 15 % within minutes. The bundles are trained on nine minutes of the warm arm and not",
+        "calibrated. The first minute of the cold arm is fitted; the following minutes are evaluated with the drift",
+        "tracker on. A contact is strong if its torque at some joint is 3 times the held-out error or more. It is",
+        "found if a collision falls within its label.",
         "",
         *head(
             f"arm | hours | false collisions an hour: {AFTER} | strong found: {AFTER} | meanwhile: false "
@@ -298,7 +303,7 @@ def judge_cold(maker: Maker, seed: int, path: Path, mornings_s: Sequence[float])
 
 
 def during_refit(bundle: _core.Bundle, recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """What a monitor says that keeps this motion for a refit, its limits raised by the usual share of friction; and
+    """Results of a monitor that keeps this motion for a refit, its limits raised by the usual share of friction; and
     the motion."""
     monitor = _core.Monitor(bundle)
     monitor.reserve_refit(recording.duration_s + 1)

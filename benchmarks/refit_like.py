@@ -2,10 +2,11 @@
 
     python benchmarks/refit_like.py MODELS OUT [--type ur5] [--arms 10] [--new 6] [--type-seed 1]
 
-OUT: as fleet_prior.py left it, whose new arms and prior are used: each arm was trained on ten minutes, a good deal of
-them warm, and is met cold. It is refitted on a minute in which its first joints move and the others stand, on one in
-which these stand, and on one in which all move; and judged on two minutes of other motion of all joints, later that
-morning, without the drift tracker. OUT gets the recordings (used again where they are there) and TYPE-still.md.
+OUT: as fleet_prior.py left it, whose new arms and prior are used: each arm was trained on ten minutes, partly
+warm. It is refitted cold on a minute in which its first joints move and the others stand, on one in
+which these stand, and on one in which all move; and evaluated on two minutes of other motion of all joints, later that
+morning, without the drift tracker. OUT gets the recordings (used again if they exist) and TYPE-still.md,
+the last section of docs/results/refit.
 """
 
 from __future__ import annotations
@@ -112,24 +113,25 @@ def rms(bundle: _core.Bundle, recording: Recording) -> np.ndarray:
 
 
 def markdown(rows: list[Row], maker: Maker, like: FleetPrior, options: argparse.Namespace, refused: int) -> list[str]:
-    """The table, and what it is of."""
+    """The table and the definitions of its columns."""
     assert like.days is not None
     given = flags(options, {"type": "ur5", "type_seed": 1, "arms": 10, "new": 6})
     spread = np.sqrt(np.diag(like.days.covariance))
     lines = [
-        "# A refit while some joints stand",
+        "## Refit while some joints stand still",
         "",
         f"Written by `python benchmarks/refit_like.py MODELS OUT{given}`.",
         "",
         f"{options.new} arms of the [fleet's type](../fleet-prior/README.md) ({options.type}), each trained on ten",
-        "minutes and met cold, are refitted on a minute in which only some joints move; and judged on two minutes of",
-        "other motion of all joints, later that morning, without the drift tracker. Error: RMS of tau_ext by that",
-        "before the refit, the mean over joints and arms; 1 is no better. Limits: the factor by which they were",
-        "raised. The fleet's recordings",
-        f"({like.days.recordings} of {like.days.arms} arms) differ by {100 * spread.min():.0f} to "
-        f"{100 * spread.max():.0f} % in friction from one to the next of an arm.",
+        "minutes, are refitted cold on a minute in which only some joints move. They are evaluated on two minutes of",
+        "other motion of all joints, later that morning, without the drift tracker. *Error*: RMS of tau_ext divided",
+        "by that before the refit, mean over joints and arms; 1 is no improvement. *Limits*: the factor by which they",
+        f"were raised. In the fleet's recordings ({like.days.recordings} of {like.days.arms} arms), an arm's friction",
+        f"differs by {100 * spread.min():.0f} to {100 * spread.max():.0f} % from one recording to the next.",
         "",
-        *head("in the minute | refit | error: joints that moved | that stood | limits: that moved | that stood"),
+        *head(
+            "in the minute | refit | error: moving joints | standing joints | limits: moving joints | standing joints"
+        ),
     ]
     half = len(maker.joints) // 2
     words = {"first": f"the first {half} move", "last": f"the last {len(maker.joints) - half} move", "all": "all move"}

@@ -1,12 +1,12 @@
 """Four stalls of a real servo arm, found by supply current and by goal minus position: docs/results/servo-stalls.
 
 python benchmarks/servo_stalls.py OUT [--data DIR] [--splits N] [--only METHOD ...]   every step is a tauext command
-python benchmarks/servo_stalls.py OUT --keep                     puts tables, picture and arm.toml into docs/results
+python benchmarks/servo_stalls.py OUT --keep                     writes tables and arm.toml into docs/results
 
 DIR holds the 49 recordings of one SO-101 (github.com/isaac-sim2real/sage, Apache-2.0, joined to Parquet files). A joint
-drives against something four times in single_joint_wrist_roll. Five other motions have large errors of position that
-nobody explains, and are left out. Of the others, at least 0.34 h are drawn for the test, motions whole; the rest, or as
-many as make ten minutes, are for training. What is finished is not repeated.
+drives against something four times in single_joint_wrist_roll. Five other motions with large, unexplained position
+errors are left out. Of the others, at least 0.34 h are drawn for the test, motions whole; the rest, or as many as make
+ten minutes, are for training. What is finished is not repeated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from common import ROOT, head, table_row, tauext
+from common import ROOT, head, replace_section, table_row, tauext
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
@@ -47,7 +47,7 @@ METHODS = {
 }
 ONCE = (("tauext", 0), ("tauext", 10), ("paper", 10))
 """Methods, and minutes of training, that the first split alone is tried with."""
-CURRENT = "current over its largest in training"
+CURRENT = "threshold: largest current in training"
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
     trial = Trial(0, SOURCES[0], MINUTES[1])
     (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
     columns = "torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
-    columns += "promised | false for each promised | predicted by train (upper bound)"
+    columns += "promised | false per promised one | predicted by train (upper bound)"
     motions = []
     for split in range(splits):
         names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]
@@ -254,10 +254,10 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
         ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
         motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
     table = "\n".join([*head(columns), *rows])
-    about = "Written by `python benchmarks/servo_stalls.py OUT --keep`: [about](README.md)."
-    title = "# Four stalls of a real servo arm: tables"
-    (KEPT / "table.md").write_text("\n\n".join((title, about, table, "\n".join(motions))) + "\n")
-    print(KEPT / "table.md")
+    about = "Rows `paper` are from an earlier run of the same recipe."
+    replace_section(
+        KEPT / "README.md", "## All numbers", (about, "", table, "", "Motions of the splits:", "", *motions)
+    )
 
 
 if __name__ == "__main__":

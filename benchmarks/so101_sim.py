@@ -1,11 +1,11 @@
-"""A simulated SO-101 whose torques are known: errors, contacts found, what networks of the field find, velocities.
+"""A simulated SO-101 whose torques are known: errors, contacts found by tauext and by other methods, velocities.
 
     python benchmarks/so101_sim.py OUT [--seed 0] [--only simulate bundles tables] [--rates 50 30 100]
     python benchmarks/deep_torque.py OUT --rate 50    between bundles and tables; needs PyTorch
-    python benchmarks/so101_sim.py OUT --only tables --keep     puts the tables into docs/results/so101-sim
+    python benchmarks/so101_sim.py OUT --only tables --keep     writes the tables into docs/results/so101-sim
 
-OUT/RATEhz has the recordings, as a servo bus reports them, with the truth beside them; OUT/RATEhz/SOURCE what tauext
-makes of them with the torque from one source, each step a tauext command. What is there is not made again.
+OUT/RATEhz has the recordings, as a servo bus reports them, and the truth. OUT/RATEhz/SOURCE has tauext's results with
+the torque from one source; each step is a tauext command. Existing files are used again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import unseen.servo_tables as tables
-from common import ROOT, head, joined, table_row, tauext, write_page
+from common import ROOT, head, joined, replace_section, table_row, tauext, write_page
 from unseen.recordings import Take
 from unseen.servo_recordings import description, write_take
 from unseen.servo_tables import contact_cells
@@ -61,12 +61,14 @@ SOURCES = ("duty", "supply-current", "goal", "linear")
 DEEP = {"duty": "load", "supply-current": "current"}
 """The signal that the networks of deep_torque.py predict, beside what tauext has from the same register."""
 CONTACT_WORDS = """\
-Found at 1.5 times the limit: of the contacts whose true torque, low-passed as the observer is, exceeds 1.5 times the
-limits of that row's method, as they are just then, for its hold time and 20 ms. Beside it of all contacts, and by the
-largest true torque at a joint. False alarms in free motion, those within 3 s after a contact, and in how many hours."""
+*Found at 1.5 times the limit*: share of contacts found whose true torque, low-passed by the observer's filter, exceeds
+1.5 times the row's momentary limits for its hold time and 20 ms. *Of all*: share of all contacts, then by the largest
+true torque at a joint. *False*: false alarms in free motion, those within 3 s after a contact, and the hours of
+motion."""
 DEEP_WORDS = """\
-Found at 1.5 times the limits of tauext's row. A network's limits are the largest errors on the fifth of the training
-that it did not see (factor 1); its second row raises them until it has no more false alarms than tauext."""
+*Found at 1.5 times the limit*: by the limits of tauext's row. A network's limits are its largest errors on the fifth of
+the training data that it was not trained on (factor 1). The second row of a network raises them until it has no more
+false alarms than tauext."""
 STEPS = ("simulate", "bundles", "tables")
 
 
@@ -137,21 +139,21 @@ def make(out: Path, trial: Trial) -> Path:
 
 
 def write_tables(out: Path, rates: Sequence[int], seed: int, keep: bool) -> None:
-    """All tables that there are bundles for, to OUT/tables.md or into the repository."""
+    """Write the tables of all bundles that exist to OUT/tables.md, or into the page in the repository."""
     lines = [
-        "# A simulated SO-101: tables",
+        f"Seed {seed}. Networks were trained at 50 Hz only.",
         "",
-        f"Written by `python benchmarks/so101_sim.py OUT --only tables --keep`, seed {seed}: [about](README.md).",
-        "",
-        "## Torque of the motor",
+        "### Torque of the motor",
         "",
         *torque_tables(out, rates),
     ]
-    lines += ["", "## Contacts", "", CONTACT_WORDS, "", *contact_tables(out, rates)]
-    lines += ["", "## Networks that predict the motor's signal", "", DEEP_WORDS, "", *deep_tables(out, rates)]
-    lines += ["", "## Velocity", "", *velocity_tables(out, rates, seed)]
-    path = KEPT / "tables.md" if keep else out / "tables.md"
-    write_page(path, lines)
+    lines += ["", "### Contacts", "", CONTACT_WORDS, "", *contact_tables(out, rates)]
+    lines += ["", "### Networks that predict the motor's signal", "", DEEP_WORDS, "", *deep_tables(out, rates)]
+    lines += ["", "### Velocity", "", *velocity_tables(out, rates, seed)]
+    if keep:
+        replace_section(KEPT / "README.md", "## All tables", lines)
+    else:
+        write_page(out / "tables.md", lines)
 
 
 def torque_tables(out: Path, rates: Sequence[int]) -> list[str]:
@@ -190,7 +192,7 @@ def contact_tables(out: Path, rates: Sequence[int]) -> list[str]:
 
 
 def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
-    lines = head(tables.CONTACT_COLUMNS.format(first="signal | Hz | method | factor on its limits"))
+    lines = head(tables.CONTACT_COLUMNS.format(first="signal | Hz | method | factor on limits"))
     shares = []
     for rate in rates:
         raw = out / f"{rate}hz"
@@ -208,23 +210,22 @@ def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
                 own, factor, equal = tables.deep_verdicts(kept, data, ours.false_free + ours.false_after)
                 lines.append(f"| {source} | {rate} | {words} | 1 | {contact_cells(own, ours.strong)} |")
                 cells = contact_cells(equal, ours.strong)
-                lines.append(f"| {source} | {rate} | {words}, as many false | {factor:.2f} | {cells} |")
+                lines.append(f"| {source} | {rate} | {words}, equal false alarms | {factor:.2f} | {cells} |")
                 if rate == RATES_HZ[0]:
                     within, overall = tables.explained(raw, kept, TOUCHED[0].name, UNTOUCHED.name)
-                    shares.append(f"| {signal} | {words}: change of the signal that it predicts | {overall:.2f} |")
-                    shares.append(f"| {signal} | the same, signals no larger than in free motion | {within:.2f} |")
+                    shares.append(f"| {signal} | {words}: predicted share of the signal's change | {overall:.2f} |")
+                    shares.append(f"| {signal} | the same, for signals no larger than in free motion | {within:.2f} |")
             if rate == RATES_HZ[0]:
                 share = tables.seen_by(bundle, data)
-                shares.append(f"| {source} | tauext: true torque that its tau_ext holds | {share:.2f} |")
-    learned = ["What a contact changes, where a joint feels more than 0.1 Nm of it:", ""]
+                shares.append(f"| {source} | tauext: share of the true torque in tau_ext | {share:.2f} |")
+    learned = ["Effect of a contact, at joints with more than 0.1 Nm of contact torque:", ""]
     return [*lines, "", *learned, "| signal | | share |", "|---|---|---|", *shares]
 
 
 def velocity_tables(out: Path, rates: Sequence[int], seed: int) -> list[str]:
     rotor = servo_arm(so101(), seed).servos.rotor_kg_m2
-    columns = (
-        "Hz | estimator | error moving, RMS rad/s | lag, ms | standing, RMS rad/s | torque invented, RMS Nm | most"
-    )
+    columns = "Hz | estimator | error in motion, RMS rad/s | lag, ms | standing, RMS rad/s "
+    columns += "| spurious torque, RMS Nm | largest"
     lines = head(columns)
     for rate in sorted(rates):
         names = [take.name for take in TESTS[:2]]
@@ -238,7 +239,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the arm, its motion and its contacts")
     parser.add_argument("--rates", type=int, nargs="+", choices=RATES_HZ, default=list(RATES_HZ))
     parser.add_argument("--only", nargs="+", choices=STEPS, default=list(STEPS))
-    parser.add_argument("--keep", action="store_true", help="put the tables into docs/results/so101-sim")
+    parser.add_argument("--keep", action="store_true", help="write the tables into docs/results/so101-sim")
     options = parser.parse_args()
     out = options.out.resolve()
     if "simulate" in options.only:

@@ -1,10 +1,10 @@
-"""Healthy time, errors and detected collisions of logs with uneven clocks, beside an even one.
+"""Healthy time, errors and detected collisions of logs with uneven clocks, compared with an even one.
 
     python benchmarks/uneven_clocks.py OUT [--rates 100 125 500] [--collision-recordings 40] [--tauext COMMAND]
 
 The virtual rig's free motion and pulses are sampled on uneven clocks, written as CSV, imported, trained on (recipe
-prior) and evaluated by COMMAND, a tauext program: another version can be compared so. OUT/README.md gets the table;
-docs/results/uneven-clocks is one of these. Rows that are there already are used again.
+prior) and evaluated by COMMAND, a tauext program; other versions can be compared by it. OUT/README.md gets the table of
+docs/results/uneven-clocks. Existing rows are used again.
 """
 
 from __future__ import annotations

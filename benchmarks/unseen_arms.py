@@ -3,12 +3,12 @@
     python benchmarks/unseen_arms.py MODELS OUT [--fresh] [--arms ur5 panda ...] [--recipes prior friction] [--seed 0]
 
 Without --fresh the arms are those that the method may be fixed on: ur5, panda, kinova and seven_axis. --fresh adds
-palletizer, offset_wrist and light_arm, which are to be run once, when nothing about the method will change any more;
-their numbers stand under a heading of their own. --arms names any of the seven instead.
+palletizer, offset_wrist and light_arm. Run them once, after the method is final; their numbers have a section of their
+own. --arms selects any of the seven instead.
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/ARM gets csv/ with the recordings and the truth, the
-datasets urdf/ and none/, bundles and results; recordings, datasets and bundles that are there are used again.
-OUT/README.md gets the tables; that of docs/results/unseen-arms is one of these.
+datasets urdf/ and none/, bundles and results; existing recordings, datasets and bundles are used again.
+OUT/README.md gets the tables of docs/results/unseen-arms.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""How well forces at the flange are told: pushes of 20 N and more on simulated arms, with bundles as users have them.
+"""Errors of forces at the flange: pushes of 20 N and more on simulated arms, with bundles as users have them.
 
     python benchmarks/wrench.py MODELS UNSEEN OUT [--arms panda ur5 ...] [--pushes 120] [--seed 0] [--draw 1]
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. UNSEEN: what `benchmarks/unseen_arms.py` wrote, whose
-datasets bundles are trained on here: `own`, whose torque constants training found, and `true`, which is told the true
+datasets bundles are trained on here: `own`, whose torque constants training found, and `true`, which is given the true
 ones. OUT gets the bundles, wrench.json and README.md; those of docs/results/wrench are of this command. The method was
-fixed on pushes of draw 0 on the Panda, some of the UR5 were looked at.
+fixed on pushes of draw 0 on the Panda; some of the UR5 were inspected.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from tauext.sim.rig import velocity
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")
 """The last two are arms that no method was fixed on."""
 FORCES_N = (20.0, 45.0)
-"""More takes the drives of the smaller wrists to their limits."""
+"""Larger forces take the drives of the smaller wrists to their limits."""
 SLOT_S, FIRST_S, PUSH_S, LOOK_S = 4.0, 8.0, 1.0, 0.6
-"""A push a slot; looked at so long after it began: five times 1/K0 after it has risen."""
+"""One push a slot, evaluated LOOK_S after it begins: five times 1/K0 after it has risen."""
 WARM_S = 660.0
 KDL_FILTER = 0.5
 """Of a sample, kept from the one before: the default of KDL's ChainExternalWrenchEstimator."""
@@ -185,22 +185,30 @@ def error_of(found: np.ndarray, truth: np.ndarray) -> dict:
     return {"off_n": float(np.linalg.norm(found - truth)), "off_deg": angle}
 
 
-COLUMNS = "constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind"
+COLUMNS = (
+    "constants | reported as | pushes | error, N | error, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind"
+)
 
 
 def markdown(rows: list[dict], command: str) -> str:
     """The tables."""
     text = f"""# Forces at the flange
 
-Written by `{command}`; each push is in [wrench.json](wrench.json).
+Written by `{command}`.
+Every push is in [wrench.json](wrench.json).
 
-Simulated arms of the trial on [unseen arms](../unseen-arms/README.md), bundles of recipe prior from their twelve
-minutes. Pushes of {FORCES_N[0]:g} to {FORCES_N[1]:g} N on the last link, anywhere and in any direction, in moves and
-pauses, looked at {LOOK_S:g} s after they began. `own`: torque constants as training found them; `true`: as they are.
-KDL: the formula of its ChainExternalWrenchEstimator, the pseudo-inverse of the plain observer's torque, low-passed,
-with the gears' friction in it. The method was fixed on other pushes on the Panda; some on the UR5 were looked at.
-Pushes in poses of which some direction is named blind are counted all the same. Medians; sigma is the geometric mean of
-the force ellipsoid's half-axes.
+Simulated arms of [unseen arms](../unseen-arms/README.md); bundles of recipe prior from twelve minutes of motion. Each
+push is {FORCES_N[0]:g} to {FORCES_N[1]:g} N on the last link, anywhere and in any direction, in motion or at rest. It
+is evaluated {LOOK_S:g} s after it begins.
+
+- `own`: torque constants from training; `true`: the true constants.
+- KDL: the formula of its ChainExternalWrenchEstimator. It is the pseudo-inverse applied to the plain observer's
+  torque, low-passed, with the gears' friction in it.
+- Errors are medians. Sigma is the geometric mean of the half-axes of the force ellipsoid.
+- *In 95 %*: share of true values inside the reported 95 % region. *Blind*: share of pushes in poses with a direction
+  reported as blind; these pushes are included in all columns but the last.
+
+The method was fixed on other pushes on the Panda; some pushes on the UR5 were inspected, too.
 
 {chr(10).join(head(f"arm | {COLUMNS}"))}
 """
@@ -211,7 +219,8 @@ the force ellipsoid's half-axes.
             for kind in ("force", "wrench", "kdl"):
                 text += line(arm or "**all**", which, kind, [row[kind] for row in some])
     text += f"""
-Of a true 3 sigma {1 - THREE_SIGMA:.1%} would be beyond. All arms, where some joint moves and where all stand:
+With a perfect sigma, {1 - THREE_SIGMA:.1%} would be beyond 3 sigma. All arms, while some joint moves and while all
+stand still:
 
 {chr(10).join(head(f"arm is | {COLUMNS}"))}
 """

@@ -88,7 +88,7 @@ def test_what_is_missing_is_said_to_be(results):
     screen = first_screen(replace(results, bundles=(bundle,), collisions=()))
     assert screen.glances[0].value == "–" and "no collisions were tested" in screen.glances[0].means
     assert screen.glances[2].value == "–" and "no free motion" in screen.tested and not screen.why
-    assert "Touch the arm while it is recorded" in " ".join(step.words for step in screen.steps)
+    assert "Record touches and label their times" in " ".join(step.words for step in screen.steps)
     nothing = replace(bundle, limits=Limits((None, None), (None, None), False))
     assert joint_list(results, nothing.limits.sliding_nm) == ""
 

@@ -144,8 +144,8 @@ def test_tables_keep_fresh_arms_apart_and_total_each_group():
     old = [outcome("ur5", False, "prior", 3, 0, 1), outcome("panda", False, "prior", 4, 2, 0)]
     new = [outcome("palletizer", True, "prior", 1, 1, 2), outcome("palletizer", True, "friction", 0, 5, 5)]
     text = markdown([*old, *new], "python made.py")
-    before, after = text.split("## Arms that were run once, afterwards")
-    assert "## Arms that the method was developed on" in before and "palletizer" not in before and "ur5" not in after
+    before, after = text.split("## Arms run once, afterwards")
+    assert "## Arms used for development" in before and "palletizer" not in before and "ur5" not in after
     assert "| ur5 | urdf | prior | 3/4 | 3/3 | 2.0 | 0 | 1 |" in before
     assert "| **all** | urdf | prior | 7/8 | 6/6 | 3.0 | 2 | 1 |" in before
     assert "| **all** | urdf | prior | 1/4 | 1/3 | 6.0 | 1 | 2 |" in after

@@ -1,4 +1,4 @@
-"""What the trial's README.md says: contacts found by true strength, false alarms, delays and held-out errors."""
+"""The trial's README.md: contacts found by true strength, false alarms, delays and held-out errors."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from unseen.arms import Maker, arm_of
 from unseen.recordings import TAKES, told_constants
 
 STRONG = 3.0
-"""A contact is strong where it turns some joint by so many times the error held out."""
+"""A contact is strong if its torque at some joint is this many times the held-out error."""
 AFTER_CONTACT_S = 3.0
 GROUPS = {
     False: (
-        "Arms that the method was developed on",
-        ("These results guided the method, so they say little about the next arm.",),
+        "Arms used for development",
+        ("These results guided the method; they do not predict the results of another arm.",),
     ),
     True: (
-        "Arms that were run once, afterwards",
+        "Arms run once, afterwards",
         (
-            "Other kinematics, sample rates and random draws. Stamps jitter by a tenth of the period, one arm's log",
-            "lacks 3 % of its samples, and a fifth of the moves end in an abrupt stop, within 30 to 80 ms.",
+            "Other kinematics, sample rates and random draws. Stamps jitter by a tenth of the period. One arm's log",
+            "lacks 3 % of its samples. A fifth of the moves end in an abrupt stop within 30 to 80 ms.",
         ),
     ),
 }
-"""By `Maker.fresh`: the heading and what it says."""
+"""By `Maker.fresh`: the heading and its introduction."""
 
 
 @dataclass(frozen=True)
@@ -119,18 +119,20 @@ def nearest(truth: Sequence[dict], label_s: float) -> dict:
 def markdown(outcomes: Sequence[Outcome], command: str) -> str:
     """The text of README.md: arms that the method was fixed on and fresh ones are never in one table."""
     lines = [
-        "# Simulated arms as an integrator meets them",
+        "# Unseen arms",
         "",
         f"Written by `{command}`.",
         "",
         "Simulated arms with the flaws of real ones: a wrong model (masses off by 20 %, centres of mass by 2 cm,",
-        "tool and rotor inertias missing), friction that depends on history, load and temperature, motor currents with",
-        "wrong torque constants or none, jittering stamps, labels 30 ms early or late. Each arm has twelve minutes to",
-        "train on, and is tested on ten minutes of free motion and ten with 50 labelled contacts. `urdf`: with the",
-        "maker's model; `none`: without a model. Limits are those that `train` chooses by itself. Strong: a contact",
-        f"whose torque at some joint is {STRONG:g} times the held-out error there or more. Torques are the true ones,",
-        "whatever constants the method uses. False alarms that begin within",
-        f"{AFTER_CONTACT_S:g} s after a contact (its label's end) are counted apart from those in free motion proper.",
+        "missing tool and rotor inertias), friction that depends on history, load and temperature, motor currents",
+        "with wrong or unknown torque constants, jittering stamps, and labels 30 ms early or late. Each arm has",
+        "twelve minutes of training motion, ten minutes of free test motion, and ten with 50 labelled contacts.",
+        "",
+        "- `urdf`: with the maker's model; `none`: without a model. Limits are those that `train` chooses by default.",
+        f"- *Strong*: the contact torque at some joint is {STRONG:g} times the held-out error or more. Torques are the",
+        "  true ones, whatever constants the method uses.",
+        f"- *After a contact*: false alarms within {AFTER_CONTACT_S:g} s after a label's end, counted apart from the",
+        "  others in free motion.",
     ]
     for fresh, (heading, words) in GROUPS.items():
         group = [outcome for outcome in outcomes if outcome.fresh == fresh]
@@ -142,7 +144,7 @@ def markdown(outcomes: Sequence[Outcome], command: str) -> str:
 def _alarms(outcomes: Sequence[Outcome]) -> list[str]:
     lines = head(
         "arm | model | recipe | found | of strong | false alarms an hour | in free motion | after a contact "
-        "| delay from label, ms: median, 95 % | from onset, ms | usual limit over error"
+        "| delay from label, ms: median, 95 % | from onset, ms | limit over error, median"
     )
     for c in outcomes:
         delays = [

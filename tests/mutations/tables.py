@@ -1,11 +1,11 @@
-"""What became of the mutations, by dataset and kind, and those that got through."""
+"""Results of the mutations by dataset and kind, and the missed ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 LET_IN = "let in"
-"""By the door; nothing was trained on it yet."""
+"""Accepted by `check`; nothing was trained on it yet."""
 VERDICTS = ("refused", "named", "harmless", "missed", LET_IN, "traceback")
 
 
@@ -14,12 +14,13 @@ def markdown(rows: Sequence[dict], good: Sequence[dict], command: str) -> str:
     datasets = list(dict.fromkeys(row["dataset"].removesuffix("-labels") for row in rows))
     kinds = list(dict.fromkeys(row["kind"] for row in sorted(rows, key=lambda row: row["kind"])))
     lines = [
-        "# Mutations of good data",
+        "# Mistakes in training data",
         "",
         f"Written by `{command}`.",
         "",
-        "Refused: a fault or an error that the clean dataset does not have. Named: a warning with a fitting code.",
-        "Harmless: trained, limits and contacts found within 5 % of the clean bundle's. Missed: the rest.",
+        "Refused: `check` reports a fault or an error that the clean dataset does not have. Named: it reports a",
+        "warning with a fitting code. Harmless: the data are trained on; limits and contacts found are within 5 % of",
+        "the clean bundle's. Missed: all others.",
         "",
         f"| dataset | kind | cases | {' | '.join(VERDICTS)} |",
         f"|---|---|---|{'---|' * len(VERDICTS)}",
@@ -47,7 +48,7 @@ def _share(rows: Sequence[dict], verdict: str) -> str:
 def _others(rows: Sequence[dict]) -> list[str]:
     """Refusals for another reason than the mutation's own."""
     other = [row for row in rows if row["verdict"] == "refused" and not row["fits"]]
-    return [f"Refused, but by no code that fits: {len(other)}."] if other else []
+    return [f"Refused with a code that does not fit: {len(other)}."] if other else []
 
 
 def _good(good: Sequence[dict]) -> list[str]:

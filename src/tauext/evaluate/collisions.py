@@ -32,13 +32,13 @@ BOUNCE_S = 0.3
 GRACE_S = 0.2
 """After the touch has ended a detection still counts as this collision's: the observer lags by 1/K0 = 0.05 s."""
 STRONG_PEAK = 2.0
-"""Of the limits: a sensor that peaks so high makes a collision that may be chosen to be shown."""
+"""Multiple of the limits: collisions whose sensor torque peaks this high can be chosen for the figures."""
 CURVE_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0)
 
 
 @dataclass(frozen=True)
 class Collision:
-    """One physical touch. Indices are samples of its recording; peaks are a joint each, [N m]."""
+    """One physical touch. Indices are samples of its recording; peaks are per joint, [N m]."""
 
     id: str
     recording: str
@@ -92,7 +92,7 @@ def find_collisions(recording: Recording) -> list[Collision]:
 
 
 def judge(collision: Collision, recording: Recording, estimates: Estimates) -> Verdict:
-    """Was it found, by which joint, how long after its onset, and how long after the sensor at the same limit?
+    """Whether it was found, by which joint, and the delays after its onset and after the sensor at the same limit.
 
     The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it.
     """
@@ -123,7 +123,7 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> V
 
 
 def first_rise(flags: np.ndarray, before: bool) -> int | None:
-    """Index of the first flag that is true after a false one; `before` stands before the first."""
+    """Index of the first flag that is true after a false one; `before` is the flag before the first."""
     rises = np.flatnonzero(flags & ~np.append(before, flags[:-1]))
     return int(rises[0]) if len(rises) else None
 
@@ -134,7 +134,7 @@ def choose_ten(
     """Ids of ten collisions, drawn by seed, whose sensor reference peaks at twice the limit or more on some joint.
 
     largest_limit_nm: the largest sliding limit over all bundles, or their median, a joint, so that the set is the same
-    for every bundle. All of them where fewer than ten are that strong. Of recordings without a sensor any ten.
+    for every bundle. If fewer than ten are that strong, all of these. In recordings without a sensor, any ten.
     weak: ids of collisions that are not that strong at limits that move.
     """
     sensed = any(c.sensor_peak_nm.any() for c in collisions)
@@ -158,13 +158,13 @@ def found_curve(verdicts: Sequence[Verdict]) -> tuple[FoundBin, ...]:
     return tuple(curve)
 
 
-# --- Collisions as a monitor would have latched them: hold time and all, against a sensor with the same limit and hold.
+# --- Collisions as a monitor would have latched them, against a sensor with the same limit and hold time.
 
 
 STRONG = 1.5
-"""A collision is strong whose sensor reference exceeds so many times the limit ..."""
+"""A collision is strong if its sensor reference exceeds this multiple of the limit ..."""
 STRONG_FOR_S = 0.02
-"""... for so long beside the hold time: then it must be found."""
+"""... for this time plus the hold time; a strong collision must be found."""
 
 
 @dataclass(frozen=True)
@@ -181,11 +181,11 @@ class LatchVerdict:
 def judge_latched(
     collision: Collision, recording: Recording, estimates: Estimates, hold_s: float, reference: np.ndarray | None
 ) -> LatchVerdict:
-    """Was it latched, how long after its onset, how long after the sensor would have been, and was it strong?
+    """Whether it was latched, the delays after its onset and after the sensor, and whether it was strong.
 
-    The reference is low-passed as the observer is (`sensor_reference`), so that the observer's own lag is not held
-    against the method; it gets the same limit at every sample, and the same hold time. What was over its limit before
-    the touch began does not find it.
+    The reference is low-passed like the observer (`sensor_reference`), so that the observer's own lag does not count
+    against the method. It has the same limit at every sample, and the same hold time. A joint that exceeded its limit
+    before the touch began does not find it.
     """
     hold = round(hold_s * recording.rate_hz)
     long = hold + round(STRONG_FOR_S * recording.rate_hz)
@@ -240,7 +240,7 @@ def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
     return first_rise(flags[window], bool(flags[window.start - 1]) if window.start else False)
 
 
-# --- Collisions latched, and how soon, over how hard they were in N m: one scale for all methods and limits.
+# --- Collisions latched, and their delays, over their strength in N m: one scale for all methods and limits.
 
 
 EDGES_NM = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0)
@@ -264,20 +264,20 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[LatchVerdict]) 
     return tuple(bins)
 
 
-# --- When an event really began: labels are late or early by tens of milliseconds.
+# --- Onsets of events: labels are late or early by tens of milliseconds.
 
 
 BASELINE_S = 0.1
-"""A reference is measured from its mean over so long before the window."""
+"""A reference is measured from its mean over this time before the window."""
 SLOPE_S = 0.02
-"""Of the residual's derivative."""
+"""Time span of the residual's derivative."""
 QUANTILE, RESERVE = 0.999, 1.5
 
 
 def onset_s(
     recording: Recording, windows: Sequence[tuple[float, float]], residual: np.ndarray, free: np.ndarray
 ) -> list[float | None]:
-    """The first time in each window at which the reference leaves its noise band on some joint, [s]; None: it does not.
+    """The first time in each window at which the reference leaves its noise band on some joint, [s]; None: never.
 
     The reference is the robot's own tau_ext, measured from its mean over the 0.1 s before the window; where the
     recording has none, the change of the residual over 20 ms, which lags a step by little. A joint's noise band is 1.5
@@ -324,11 +324,11 @@ def means(time_s: np.ndarray, signal: np.ndarray, from_s: np.ndarray, to_s: np.n
     return (sums[last] - sums[first]) / (last - first)[:, None]
 
 
-# --- A bundle's estimates of each collision: link, force, kind; and how they agree with the labels.
+# --- A bundle's estimates of each collision (link, force, kind), compared with the labels.
 
 
 STATED = 0.9
-"""A link that is so probable is stated."""
+"""A link with this probability or more is stated."""
 
 
 @dataclass
@@ -338,7 +338,7 @@ class TouchMeasures:
     bundle: _core.Bundle
     _reported: list[TouchEstimate] = field(default_factory=list)
     _labels: list[tuple[int, str]] = field(default_factory=list)
-    """Touched link, -1 where unknown, and the recording's word for the kind of its contacts."""
+    """Touched link (-1: unknown), and the recording's name for the kind of its contacts."""
 
     def add(self, touches: Sequence[Collision], recording: Recording, estimates: Estimates) -> None:
         """Take in the collisions of a recording that raised an alarm, contact or collision."""
@@ -379,7 +379,7 @@ class TouchMeasures:
         )
 
     def _kinds(self) -> dict[str, dict[str, int]]:
-        """Number of collisions estimated to be of each kind, by the recording's word."""
+        """Number of collisions by estimated kind, for each kind in the recordings."""
         counts: dict[str, dict[str, int]] = {}
         for (_, word), reported in zip(self._labels, self._reported, strict=True):
             if reported.kind is not None:

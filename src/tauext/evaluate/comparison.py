@@ -51,11 +51,11 @@ from tauext.evaluate.results import EvaluatedBundle, Injected, Limits, NoticedFo
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.plain_file import FORMAT
 
-# --- Everything that is measured of one bundle, taken in recording by recording.
+# --- All measurements of one bundle, collected recording by recording.
 
 
 COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
-"""Of a bundle's provenance, into its entry."""
+"""Fields of a bundle's provenance that its entry contains."""
 
 
 class BundleMeasures:
@@ -81,12 +81,12 @@ class BundleMeasures:
         self._latched: list[LatchVerdict] = []
 
     def add_events(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in any recording, for events, free time and health; once each."""
+        """Add any recording once, for events, free time and health."""
         self._rejected.add(recording.name, estimates.health, estimates.causes)
         self._events.add_estimates(recording, estimates)
 
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in a test recording, all of it free motion but what is not healthy."""
+        """Add a test recording; all of it is free motion except unhealthy time."""
         self._errors.add(recording, estimates)
         self._curve.add_free(recording, estimates)
         self._after.add_free(recording, estimates)
@@ -95,7 +95,7 @@ class BundleMeasures:
     def add_touched(
         self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
     ) -> None:
-        """Take in a recording with these collisions; the reference is `sensor_reference` at the bundle's gain."""
+        """Add a recording with these collisions; the reference is `sensor_reference` at the bundle's gain."""
         self._verdicts += [judge(touch, recording, estimates) for touch in touches]
         self._latched += [judge_latched(t, recording, estimates, self._bundle.hold_s, reference) for t in touches]
         self._curve.add_collisions(touches, recording, estimates)
@@ -105,7 +105,7 @@ class BundleMeasures:
         self._touches.add(touches, recording, estimates)
 
     def peaks_over_limit(self) -> dict[str, float | None]:
-        """How often its own limits go into the sensor's peak, by the ids of the collisions taken in."""
+        """Ratio of the sensor's peak to the bundle's limits, by collision id."""
         return {verdict.id: verdict.peak_over_limit for verdict in self._verdicts}
 
     def summary(
@@ -116,10 +116,10 @@ class BundleMeasures:
         noticed: NoticedForce | None = None,
         injected: Injected | None = None,
     ) -> EvaluatedBundle:
-        """All its numbers.
+        """All numbers of the bundle.
 
         Args:
-            touches: all that were taken in, in their order.
+            touches: all that were added, in their order.
             ten: ids of the chosen ones.
         """
         bundle = self._bundle
@@ -174,24 +174,24 @@ def evaluate(
     kept: Checkpoint | None = None,
     inject: bool = False,
 ) -> Results:
-    """Results of every bundle, without provenance.
+    """Evaluate every bundle; the results have no provenance.
 
-    Recordings are loaded one at a time, so that hours of them need the memory of one.
+    Recordings are loaded one at a time, so that the memory of one suffices for hours of data.
 
     Args:
         bundles: by their names.
         test: recordings outside training and validation; of those with contacts the free motion counts, and
             the contacts are taken with the others.
         collisions: recordings with contacts.
-        estimates_dir: gets a folder a bundle, with the estimates of every collision recording and of some free motion.
+        estimates_dir: gets one folder per bundle, with estimates of all collision recordings and of some free motion.
         seed: of the choice of ten collisions, and of random alarms.
         loss_histories: of the bundles' training, by their names; only passed on.
-        keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
-            a disk, and figures need minutes.
+        keep_free_estimates: number of test recordings whose estimates are written. Hours of them would fill a disk;
+            figures need minutes.
         sanity: add detectors without information, see `Sanity`.
         events: how labels are read, see `labelled_events`.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
-        kept: where the work of a killed process goes on; its estimates are on disk already.
+        kept: checkpoint of a killed process; its estimates are on disk already.
         inject: add forces to free test motion, see `Injection`.
 
     Raises:
@@ -244,7 +244,7 @@ class Comparison:
         keep_in: Path | None,
         pool: ThreadPoolExecutor,
     ) -> None:
-        """Take in a recording: number in the order of all; free: it is of the test set, whose free motion counts.
+        """Add a recording. number: its index; free: it belongs to the test set, whose free motion counts.
 
         Args:
             threads: of all bundles together.
@@ -321,7 +321,7 @@ class Comparison:
 def expect_work(
     bundles: Mapping[str, _core.Bundle], test: Sequence[Loader], collisions: Sequence[Loader], keep_free_estimates: int
 ) -> None:
-    """Raise ConfigError where there is nothing to evaluate, or keep_free_estimates < 0."""
+    """Raise ConfigError if there is nothing to evaluate, or keep_free_estimates < 0."""
     if not bundles:
         raise ConfigError("there is nothing to evaluate: no bundle was given")
     if not test and not collisions:
@@ -338,10 +338,10 @@ def ten_for_all(
     moving: Sequence[Mapping[str, float | None]],
     seed: int,
 ) -> list[str]:
-    """Ids of ten collisions that are strong for every bundle or, where those are fewer, for half of them.
+    """Ids of ten collisions that are strong for every bundle or, if there are fewer than ten, for half of the bundles.
 
     Args:
-        moving: of each bundle with an error scale, for which limits in usual motion are not enough, `peaks_over_limit`.
+        moving: `peaks_over_limit` of each bundle with an error scale, whose limits change with the motion.
     """
     limits = np.array([bundle.sliding_limit_nm for bundle in bundles.values()])
     peaks = np.array([[of_bundle[touch.id] or 0.0 for touch in touches] for of_bundle in moving])
@@ -352,13 +352,13 @@ def ten_for_all(
 
     without = np.full(len(touches), np.inf)
     ten = choose(limits.max(axis=0), peaks.min(axis=0) if moving else without)
-    if len(ten) < 10:  # one hopeless method among many must not leave the others without collisions to show
+    if len(ten) < 10:  # one useless method must not leave the others without collisions to show
         ten = choose(np.median(limits, axis=0), np.median(peaks, axis=0) if moving else without)
     return ten
 
 
 def free_part(recording: Recording, estimates: Estimates) -> Estimates:
-    """The estimates with what is in contact or near one taken for not healthy, and without its alarms."""
+    """The estimates with time in or near contacts marked as unhealthy, and without alarms in that time."""
     free = free_samples(recording)
     return replace(
         estimates,

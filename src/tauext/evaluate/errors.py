@@ -11,11 +11,11 @@ from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision
 from tauext.evaluate.results import Number, SigmaBin, SigmaRegion
 
-# --- The torque that an ideal sensor would show behind the observer's own low-pass: what estimates are held against.
+# --- Reference for the estimates: the torque that an ideal sensor would show after the observer's own low-pass.
 
 
 FORGOTTEN = 1e-18
-"""Remaining share of an earlier torque below which it is lost in the rounding of doubles."""
+"""Share of an earlier torque below which it vanishes in the rounding of doubles."""
 
 
 def sensor_reference(recording: Recording, gain_per_s: float) -> np.ndarray | None:
@@ -55,17 +55,17 @@ def low_pass(t_ns: np.ndarray, torque: np.ndarray, gain_per_s: float) -> np.ndar
 
 
 EDGES_NM = np.geomspace(1e-3, 1e4, 7 * 6 + 1)
-"""Bins of sigma, six a decade; what is beyond is in the outermost."""
+"""Bins of sigma, six a decade; values beyond them count in the outermost."""
 REGIONS = ("sliding", "near_stiction")
 CONTACT = ("contact", "second_after")
-"""What is judged beside free motion, by the standard error of a contact."""
+"""Times other than free motion, evaluated by the standard error of a contact."""
 AFTER_S = 1.0
 
 
 class ErrorAgainstSigma:
     """Sums over the healthy samples of free motion in each bin of sigma, a joint and region each.
 
-    A region is the one that the bundle's own limits and sigma go by.
+    Regions are those of the bundle's own limits and sigma.
     """
 
     def __init__(self, joints: int) -> None:
@@ -76,7 +76,7 @@ class ErrorAgainstSigma:
         self._known = self._touched = False
 
     def add(self, estimates: Estimates) -> None:
-        """Take in one recording of free motion; of a bundle without an error scale there is nothing to count."""
+        """Add one recording of free motion; without an error scale nothing is counted."""
         if estimates.sigma_nm is None:
             return
         self._known = True
@@ -88,7 +88,7 @@ class ErrorAgainstSigma:
     def add_touched(
         self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
     ) -> None:
-        """Take in what a recording with these contacts shows of them and of the second after each.
+        """Add the contacts of a recording and the second after each.
 
         Args:
             reference: the true external torque, or a sensor's, (samples, joints), [N m]; None: nothing to count.
@@ -109,7 +109,7 @@ class ErrorAgainstSigma:
 
     @staticmethod
     def _count(sums: np.ndarray, error: np.ndarray, sigma: np.ndarray, place: np.ndarray, counted: np.ndarray) -> None:
-        """Into the sums of a joint, (5, places, bins)."""
+        """Add to the sums of a joint, (5, places, bins)."""
         _, places, bins = sums.shape
         sigma = sigma.astype(float)
         counted = counted & np.isfinite(sigma) & (sigma > 0) & np.isfinite(error)
@@ -119,7 +119,7 @@ class ErrorAgainstSigma:
             sums[k] += np.bincount(at, weights, places * bins).reshape(places, bins)
 
     def summary(self) -> dict[str, tuple[SigmaRegion, ...]] | None:
-        """By region, a joint each; None without an error scale."""
+        """Results by region and joint; None without an error scale."""
         if not self._known:
             return None
         parts = [(REGIONS, self._sums)] + ([(CONTACT, self._contact_sums)] if self._touched else [])
@@ -131,7 +131,7 @@ class ErrorAgainstSigma:
 
 
 def sigma_region(sums: np.ndarray) -> SigmaRegion:
-    """Of one joint's sums, (5, bins)."""
+    """Results of one joint's sums, (5, bins)."""
     rms = np.sqrt(sums[3:] / np.maximum(sums[0], 1)).tolist()
     edges = EDGES_NM.tolist()
     bins = (

@@ -15,7 +15,7 @@ from tauext.evaluate.collisions import delay_quantiles, onset_s
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 from tauext.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OwnTorqueEvents
 
-# --- Alarms against labelled events whose edges are uncertain: found, false and how late, moving and resting apart.
+# --- Alarms against labelled events with uncertain edges: found, false, delays; moving and resting apart.
 
 
 JOINED_S = 0.05
@@ -35,7 +35,7 @@ class Event:
 
 
 def labelled_events(recording: Recording, config: EventsConfig, near_stiction_rad_s: float) -> tuple[list[Event], int]:
-    """The events of a recording that last shortest_event_s or longer, and how many were shorter."""
+    """The events of a recording that last shortest_event_s or longer, and the number of shorter ones."""
     at = np.flatnonzero(recording.contact == 1) if recording.contact is not None else np.zeros(0, dtype=int)
     if len(at) == 0:
         return [], 0
@@ -52,7 +52,7 @@ def labelled_events(recording: Recording, config: EventsConfig, near_stiction_ra
 
 
 def is_moving(recording: Recording, near_stiction_rad_s: float) -> np.ndarray:
-    """Whether some joint is faster than near stiction on average over a quarter of a second before or after a sample.
+    """Whether some joint's mean speed over a quarter of a second before or after a sample is above near stiction.
 
     By position, since the measured speed of a standing arm may be noise of more than that. (samples,) bool.
     """
@@ -80,7 +80,7 @@ def event_time(recording: Recording, tolerance_s: float) -> np.ndarray:
 
 @dataclass
 class EventMeasures:
-    """One method's alarms on all recordings, taken in one by one."""
+    """One method's alarms on all recordings, added one by one."""
 
     config: EventsConfig
     near_stiction_rad_s: float
@@ -92,7 +92,7 @@ class EventMeasures:
     def add(
         self, recording: Recording, alarm: np.ndarray, healthy: np.ndarray, share: np.ndarray, r: np.ndarray
     ) -> None:
-        """Take in one recording, with contacts or without.
+        """Add one recording, with contacts or without.
 
         Args:
             alarm: (samples,) bool.
@@ -163,11 +163,11 @@ class EventMeasures:
         return EventCounts(len(chosen), found, *delays, hours, false, false / hours if hours else None)
 
 
-# --- The robot's own external torque as one more method: what a bundle must be compared with where there is one.
+# --- The robot's own external torque as one more method to compare with, if recorded.
 
 
 class OwnTorque:
-    """Alarms where the recording's tau_ext column exceeds the largest that it showed in free time elsewhere."""
+    """Alarms of the recording's tau_ext column; the limit is its largest value in free time of other recordings."""
 
     def __init__(self, limit_nm: np.ndarray, config: EventsConfig, near_stiction_rad_s: float) -> None:
         self.limit_nm = limit_nm
@@ -175,7 +175,7 @@ class OwnTorque:
         self._complete = True
 
     def add(self, recording: Recording) -> None:
-        """Take in one recording; where one has no tau_ext there is nothing to compare."""
+        """Add one recording; one without tau_ext ends the comparison."""
         if recording.tau_ext is None:
             self._complete &= recording.contact is None or not (recording.contact == 1).any()
             return
@@ -184,7 +184,7 @@ class OwnTorque:
         self._measures.add(recording, (share > 1).any(axis=1), healthy, share, recording.tau_ext)
 
     def summary(self) -> OwnTorqueEvents | None:
-        """None where some recording with events has no tau_ext."""
+        """None if some recording with events has no tau_ext."""
         return OwnTorqueEvents(tuple(self.limit_nm.tolist()), self._measures.summary()) if self._complete else None
 
 

@@ -1,4 +1,4 @@
-"""Errors and false alarms in free motion, after contacts too, and whether promises and limits hold."""
+"""Errors and false alarms in free motion and after contacts, and whether promises and limits hold."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tauext.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
 from tauext.evaluate.results import AfterContacts, Aftermath, FreeMotion, NoticedForce, Numbers, SanityRow
 from tauext.train.tail import is_consistent, is_kept, rate_interval
 
-# --- How wrong the estimate is where nothing touches the arm: there tau_ext is the error.
+# --- Errors in free motion, where tau_ext is the error.
 
 
 FALSE_ALARM_QUIET_S = 0.5
@@ -25,7 +25,7 @@ FALSE_ALARM_QUIET_S = 0.5
 
 @dataclass
 class FreeMotionErrors:
-    """Sums over the healthy samples of test recordings, a joint each."""
+    """Sums over the healthy samples of test recordings, per joint."""
 
     joints: int
     near_stiction_rad_s: float = 0.02
@@ -34,9 +34,9 @@ class FreeMotionErrors:
     samples: int = 0
     seconds: float = 0.0
     false_alarms: int = 0
-    """Of single samples over a limit."""
+    """Single samples over a limit."""
     false_collisions: int = 0
-    """That were held: what a monitor would have latched."""
+    """Alarms that outlasted the hold time, as a monitor latches them."""
 
     def __post_init__(self) -> None:
         zeros = np.zeros(self.joints)
@@ -44,12 +44,12 @@ class FreeMotionErrors:
         self._largest_r = zeros.copy()
 
     def add(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in one recording of free motion."""
+        """Add one recording of free motion."""
         healthy = estimates.healthy
         error = estimates.tau_ext[healthy].astype(float)
         near = np.abs(recording.dq[healthy]) < self.near_stiction_rad_s
         square = error**2
-        ones = np.ones(len(error))  # sums as products: along so short rows they would take ten times as long
+        ones = np.ones(len(error))  # sums as products: sums along such short rows take ten times as long
         self._l1 += ones @ np.abs(error)
         self._square += ones @ square
         self._near_square += ones @ np.where(near, square, 0)
@@ -66,8 +66,8 @@ class FreeMotionErrors:
     def summary(self, promised: float | None) -> FreeMotion:
         """Errors, and whether the promised rate of false collisions was kept.
 
-        promise_consistent: the promised rate lies in the interval of 95 %; promise_kept: so many false collisions or
-        more are no surprise at that rate. None without a promise, or without healthy hours.
+        promise_consistent: the promised rate lies in the 95 % interval. promise_kept: the promised rate makes this many
+        false collisions or more plausible. None without a promise, or without healthy hours.
         """
         sliding = self.samples - self._near
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -98,7 +98,7 @@ class FreeMotionErrors:
 
 
 def promised_per_hour(provenance: Mapping) -> float | None:
-    """False collisions an hour that the bundle's limits are set for, [1/h]; None where they come from no budget.
+    """False collisions an hour that the bundle's limits are set for, [1/h]; None if the limits have no budget.
 
     The requested budget; if the calibration was too short for it, the smallest budget that it supports.
     """
@@ -109,23 +109,23 @@ def promised_per_hour(provenance: Mapping) -> float | None:
 
 
 def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
-    """Runs of true flags, those less than quiet_samples apart counted as one."""
+    """Number of runs of true flags; runs less than quiet_samples apart count as one."""
     at = np.flatnonzero(flags)
     return 0 if len(at) == 0 else 1 + int((np.diff(at) > quiet_samples).sum())
 
 
 def numbers(values: np.ndarray) -> Numbers:
-    """Values for JSON, which has no NaN: None where a number does not exist."""
+    """Values for JSON, which has no NaN: None if a number does not exist."""
     return tuple(float(v) if np.isfinite(v) else None for v in values)
 
 
-# --- What a contact leaves behind: alarms that begin, and errors, when nothing touches the arm any more.
+# --- After a contact: errors, and alarms that begin when nothing touches the arm any more.
 
 
 EDGES_S = (0.2, 0.5, 1.0, 1.5, 2.5)
 """Bins of the time since the end of a touch; before, the observer itself still lags."""
 QUIET_S = 0.1
-"""An alarm begins where none of its level was held for so long before: one left over from the touch does not."""
+"""An alarm begins if none of its level was held for this time before; alarms that last from the touch do not."""
 LEVELS = {"contact": CONTACT, "collision": COLLISION}
 
 
@@ -140,11 +140,11 @@ class AfterContact:
         self._begun = {name: np.zeros(bins, dtype=int) for name in LEVELS}
 
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in one recording of free motion."""
+        """Add one recording of free motion."""
         self._add(np.where(estimates.healthy, len(EDGES_S) - 1, -1), recording, estimates)
 
     def add_touched(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in one recording with contacts; where it is unknown whether something touches nothing is counted."""
+        """Add one recording with contacts; time with unknown contact state is not counted."""
         if recording.contact is None:
             return
         since_s = time_since_touch(recording)
@@ -196,12 +196,12 @@ def time_since_touch(recording: Recording) -> np.ndarray:
 
 
 def beginnings(flags: np.ndarray, quiet_samples: int) -> np.ndarray:
-    """Indices of true flags with none in the quiet_samples before them; before the first sample all was quiet."""
+    """Indices of true flags without another in the quiet_samples before them; no flag precedes the first sample."""
     at = np.flatnonzero(flags)
     return at[np.diff(at, prepend=-quiet_samples - 1) > quiet_samples]
 
 
-# --- How far the estimate is from the reference while something touches the arm.
+# --- Errors against the reference during contacts.
 
 
 class DuringContact:
@@ -214,7 +214,7 @@ class DuringContact:
     def add(
         self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
     ) -> None:
-        """Take in the collisions of one recording; without a reference there is nothing to compare with."""
+        """Add the collisions of one recording; without a reference nothing is compared."""
         if reference is None:
             return
         for touch in touches:
@@ -229,13 +229,13 @@ class DuringContact:
             return numbers(np.sqrt(self._square / self._samples))
 
 
-# --- Poses of free motion with the limits that held there, and what force those limits notice.
+# --- Poses of free motion with their limits, and the smallest force that exceeds these limits.
 
 
 ROW_S = 1.0
-"""Between the poses that are kept of a recording: a day of them is 3 MB an arm."""
+"""Time between the kept poses of a recording; a day of them is 3 MB an arm."""
 MOST_POSES = 256
-"""That forces are found at, even in time."""
+"""Number of poses at which forces are computed, evenly spread in time."""
 
 
 class LimitsHeld:
@@ -245,7 +245,7 @@ class LimitsHeld:
         self._rows: list[np.ndarray] = []
 
     def add(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in a recording; what is not healthy is left out."""
+        """Add a recording; unhealthy samples are left out."""
         if estimates.contact_limit_nm is None or estimates.sigma_nm is None:
             return
         columns = (estimates.limit_nm, estimates.contact_limit_nm, estimates.sigma_nm)
@@ -254,7 +254,7 @@ class LimitsHeld:
         self._rows.append(np.stack([recording.q[at], *(one[at] for one in columns)], axis=1).astype(np.float32))
 
     def summary(self, bundle: _core.Bundle, frames: Sequence[str] = ()) -> NoticedForce | None:
-        """The result of noticed(); why there is none of a bundle that cannot estimate forces; None without any pose."""
+        """The result of noticed(), or the reason if the bundle cannot estimate forces; None without any pose."""
         if refused := _core.WrenchModel(bundle).refused:
             return NoticedForce(refused)
         rows = np.concatenate(self._rows) if self._rows else np.empty((0, 4, bundle.joints))
@@ -266,7 +266,7 @@ class LimitsHeld:
         return noticed(bundle, q, {"collision": limit, "contact": contact}, error_share, frames)
 
 
-# --- Detectors without information, judged as the methods are: the baseline of every number.
+# --- Detectors without information, evaluated like the methods: the baseline of every number.
 
 
 RANDOM_PER_HOUR = 60.0
@@ -280,7 +280,7 @@ WORTH = {
 
 @dataclass
 class Sanity:
-    """One such detector; takes in the recordings that the methods are evaluated on, in their order."""
+    """One such detector; gets the same recordings as the methods, in the same order."""
 
     name: str
     """always, never or random."""
@@ -294,7 +294,7 @@ class Sanity:
     _latched: list[bool] = field(default_factory=list)
 
     def add_free(self, number: int, recording: Recording) -> None:
-        """Take in one recording of free motion; an alarm that goes on from the one before is no new one."""
+        """Take in one recording of free motion; an alarm continued from the last one is not counted again."""
         alarm = self.alarms(number, recording)
         at = np.flatnonzero(alarm)
         apart = np.diff(at) > round(FALSE_ALARM_QUIET_S * recording.rate_hz)
@@ -307,7 +307,7 @@ class Sanity:
     def add_collisions(
         self, number: int, touches: Sequence[Collision], recording: Recording, estimates: Estimates
     ) -> None:
-        """Take in the collisions of one recording; of the estimates only the times and limits count."""
+        """Add the collisions of one recording; only the times and limits of the estimates are used."""
         alarm = self.alarms(number, recording)
         alarmed = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
         for touch in touches:
@@ -315,7 +315,7 @@ class Sanity:
             self._found.append(bool(alarm[touch.begin : touch.end + round(GRACE_S * recording.rate_hz)].any()))
 
     def alarms(self, number: int, recording: Recording) -> np.ndarray:
-        """Whether it is in alarm, (samples,) bool; the random one by seed and number of the recording."""
+        """Its alarm, (samples,) bool; the random detector depends on the seed and the number of the recording."""
         if self.name != "random":
             return np.full(recording.samples, self.name == "always")
         rng = np.random.default_rng([self.seed, number])
@@ -342,5 +342,5 @@ class Sanity:
 
 
 def sanity_detectors(seed: int) -> list[Sanity]:
-    """One of each."""
+    """One detector of each kind."""
     return [Sanity(name, seed) for name in WORTH]

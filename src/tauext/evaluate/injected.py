@@ -21,7 +21,7 @@ from tauext.evaluate.collisions import Collision, judge_latched
 from tauext.evaluate.noticed_force import Point, noticed_force, points
 from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin
 
-# --- Runs bundles on recordings: the same chain as the monitor's.
+# --- Run bundles on recordings by the same chain as the monitor's.
 
 
 def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Estimates:
@@ -41,8 +41,8 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     return Estimates.of(recording.joints, recording.t_ns, columns, {"alarm", *lacking(bundle)})
 
 
-# --- Detectable hits without contact recordings: forces added to free motion, as a stiff arm's motors would answer
-# them.
+# --- Detectable hits without contact recordings: forces added to free motion, as a stiff arm's motors would react
+# to them.
 #
 # A force F on a link is a torque J^T F at the joints. The position controller holds the path, so the motors take it up:
 # the recorded motor torque becomes tau - J^T F, and q and dq stay as they are. Hands and compliance reduce a real
@@ -58,14 +58,14 @@ SHAPES: Mapping[str, float] = {
 }
 """Lengths, [s]. A hit is a half sine; a ramp rises to its end; a press rises in a tenth of its length and stays."""
 EVENTS = 2400
-"""Drawn in all, over the test recordings; each copy of a recording holds one every SLOT_S."""
+"""Number of events over all test recordings; each copy of a recording holds one every SLOT_S."""
 MOST_COPIES = 12
 SLOT_S = 3.5
-"""From one event to the next: the longest, the release of a latched alarm, and what the observer forgets."""
+"""Time from one event to the next: the longest event, the release of a latched alarm, and the observer's decay."""
 QUIET_S = 0.5
-"""Of free motion before an event."""
+"""Free motion before an event."""
 SCALE = (0.25, 12.0)
-"""Peaks are log-uniform between these times the force that half of all poses and directions let go unnoticed."""
+"""Peaks are log-uniform between these multiples of the force unnoticed in half of all poses and directions."""
 BINS = 10
 NINE_OF_TEN = 0.9
 POSES = 24
@@ -84,16 +84,16 @@ class Event:
 
 @dataclass
 class Injection:
-    """Events in every test recording, the same for all bundles, and what each of them detected."""
+    """Events in every test recording, the same for all bundles, and the bundles' detections."""
 
     bundles: Mapping[str, _core.Bundle]
     seed: int
     a_recording: int
-    """Events that a recording gets at most."""
+    """Largest number of events in a recording."""
     reference: _core.Bundle = field(init=False)
-    """Whose model and limits the events are drawn by: the first that can estimate forces, else the first."""
+    """The bundle whose model and limits set the events: the first that can estimate forces, else the first."""
     refused: str = field(init=False)
-    """Why there are torques on single joints instead of forces; empty where there are forces."""
+    """Reason for torques on single joints instead of forces; empty with forces."""
     places: list[Point] = field(init=False)
     seen: dict[str, list[tuple[str, int, float, bool, bool, float | None]]] = field(init=False)
 
@@ -125,7 +125,7 @@ class Injection:
         ]
 
     def add(self, name: str, recording: Recording, copies: Sequence[Sequence[Event]], threads: int) -> None:
-        """What one bundle detects of the events."""
+        """One bundle's detections of the events."""
         bundle = self.bundles[name]
         nm_per_unit = np.array(self.reference.observer.nm_per_unit or 1.0)
         for events in copies:
@@ -149,7 +149,7 @@ class Injection:
                     sensor_peak_nm=np.zeros(bundle.joints),
                 )
                 found = judge_latched(touch, touched, estimates, bundle.hold_s, None)
-                # The first sample of an event stands for the middle of its own period.
+                # The first sample of an event represents the middle of its own period.
                 delay_s = None if found.delay_s is None else found.delay_s + 0.5 / recording.rate_hz
                 row = (event.shape, event.place, event.peak, found.latched, found.unhealthy, delay_s)
                 self.seen[name].append(row)
@@ -181,7 +181,7 @@ class Injection:
         return [f"joint {link.joint_name}" for link in self.reference.links]
 
     def _scale(self, recording: Recording) -> dict[int, float]:
-        """A usual force that goes unnoticed, by place; without those where usually no joint notices any."""
+        """Typical unnoticed force by place; places where no joint usually notices a force are left out."""
         bundle = self.reference
         limit = np.array(bundle.sliding_limit_nm)
         if self.refused:
@@ -195,7 +195,7 @@ class Injection:
         bundle, places = self.reference, list(scale)
         begin = int(np.searchsorted(recording.time_s, at_s))
         shape = list(SHAPES)[rng.integers(len(SHAPES))]
-        # Half of them at the end of the arm, which most touches are near; of single joints, all alike.
+        # Half of them at the end of the arm, near most touches; single joints all alike.
         place = places[-1] if not self.refused and rng.uniform() < 0.5 else int(rng.choice(places))
         peak = scale[place] * math.exp(rng.uniform(*np.log(SCALE)))
         force = peak * profile(shape, recording.rate_hz)
@@ -208,7 +208,7 @@ class Injection:
         model, point = _core.WrenchModel(bundle), self.places[place]
         poses, there = recording.q[begin : begin + len(force)].tolist(), list(point.point_m)
         levers = np.array([way @ model.columns(point.frame, pose, there)[:3] for pose in poses])
-        # How much of its own unit such a joint would show is unknown.
+        # Unknown: how much such a joint would show in its own unit.
         levers[:, ~np.array(bundle.in_newtons)] = 0
         return Event(begin, shape, place, peak, force[:, None] * levers)
 
@@ -226,7 +226,7 @@ def profile(shape: str, rate_hz: float) -> np.ndarray:
 
 
 def curve(place: str, shape: str, rows: Sequence[tuple[float, bool, bool, float | None]]) -> InjectedCurve:
-    """Share and delay over the peak, of (peak, latched, unhealthy, delay); what came while unhealthy counts as missed.
+    """Share and delay over the peak, of (peak, latched, unhealthy, delay); events in unhealthy time count as missed.
 
     nine_of_ten: the smallest peak from which on 9 of 10 are detected by the best rising curve (isotonic regression);
     None where there is none.

@@ -19,7 +19,7 @@ SCALES = np.sort(np.append(np.geomspace(0.05, 10, 60), 1.0))
 
 
 class MissedCurve:
-    r"""Takes in recordings; counts, for every factor s, false alarms and missed collisions of limits s times as high.
+    r"""Counts, for every factor s, the false alarms and missed collisions with limits s times as high.
 
     An alarm of limits s L holds at a sample exactly where
 
@@ -35,26 +35,26 @@ class MissedCurve:
         self._peaks: list[float] = []
 
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in one recording of free motion."""
+        """Add one recording of free motion."""
         rho = held_ratio(estimates, self._hold_s)
         quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         self._hours += estimates.healthy.sum() / recording.rate_hz / 3600
         at = np.arange(len(rho))
-        for k, scale in enumerate(SCALES):  # what is over a limit is over all lower ones
+        for k, scale in enumerate(SCALES):  # a value over a limit is over all lower ones
             at = at[rho[at] > scale]
             if len(at) == 0:
                 break
             self._false[k] += 1 + int((np.diff(at) > quiet).sum())
 
     def add_collisions(self, touches: Sequence[Collision], recording: Recording, estimates: Estimates) -> None:
-        """Take in the collisions of one recording; each by its largest ratio from its onset to the grace after it."""
+        """Add the collisions of one recording, each by its largest ratio from onset to the end of the grace time."""
         if touches:
             rho = held_ratio(estimates, self._hold_s)
             grace = round(GRACE_S * recording.rate_hz)
             self._peaks += [float(rho[touch.begin : touch.end + grace].max()) for touch in touches]
 
     def summary(self) -> tuple[CurvePoint, ...]:
-        """A point a factor."""
+        """One point per factor."""
         peaks, hours = np.array(self._peaks), self._hours
         return tuple(
             CurvePoint(scale, false / hours if hours else None, int((peaks <= scale).sum()))
@@ -63,7 +63,7 @@ class MissedCurve:
 
 
 def held_ratio(estimates: Estimates, hold_s: float) -> np.ndarray:
-    """rho of every sample, (samples,): see MissedCurve; 0 where its hold time is not all healthy or not yet past."""
+    """rho of every sample, (samples,): see MissedCurve; 0 unless its whole hold time is past and healthy."""
     t_ns = estimates.t_ns
     ratio = np.abs(estimates.tau_ext) / estimates.limit_nm
     ratio[~estimates.healthy] = 0
@@ -77,7 +77,7 @@ def held_ratio(estimates: Estimates, hold_s: float) -> np.ndarray:
 
 
 def sliding_minimum(values: np.ndarray, back: int) -> np.ndarray:
-    """The least of each value and the `back` before it, (samples, n); 0 where fewer are before it."""
+    """The minimum of each value and the `back` values before it, (samples, n); 0 if there are fewer."""
     least, length = values, 1
     while 2 * length <= back + 1:
         least = np.minimum(least[:-length], least[length:])

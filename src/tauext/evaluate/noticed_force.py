@@ -16,10 +16,10 @@ from tauext.errors import BundleError, ConfigError
 from tauext.evaluate.results import EveryWay, NoticedAt, NoticedForce, OverPoses
 
 MOST_N = 1000.0
-"""A direction in which it takes more is called blind: no touch that an arm survives is far beyond it
+"""Directions that need a larger force are called blind: no touch that an arm survives is far beyond it
 (WrenchModel::kLargestForce_n), and a lever behind such a number is a rounding of none."""
 WAYS = 100
-"""Directions on half a sphere; the other half is the same by symmetry. Each stands for a cone of 8 degrees."""
+"""Directions on half a sphere; the other half is the same by symmetry. Each represents a cone of 8 degrees."""
 NINE_OF_TEN = 0.9
 LEAST_LIMIT_NM = 1e-9
 """A limit of 0 is over at the first torque."""
@@ -69,9 +69,9 @@ def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
 def noticed_force(
     bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at: Sequence[Point]
 ) -> tuple[NoticedAt, ...]:
-    """Of each point, forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
+    """For each point: forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
 
-    None stands for blind: no joint notices MOST_N in that direction. Joints that do not answer in N m notice nothing
+    None means blind: no joint notices MOST_N in that direction. Joints without answers in N m notice nothing
     here: their limits in N m are unknown.
 
     Args:
@@ -94,7 +94,7 @@ def noticed_force(
 
 
 def over_poses(force_n: np.ndarray) -> OverPoses:
-    """Of a force a pose."""
+    """Statistics of one force per pose."""
     median, worst = float(np.median(force_n)), float(force_n.max())
     return OverPoses(known(median), known(worst), float(np.isinf(force_n).mean()))
 
@@ -139,7 +139,7 @@ def worst_force(per_limit: np.ndarray) -> np.ndarray:
         over = np.abs(np.einsum("ptsx,pjx->ptsj", corners, rows)).max(axis=-1)
         size = np.where(over <= 1 + 1e-9, np.linalg.norm(corners, axis=-1), 0.0)
     largest = size.reshape(len(rows), -1).max(axis=1)
-    worst[seen] = np.where(largest > 0, largest, np.inf)  # no corner stands against rounding: as good as none
+    worst[seen] = np.where(largest > 0, largest, np.inf)  # every corner vanished in rounding: no force is found
     return or_blind(worst)
 
 
@@ -186,7 +186,7 @@ def noticed(
     )
 
 
-# --- What force is noticed at the poses that a bundle keeps, with its limits in usual motion: no recording is needed.
+# --- The force noticed at a bundle's stored poses, with its limits in usual motion; needs no recording.
 
 
 NO_POSES = (
@@ -207,7 +207,7 @@ def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) ->
 
 
 def kept_poses(bundle: _core.Bundle) -> np.ndarray:
-    """Of its provenance, (poses, joints)."""
+    """Poses from the bundle's provenance, (poses, joints)."""
     try:
         kept = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
         q = np.array(kept or [], dtype=float)

@@ -15,10 +15,10 @@ from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_text
 
 Number = float | None
-"""None, null in JSON, where a number does not exist."""
+"""None (null in JSON) if a number does not exist."""
 A_JOINT = "a joint"
 Numbers = Annotated[tuple[Number, ...], A_JOINT]
-"""One number a joint."""
+"""One number per joint."""
 
 # --- JSON to dataclasses and back: a key is a field, an object a dataclass or dict, a list a tuple.
 
@@ -42,12 +42,12 @@ hints_of = cache(lambda kind: get_type_hints(kind, include_extras=True))
 
 @dataclass(frozen=True)
 class JsonReader:
-    """Reads the JSON of an evaluation of so many joints."""
+    """Reads the JSON of an evaluation with this number of joints."""
 
     joints: int
 
     def object(self, kind: Any, content: Any, place: str) -> Any:
-        """A dataclass of this kind; keys that it does not have are passed over.
+        """A dataclass of this kind; unknown keys are ignored.
 
         Raises:
             ConfigError: a value is of another kind than its field, with its place and key.
@@ -66,7 +66,7 @@ class JsonReader:
             raise ConfigError(f"{place}: {error}") from error
 
     def value(self, kind: Any, value: Any, place: str, key: str) -> Any:
-        """A value of this type; None, an empty list or object where it is null or absent and may be."""
+        """A value of this type; None or an empty list or object if it is null or absent and the type allows that."""
         if get_origin(kind) is Annotated:
             return self._numbers(value, place, key)
         if isinstance(kind, UnionType):  # of something and None
@@ -112,7 +112,7 @@ def shown(value: Any) -> str:
     return json.dumps(value)[:60]
 
 
-# --- Names of bundles: which of the paper's models one is of, and how it is called in figures and tables.
+# --- Names of bundles: the paper's model of each, and its label in figures and tables.
 
 
 CASE_LABELS = {"exact": "exact", "mass": "mass", "com": "CoM", "mass+com": "mass + CoM", "none": "no model"}
@@ -120,7 +120,7 @@ CASE_LABELS = {"exact": "exact", "mass": "mass", "com": "CoM", "mass+com": "mass
 
 
 def model_of(name: str) -> str | None:
-    """The paper's model that a bundle is of: `exact` and `exact-anything` are of `exact`; None for other names."""
+    """The paper's model of a bundle: `exact` for `exact` and `exact-anything`; None for other names."""
     model = name.partition("-")[0]
     return model if model in CASE_LABELS else None
 
@@ -141,7 +141,7 @@ def place(name: str) -> tuple[int, bool]:
     return (len(CASE_LABELS) if model is None else list(CASE_LABELS).index(model)), name != model
 
 
-# --- Collisions: which there are, and which one bundle found.
+# --- Collisions, and those that one bundle found.
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class LabelledCollision:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether one bundle found one collision; None where a time does not exist."""
+    """Whether one bundle found one collision; None if a time does not exist."""
 
     id: str
     found: bool
@@ -193,7 +193,7 @@ class Latched:
     latched: int
     strong: int
     unhealthy: int | None
-    """While the monitor was not healthy."""
+    """Collisions while the monitor was not healthy."""
     strong_latched: int
     delay_median_s: Number
     delay_p95_s: Number
@@ -244,13 +244,13 @@ class FreeMotion:
     near_stiction_share: Numbers
     observer_peak_nm: Numbers
     false_alarms: int | None
-    """Of single samples over a limit."""
+    """Single samples over a limit."""
     false_alarms_per_hour: Number
     false_collisions: int | None
     promised_per_hour: Number
-    """False collisions; None where the limits promise nothing."""
+    """False collisions; None if the limits promise nothing."""
     false_collisions_interval_per_hour: tuple[Number, Number] | None
-    """Of 95 %."""
+    """The 95 % interval."""
     promise_consistent: bool | None
     promise_kept: bool | None
 
@@ -260,7 +260,7 @@ class Limits:
     sliding_nm: Numbers
     near_stiction_nm: Numbers
     moving: bool | None
-    """They are multiplied by what the motion announces; those named are of usual motion."""
+    """Limits follow the motion; these are the limits in usual motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,7 +298,7 @@ class SigmaBin:
 
 @dataclass(frozen=True)
 class SigmaRegion:
-    """Of one joint in one region; shares of the errors within one and two standard errors."""
+    """One joint in one region: shares of the errors within one and two standard errors."""
 
     samples: int
     within_one_sigma: Number
@@ -342,7 +342,7 @@ class NoticedAt:
 
 @dataclass(frozen=True)
 class NoticedForce:
-    """Smallest forces that go over a limit; `refused` gives the reason where there are none."""
+    """Smallest forces that exceed a limit; `refused` is the reason if there are none."""
 
     refused: str | None = None
     poses: int = 0
@@ -350,7 +350,7 @@ class NoticedForce:
     error_share: Number = None
     """Standard error of the estimate as a share of the limit, in the median."""
     left_out: tuple[str, ...] = ()
-    """Joints that do not answer in N m: the numbers do not count them."""
+    """Joints without answers in N m; the numbers leave them out."""
     gain_per_s: Number = None
     hold_s: dict[str, float] = field(default_factory=dict)
     twice_after_s: dict[str, float] = field(default_factory=dict)
@@ -373,16 +373,16 @@ class PeakBin:
 
 @dataclass(frozen=True)
 class InjectedCurve:
-    """Of one place and shape."""
+    """Results of one place and shape."""
 
     place: str
     shape: str
     events: int
     latched: int
     nine_of_ten: Number
-    """Peak from which on 9 of 10 are detected; None where there is none."""
+    """Peak above which 9 of 10 are detected; None if there is none."""
     delay_median_s: Number
-    """Delay of detected events from that peak on."""
+    """Delay of detected events above that peak."""
     delay_p95_s: Number
     bins: tuple[PeakBin, ...]
 
@@ -395,15 +395,15 @@ class Injected:
     events: int
     unhealthy: int
     without_forces: str | None = None
-    """Why there are torques on single joints instead of forces."""
+    """Reason for torques on single joints instead of forces."""
     left_out: tuple[str, ...] = ()
     blind: tuple[str, ...]
-    """Places where usually no joint notices any force."""
+    """Places where no joint usually notices a force."""
     curves: tuple[InjectedCurve, ...]
 
     @property
     def place(self) -> str:
-        """Where most events were: the end of the arm."""
+        """Place with most events: the end of the arm."""
         return max(self.curves, key=lambda one: (sum(c.events for c in self.at(one.place)), one.place)).place
 
     def at(self, place: str) -> tuple[InjectedCurve, ...]:
@@ -415,7 +415,7 @@ class Injected:
 
 @dataclass(frozen=True)
 class EventCounts:
-    """Of one method in one state of the arm; delays from the label's start and from the re-timed onset."""
+    """One method in one state of the arm; delays from the label's start and from the re-timed onset."""
 
     events: int
     found: int
@@ -430,7 +430,7 @@ class EventCounts:
 
 @dataclass(frozen=True)
 class EventVerdict:
-    """Whether one labelled stretch was found."""
+    """Whether one labelled event was found."""
 
     id: str
     recording: str
@@ -503,7 +503,7 @@ class LinkProbability:
 
 @dataclass(frozen=True)
 class TouchEstimate:
-    """Estimate of one collision; without links where no place was found."""
+    """Estimate of one collision; without links if no place was found."""
 
     id: str
     kind: str | None
@@ -522,7 +522,7 @@ class Touches:
     stated_from: float
     links: LinkTable | None
     kinds: dict[str, dict[str, int]]
-    """How many of each kind, by the recordings' word for their contacts."""
+    """Number of each kind, by the recordings' name for their contacts."""
     reported: tuple[TouchEstimate, ...]
 
 
@@ -544,12 +544,12 @@ class SanityRow:
 
 @dataclass(frozen=True)
 class EvaluatedBundle:
-    """Everything that was found of one bundle."""
+    """All results of one bundle."""
 
     name: str
     bundle: str | None
     estimate_units: tuple[str, ...]
-    """Of its torques, a joint: not N m where an arm without a model was recorded in amperes, or by power."""
+    """Unit of each joint's torque; not N m if an arm without a model was recorded in amperes or by power."""
     recipe: str | None
     case: str | None
     training_minutes: Number
@@ -568,13 +568,13 @@ class EvaluatedBundle:
     after_contact: AfterContacts | None
     rmse_during_contact_nm: Numbers
     error_against_sigma: dict[str, tuple[SigmaRegion, ...]] | None
-    """By region, a joint each; None where the bundle has no error scale."""
+    """By region and joint; None if the bundle has no error scale."""
     events: Events | None
     touches: Touches | None
     loss_history: tuple[tuple[int, float, float], ...] | None
-    """Step, training loss, validation loss; None where nothing was recorded."""
+    """Step, training loss, validation loss; None if nothing was recorded."""
     changed_since_training: dict[str, str]
-    """What was done to it after its training, and in words what came of it."""
+    """Steps after its training, and their results as text."""
     noticed_force: NoticedForce | None
     injected: Injected | None = None
 
@@ -589,12 +589,12 @@ class EvaluatedBundle:
 
     @property
     def verdicts(self) -> dict[str, Verdict]:
-        """By the ids of the collisions."""
+        """Verdicts by collision id."""
         return {one.id: one for one in self.collisions}
 
 
 ROOM, SHOWN = 7, 5
-"""Figures with a column a bundle have room for so many; of more, the first few are shown."""
+"""Largest number of bundles in figures with one column per bundle; of more, the first few are shown."""
 
 
 @dataclass(frozen=True)
@@ -620,7 +620,7 @@ class Results:
 
     @property
     def shown(self) -> tuple[EvaluatedBundle, ...]:
-        """Those that stand in figures with a column, a lane or a curve over time for each: all, or the first few.
+        """Bundles shown in figures with a column, a lane or a curve over time for each: all, or the first few.
 
         Of the paper's models, all of which were trained by two recipes, those of the case's own name.
         """
@@ -631,7 +631,7 @@ class Results:
 
     @property
     def shown_note(self) -> str:
-        """A sentence for the caption of such a figure; empty where all are shown."""
+        """A sentence for the caption of such a figure; empty if all are shown."""
         left = len(self.bundles) - len(self.shown)
         first = "the first " if self.shown == self.bundles[: len(self.shown)] else ""
         return f" Only {first}{len(self.shown)} of {len(self.bundles)} bundles are drawn." if left else ""
@@ -642,16 +642,16 @@ class Results:
 
     @property
     def unit(self) -> str:
-        """Of torques in headings: one for all joints and bundles, or that each has its own."""
+        """Unit of torques in headings: one for all joints and bundles, or a note that each has its own."""
         return of_all([unit for bundle in self.bundles for unit in bundle.estimate_units])
 
     def unit_of(self, joint: int) -> str:
-        """Of torques of one joint."""
+        """Unit of one joint's torque."""
         return of_all([bundle.estimate_units[joint] for bundle in self.bundles])
 
     @property
     def units_note(self) -> str:
-        """Which bundle answers in what, where that is not Nm throughout; else empty."""
+        """Units of the bundles' answers if not all are in Nm; else empty."""
         if self.unit == "Nm":
             return ""
         units = {
@@ -667,11 +667,11 @@ class Results:
 
     @property
     def labels(self) -> dict[str, str]:
-        """What the bundles are called, by their names."""
+        """Labels of the bundles, by their names."""
         return {bundle.name: bundle.label for bundle in self.bundles}
 
     def bundle(self, name: str) -> EvaluatedBundle:
-        """The bundle of this name, else the first of that model, else the first that is no plain observer."""
+        """The bundle with this name, else the first of that model, else the first that is not a plain observer."""
         alike = [bundle for bundle in self.bundles if bundle.name == name] or [
             c for c in self.bundles if c.model == name
         ]
@@ -683,7 +683,7 @@ class Results:
 
 
 def load_results(folder: Place) -> Results:
-    """Read `results.json` of a results folder. A number may be null, or absent: it is None then.
+    """Read `results.json` of a results folder. A number that is null or absent becomes None.
 
     Raises:
         ConfigError: no such file, not JSON, another format, or an entry of the wrong kind, with its place.

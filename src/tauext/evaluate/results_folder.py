@@ -40,25 +40,25 @@ def evaluate_bundles(
     report: Reporter = SILENT,
     inject: bool = False,
 ) -> dict[str, Any]:
-    """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
+    """Write results.json, estimates, run.json and wall times for named bundles.
 
     Returns the content of results.json; docs/reference/files.md describes it.
 
-    A killed or interrupted run goes on with the recording after the last one that was taken in.
+    A killed or interrupted run continues after the last recording that it finished.
 
-    Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
+    If NAME.run.json exists beside a bundle, the loss history of its training goes into results.json too.
 
     Args:
         bundles: files by the names that they have in the results.
         out: folder; it is made.
         seed: of the choice of ten collisions, and of random alarms.
-        threads: 0: one a core. The result does not depend on it.
+        threads: 0: one per core. The result does not depend on it.
         command: what is run, for the report.
         scale: of the paper's experiment, for the report.
         keep_free_estimates: see evaluate.
-        sanity: judge detectors without information (always, never, random) beside them.
-        events: how alarms are held against labels.
-        inject: add forces to free test motion and count what is detected of them.
+        sanity: also evaluate detectors without information (always, never, random).
+        events: how alarms are compared with labels.
+        inject: add forces to free test motion and count the detected ones.
 
     Raises:
         BundleError: a bundle cannot be read, or a recording does not fit it.
@@ -109,7 +109,7 @@ def evaluate_bundles(
 
 
 def unhealthy_words(bundle: EvaluatedBundle) -> str:
-    """What a bundle's monitor rejected of the recordings; empty where it is next to nothing."""
+    """Samples that a bundle's monitor rejected, as text; empty if negligible."""
     rejected, latched = bundle.rejected, bundle.latched
     assert rejected.share is not None and latched is not None
     if rejected.share <= WORTH_A_WARNING and not latched.unhealthy:
@@ -122,7 +122,7 @@ def unhealthy_words(bundle: EvaluatedBundle) -> str:
 
 
 def work_key(dataset: Dataset, bundles: Mapping[str, Bundle], settings: dict) -> str:
-    """All that results depend on: the version, the bundles' bytes, the recordings' files, and settings."""
+    """Everything that results depend on: the version, the bundles' bytes, the recordings' files, and settings."""
     files = []
     for set_name in ("train", "validation", "test", "collisions", "calibration"):
         for name in getattr(dataset.split, set_name):

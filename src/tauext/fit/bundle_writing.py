@@ -17,18 +17,18 @@ from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import LEAST_TORQUE_NM, Scaling, Setup, remainder
 from tauext.recipes import recipe_of
 
-# --- How large a fit's errors are, and for how long they stay what they are: so many rows of a minute say the same.
+# --- Size and correlation time of a fit's errors; rows within the correlation time are not independent.
 
 
 LONGEST_S = 2.0
 CORRELATED = 0.05
-"""Correlation below it is none."""
+"""Smaller correlations count as zero."""
 
 
 def error_memory_s(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> np.ndarray:
-    """For how long each joint's error stays what it is, (n,), [s]: a period and twice the sum of its correlations.
+    """Correlation time of each joint's error, (n,), [s]: a period and twice the sum of its correlations.
 
-    Summed up to the first lag at which they are gone, LONGEST_S at most; as the core's refit counts it.
+    Summed up to the first lag without correlation, LONGEST_S at most, as in the core's refit.
     """
     stride = setup.observer.network_stride
     period_s = 1e-9 * setup.observer.sample_period_ns * stride
@@ -47,7 +47,7 @@ def error_memory_s(setup: Setup, recordings: Sequence[Recording], settings: _cor
     return period_s * np.maximum(1.0, 2 * (correlation * inside).sum(axis=0) - 1)
 
 
-# --- Puts what training found into a bundle.
+# --- Writes the results of training into a bundle.
 
 
 REFUSED = 0.02
@@ -135,7 +135,7 @@ def make_bundle(
 
 
 def reference_recording(setup: Setup, recordings: Sequence[Recording]) -> Recording:
-    """The first that is long enough to be a bundle's reference; the first of all where none is."""
+    """The first recording long enough to be a bundle's reference; else the first of all."""
     samples = setup.reach * setup.observer.network_stride + 1
     return next((recording for recording in recordings if recording.samples >= samples), recordings[0])
 
@@ -154,7 +154,7 @@ def set_signal_ranges(
             that stands still while the torque moves by more is a fault.
         torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
             its limit is a fault, since the drive no longer follows its command.
-        bounds: what is possible at all, None: anything; beyond them a sample is refused.
+        bounds: physical bounds, None: none; samples beyond them are refused.
     """
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
     largest = np.maximum(largest, np.max([torque_at_rest(recording) for recording in recordings], axis=0))
@@ -190,7 +190,7 @@ def rate_tolerance(recordings: Sequence[Recording], observer: _core.ObserverSett
 
 
 def torque_at_rest(recording: Recording) -> np.ndarray:
-    """By how much each joint's torque moved at most while its encoder did not change by a bit, (n,)."""
+    """Largest change of each joint's torque while its encoder did not change, (n,)."""
     moved = np.zeros(len(recording.joints))
     for j, (q, tau) in enumerate(zip(recording.q.T, recording.tau.T, strict=True)):
         begins = np.flatnonzero(np.r_[True, q[1:] != q[:-1]])
@@ -201,7 +201,7 @@ def torque_at_rest(recording: Recording) -> np.ndarray:
 def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:
     """Let the bundle follow slow changes of friction and offset, within a share of the friction that the prior found.
 
-    No torque freezes it yet: that follows from the limits, and they are not known; see freeze_drift.
+    No torque freezes it yet, because the limits are still unknown; see freeze_drift.
     """
     drift = _core.DriftSettings()
     drift.time_constant_s = config.time_constant_s
@@ -214,5 +214,5 @@ def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:
 
 
 def freeze_drift(bundle: _core.Bundle, config: DriftConfig) -> None:
-    """With its limits found, the bundle learns no drift while something touches the arm."""
+    """Stop the drift tracker during contacts; needs the bundle's limits."""
     bundle.drift.freeze_share = config.freeze_share

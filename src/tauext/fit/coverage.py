@@ -1,4 +1,4 @@
-"""What training saw of an arm's motion, kept so that the monitor recognises motion outside of it."""
+"""Coverage of the training motion, kept so that the monitor recognises motion outside of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REACHES = (2, 3, 4, 5, 6, 8, 12)
 REACHES_TOGETHER = (1, 2, 3, 4, 6, 8)
 """... and in a pair, in cells of a 32nd: as many."""
 MOST_FALSE = 0.002
-"""Share of left-out motion that may be called unfamiliar by the position of a joint ..."""
+"""Largest share of left-out motion reported as unfamiliar by the position of a joint ..."""
 MOST_FALSE_TOGETHER = 0.005
 """... and by those of all pairs."""
 SHORT_MIN = 10.0
@@ -26,17 +26,17 @@ SHORT_MIN = 10.0
 the reach is the next wider one. On simulated arms 0.3 to 1.0 % of other motion was called unfamiliar after 5 minutes of
 training, and 1.4 to 5.3 % without."""
 LEAST_SPEED_RAD_S = 0.05
-"""A joint that training hardly moved may move that fast: noise must not be reported."""
+"""Speed always allowed for joints that training hardly moved, so that noise is not reported."""
 LEAST_SPAN_M = 0.1
 
 
 @dataclass(frozen=True)
 class CoverageFit:
-    """What training saw, and the share of motion that would be called unfamiliar though it is of the same kind."""
+    """Coverage of training, and the share of motion of the same kind that would be reported as unfamiliar."""
 
     settings: _core.CoverageSettings
     left_out_share: float
-    """Of every fifth of the motion beside the other four, or half beside the other."""
+    """Share for each fifth of the motion against the other four, or each half against the other."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Motion:
 def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     """Speeds and positions of this motion, positions as finely as this much motion allows.
 
-    What is near a seen position is familiar too: within the least reach of each joint with which, of every fifth of the
+    Positions near a seen one are familiar too: within the least reach of each joint with which, of every fifth of the
     motion beside the other four, no more than MOST_FALSE would be called unfamiliar, and of pairs of joints, all alike,
     MOST_FALSE_TOGETHER. Minutes of many joints leave gaps between what was seen; see SHORT_MIN. Where not even the
     widest will do, a position (pairs) has no information.
@@ -84,7 +84,7 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     folds = [(motion.cut(np.concatenate(parts[:k] + parts[k + 1 :])), motion.cut(parts[k])) for k in range(count)]
 
     def reported(reach: np.ndarray, together: int, speeds: bool = False) -> float:
-        """Share of the left-out samples that would be called unfamiliar by what stayed."""
+        """Share of the left-out samples that the remaining motion would report as unfamiliar."""
         number = 0
         for stayed, left in folds:
             looked = seen(stayed, slides, reach, together).look(left.q, left.dq if speeds else 0 * left.dq)
@@ -111,7 +111,7 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
 def seen_too(
     fit: CoverageFit, others: _core.CoverageSettings, setup: Setup, recordings: Sequence[Recording]
 ) -> CoverageFit:
-    """The fit with motion that other arms of the type showed, whose cells and reaches it takes over.
+    """The fit with the motion of other arms of the type, whose cells and reaches it takes over.
 
     A fleet prior's pose holds for one more arm of the type, though this one never was there.
     """
@@ -126,7 +126,7 @@ def seen_too(
 
 
 def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -> _core.CoverageSettings:
-    """What this motion shows. A joint that turns has its cells once round, and one that slides over twice its way.
+    """Coverage of this motion. Cells of a revolute joint cover one turn, those of a prismatic joint twice its range.
 
     Args:
         slides: whether a joint does, (joints,).
@@ -148,7 +148,7 @@ def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -
 
 
 def coverage_facts(fit: CoverageFit, joints: Sequence[str]) -> dict:
-    """What is called unfamiliar, as plain JSON: speeds [rad/s] from which on, distances from seen positions [rad]."""
+    """Bounds of familiar motion as plain JSON: speeds [rad/s], distances from seen positions [rad]."""
     sizes, settings = _core.CoverageSettings, fit.settings
     cell_rad = np.array(settings.span_rad) / sizes.CELLS
     pair_cell_rad = float(cell_rad[np.array(settings.turns) == 1].max(initial=0.0)) * sizes.CELLS / sizes.PAIR_CELLS

@@ -28,13 +28,13 @@ LEAST_ROWS = 250  # 10 s of motion: an arm has some seventy unknowns
 
 
 class KinematicSample:
-    """Up to two minutes of motion at the network's rate, and what every candidate is measured by.
+    """Up to two minutes of motion at the network's rate, and the equations for comparing candidates.
 
     Args:
         tree: the estimated model: empty, with the gravity of its base.
         observer: of the setup; its method must be the momentum observer's.
         recordings: free motion.
-        own: terms of each joint alone; they stand beside every candidate's inertia.
+        own: terms of each joint alone, added to every candidate's inertia.
         widths_rad: of their presliding states.
     """
 
@@ -86,10 +86,10 @@ class KinematicSample:
         return np.concatenate(each)
 
     def regression(self, shared: np.ndarray, scales: np.ndarray | None = None) -> Regression:
-        """Of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
+        """Regression of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
 
         Args:
-            scales: (n,) of each joint's r against what the columns say; None: 1.
+            scales: (n,) ratio of each joint's r to the columns; None: 1.
         """
         scales = np.ones(self.joints) if scales is None else scales
         widths = [values.shape[1] for values in self.own]
@@ -141,7 +141,7 @@ def thinned(recording: Recording, stride: int) -> Recording:
     return replace(recording, tau=tau, rate_hz=rate_hz, torque_timing="averaged", **kept, **without)
 
 
-# --- The arm that nobody described: axes and places of its joints, and links for them.
+# --- An arm without a description: axes and places of its joints, and links.
 
 
 ASIDE_TIE = 0.1
@@ -202,7 +202,7 @@ def frame_of(axis: np.ndarray) -> np.ndarray:
 
 
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
-"""Axes of nearly all arms stand at right angles at q = 0; the others are found from the nearest of these."""
+"""Axes of nearly all arms are at right angles at q = 0; others are found from the nearest of these."""
 BEAM = 8
 REFINED = 3
 STEPS = 12
@@ -210,13 +210,13 @@ FIRST_SHIFT_M = 0.1
 MOST_TURN_RAD, MOST_SHIFT_M, MOST_RATIO = 0.3, 0.2, 0.5  # of one step
 DELTA = 1e-4  # [rad] or [m] of the numerical derivative
 GAINS_LITTLE = 1e-3
-"""Share of the squared error: a step that gains less is the last one; of arms so nearly alike the first is taken."""
+"""Share of the squared error: a smaller gain ends the steps; among arms this similar, the first is taken."""
 AXES_TIE = 1e-6
 """Of the squared error: mirror images, and axes on which the torques do not depend, differ by rounding alone."""
 OBLIQUE_HELPS = 0.3
 """Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
 
-ABOUT_ITS_ORIGIN = range(1, ROTOR)  # first moments and inertia: all that a link shows whose joints meet in one point
+ABOUT_ITS_ORIGIN = range(1, ROTOR)  # first moments and inertia: all that torques reveal if joints meet in one point
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class Candidate:
 
 
 def can_be_found(setup: Setup) -> bool:
-    """Whether all joints turn, and something weighs on them."""
+    """Whether all joints are revolute and gravity acts on them."""
     turning = all(link.type == _core.JointType.revolute for link in setup.tree.links)
     return turning and bool(np.any(setup.tree.gravity))
 
@@ -251,7 +251,7 @@ def find_kinematics(
     not depend on, and a shift along an axis, may be any.
 
     Args:
-        report: receives a line a stage.
+        report: receives one line per stage.
         one_unit: torques of all joints are in N m; False: each in a unit of its own, of which only the ratios show.
         start: an arm that was found in torques of other units, from which the search goes on.
     """
@@ -296,7 +296,7 @@ def faces_x(axes: np.ndarray) -> bool:
 
 
 def arm(axes: np.ndarray, joints: int) -> Kinematics:
-    """With these axes, and vertical ones behind them, all through one point."""
+    """An arm with these axes and vertical ones after them, all through one point."""
     axes = np.vstack([axes, np.tile([0.0, 0.0, 1.0], (joints - len(axes), 1))])
     return Kinematics(axes, np.zeros_like(axes))
 
@@ -352,7 +352,7 @@ class Fitted:
     def step(
         self, sample: KinematicSample, joints: Sequence[str], free: frozenset[str]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Turns and shifts, (n, 2), and logarithms of scales, (n,), that explain most of r, all else fitted anew."""
+        """Turns and shifts, (n, 2), and logarithms of scales, (n,), that explain most of r, all else refitted."""
         n, base = sample.joints, self._predicted(sample, joints, self.kinematics)
         unknowns = np.eye(4 * n)[0 if "axes" in free else 2 * n :]
         slopes = []
@@ -375,7 +375,7 @@ class Fitted:
         )
 
     def _predicted(self, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> np.ndarray:
-        """What its inertia adds to r with these kinematics, (rows, n)."""
+        """Contribution of its inertia to r with these kinematics, (rows, n)."""
         links = kinematics.tree(joints, sample.gravity).links
         extra = np.zeros_like(self.parameters)  # without it, a fitted mass or rotor may be one that no link can have
         moments = np.linalg.norm(self.parameters[:, FIRST_MOMENT], axis=1)

@@ -45,9 +45,9 @@ STEEP = 6
 """... from where its trust falls with this power of the distance: with the fourth of Mahalanobis', so that what a block
 adds to the mean and to the covariance falls, too."""
 LEAST_ARMS = 5
-"""Of fewer, none can be singled out."""
+"""Among fewer arms, no outlier can be identified."""
 USUAL = 1.4826
-"""Times the median distance from the median, a standard deviation."""
+"""Standard deviation per median distance from the median."""
 COMMON, SINGLE = 0.3, 0.1
 """The first guess: all of a block moves by this share, and each weight by what shows as this share of the block."""
 WEAK = 1e-2
@@ -66,7 +66,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """What arms of a type have in common, and each of the arms."""
+    """Distribution of an arm type's weights, and each arm's own weights."""
 
     mean: np.ndarray  # (columns,)
     covariance: np.ndarray  # (columns, columns), block by block: of one more arm
@@ -127,7 +127,7 @@ def outer(scale: np.ndarray) -> np.ndarray:
 
 
 def first_guess(evidence: Sequence[Evidence], blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of all arms as if they were one, and a covariance about it."""
+    """First guess: the mean of all arms as if they were one, and a covariance about it."""
     gram = np.sum([one.gram for one in evidence], axis=0)
     moment = np.sum([one.moment for one in evidence], axis=0)
     rows = sum(one.rows for one in evidence)
@@ -185,19 +185,19 @@ Moments = tuple[np.ndarray, np.ndarray]
 
 
 def moments_without(w: np.ndarray, V: np.ndarray, trust: np.ndarray, blocks: Sequence[np.ndarray]) -> list[Moments]:
-    """Mean and covariance of the other arms, for each; none where LEAST_ARMS are not there."""
+    """Mean and covariance of the other arms, for each arm; none with fewer than LEAST_ARMS."""
     return [moments(w, V, trust, blocks, without=a) for a in range(len(w))] if len(w) >= LEAST_ARMS else []
 
 
 def distances(w: np.ndarray, V: np.ndarray, others: Sequence[Moments], blocks: Sequence[np.ndarray]) -> np.ndarray:
-    r"""How far each arm's blocks are from those of the other arms, (arms, blocks), in standard deviations.
+    r"""Distance of each arm's blocks from those of the other arms, (arms, blocks), in standard deviations.
 
     The squared distance of Mahalanobis is expected over what an arm's own data leave open; its cube root is normal, of
     mean 1 and variance 2 / (9 p) where p weights are as the others' [WilsonHilferty1931]_. Held against the median over
     the arms, since few arms make the covariance too small for one more of them.
 
     Args:
-        w, V: of each arm as if it were trusted: who is not has wide errors, and would seem farther away for that.
+        w, V: of each arm as if it were trusted; an untrusted arm's wide errors would distort the distance.
         others: mean and covariance of the others, for each arm; none: all distances are 0.
     """
     squares = np.zeros((len(w), len(blocks)))
@@ -216,7 +216,7 @@ def distances(w: np.ndarray, V: np.ndarray, others: Sequence[Moments], blocks: S
 
 
 def trust_of(distance: np.ndarray) -> np.ndarray:
-    """1 up to CLOSE, and falling from there on."""
+    """1 up to CLOSE, falling beyond."""
     return (CLOSE / np.maximum(distance, CLOSE)) ** STEEP
 
 
@@ -231,7 +231,7 @@ def settled(before: np.ndarray, after: np.ndarray, blocks: Sequence[np.ndarray])
 
 @dataclass(frozen=True)
 class ArmType:
-    """What arms must agree in to be of one type; the names of its fields are those of its words."""
+    """Properties that arms of one type share; messages use the names of its fields."""
 
     joints: tuple[str, ...]
     case: str
@@ -239,7 +239,7 @@ class ArmType:
     network_stride: int
     torque_timing: str
     units: tuple[str, ...]
-    """Of each joint's torque as the prior sees it."""
+    """Unit of each joint's torque in the prior."""
     links: str
     """SHA-256 of axes and lengths; masses may differ, by a payload that the description names."""
 
@@ -256,7 +256,7 @@ class ArmType:
 
 
 def worded(value: object) -> str:
-    """For a message: digests by their first letters."""
+    """A value for a message; digests are shortened."""
     if isinstance(value, tuple):
         return "(" + ", ".join(map(str, value)) + ")"
     return str(value)[:12]
@@ -273,7 +273,7 @@ def links_digest(tree: _core.Tree) -> str:
 
 @dataclass(frozen=True)
 class FleetErrors:
-    """Errors of arms that had a minute of their own and the prior of the others, on the rest of their motion."""
+    """Errors of arms trained on one own minute and the others' prior, on the rest of their motion."""
 
     minutes: float  # of its own motion that each arm had
     hours: float  # of motion in which errors were counted
@@ -315,9 +315,9 @@ class FleetPrior:
     """Terms of each joint."""
     weights: WeightPrior
     errors: FleetErrors | None = None
-    """None: no arm's motion is long enough to judge a minute by the rest."""
+    """None: no arm has enough motion beyond the first minute."""
     coverage: _core.CoverageSettings | None = None
-    """Motion that any of the arms showed."""
+    """Motion of all arms together."""
     days: FleetDays | None = None
     """None: too few arms had several recordings."""
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -404,10 +404,10 @@ def plain(values: Mapping[str, Any]) -> dict:
 
 
 def load_fleet_prior(path: Place) -> FleetPrior:
-    """The fleet prior in a file.
+    """Read a fleet prior's file.
 
     Raises:
-        ConfigError: there is no such file, or it is none of these.
+        ConfigError: there is no such file, or is not a fleet prior.
     """
     try:
         text = read_text(path)
@@ -459,7 +459,7 @@ def hashable(value: Any) -> Any:
 
 
 def errors_of(raw: Mapping[str, Any], joints: int) -> FleetErrors:
-    """The errors of new arms; ValueError where they are not one a joint."""
+    """Errors of new arms; ValueError unless there is one per joint."""
     values: dict[str, Any] = {one.name: raw[one.name] for one in fields(FleetErrors)}
     values["features"] = tuple(values["features"])
     for name, value in values.items():
@@ -477,7 +477,7 @@ def errors_of(raw: Mapping[str, Any], joints: int) -> FleetErrors:
 
 
 def days_of(raw: Mapping[str, Any], joints: int) -> FleetDays:
-    """How days differ; ValueError where that is no covariance of so many joints."""
+    """Differences between days; ValueError unless it is a covariance of this many joints."""
     covariance = np.array(raw["covariance"], dtype=float)
     if covariance.shape != (joints, joints) or not np.isfinite(covariance).all():
         raise ValueError("days must have a finite covariance of the joints")
@@ -495,7 +495,7 @@ def coverage_of(raw: Mapping[str, Any]) -> _core.CoverageSettings:
 
 
 def expect_sound(prior: FleetPrior) -> None:
-    """Raise ValueError where the numbers are none of a distribution."""
+    """Raise ValueError if the numbers are not a distribution."""
     weights, n = prior.weights, len(prior.own)
     for name, values in (("error_nm", weights.error_nm), ("memory_s", weights.memory_s)):
         if values.shape != (n,) or not (np.isfinite(values) & (values > 0)).all():
@@ -524,9 +524,9 @@ def same_bytes(prior: FleetPrior) -> str:
 
 
 def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, like: FleetPrior) -> PriorFit:
-    """The prior that is most likely by this motion and the fleet: its terms and widths, no search of its own.
+    """The most likely prior given this motion and the fleet; terms and widths are the fleet's.
 
-    Every fold that is left out of the fit in turn is judged by the fleet and the other folds.
+    Every left-out fold is predicted from the fleet and the other folds.
 
     Args:
         setup: without a prior, of the fleet's type.

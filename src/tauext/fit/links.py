@@ -1,4 +1,4 @@
-"""What torques reveal of the inertial parameters of links, and corrections that stay physical."""
+"""Inertial parameters of links in joint torques, and corrections that stay physical."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tauext.data.recording import Recording
 from tauext.fit.regression import NormalEquations, Regression
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
-# --- What inertial parameters of links show in the observer's r: regressors, in which r is linear.
+# --- Regressors of the links' inertial parameters, in which the observer's r is linear.
 
 
 def inertial_regressors(
@@ -22,7 +22,7 @@ def inertial_regressors(
     of: Sequence[int] | None = None,
     parameters: Sequence[int] = range(len(PARAMETERS)),
 ) -> np.ndarray:
-    """What a unit more of a link's parameter in the *robot* adds to r at these rows: (rows, n, links * parameters).
+    """Derivative of r by each link parameter of the *robot* at these rows: (rows, n, links * parameters).
 
     Args:
         tree: kinematics and inertia about which r is differentiated; since r is linear, only its kinematics matter.
@@ -53,7 +53,7 @@ def observed(
     recording: Recording,
     rows: np.ndarray,
 ) -> np.ndarray:
-    """r of these links beside a motor torque of zero: the model alone, (rows, n), [N m]."""
+    """r of these links with zero motor torque, i.e. of the model alone, (rows, n), [N m]."""
     still = np.zeros_like(recording.tau)
     tree = _core.Tree(list(links), gravity)
     return _core.observe(tree, observer, recording.t_ns, recording.q, recording.dq, still).residual[rows]
@@ -65,7 +65,7 @@ def observed(
 MASS, ROTOR = PARAMETERS.index("m"), PARAMETERS.index("rotor")
 FIRST_MOMENT = slice(1, 4)
 LEAST_MASS_KG = 1e-6
-"""A lighter link has no centre of mass that numbers can hold."""
+"""The centre of mass of a lighter link exceeds the range of numbers."""
 LARGEST = 1e8
 """Of a mass, a first moment or an inertia, [kg], [kg m], [kg m2]: the core takes 1e9 (kLargestOfAnArm), and a link's
 own numbers are sums of a few of them."""
@@ -103,7 +103,7 @@ def correction_columns(tree: _core.Tree, width: int) -> np.ndarray:
 
 
 def fix_impossible(regression: Regression, corrected: _core.Tree | None, solution: np.ndarray) -> bool:
-    """Fix corrections that are at a bound, and masses of links that no link can be; whether there were any.
+    """Fix corrections at a bound and impossible masses; returns whether there were any.
 
     What is fixed counts as not determined by the motion. A mass that falls to zero or below keeps the file's value,
     or is 1 kg where the file has none: what it adds shows in other parameters too, and they make up for it. One

@@ -22,29 +22,29 @@ from tauext.files.atomic_write import atomic_write
 from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, TooShort, WindowSet
 
-# --- What a step is taught, and how large it is: the paper's schedule, and the dense one.
+# --- Targets and sizes of training steps: the paper's schedule, and the dense one.
 
 
 Number = TypeVar("Number", int, float)
 
 
 class Schedule(Protocol):
-    """Sequences of `length` network steps from zero state, of which the last `targets` teach."""
+    """Sequences of `length` network steps from zero state; the last `targets` have a loss."""
 
     steps: int
     length: int
     targets: int
     largest_gradient: float  # a gradient of a larger norm is shortened to it
     report_every: int  # steps
-    validation_windows: int  # at most so many, evenly spread, are looked at in each report
+    validation_windows: int  # largest number of validation windows in each report, evenly spread
 
     def ends(self, step: int) -> np.ndarray:
-        """Rows that end the sequences of this step; the same for the same seed and step, whatever came before."""
+        """Rows that end the sequences of this step; they depend on the seed and the step alone."""
 
     def learning_rate(self, step: int) -> float: ...
 
     def score(self, step: int, validation_loss: float) -> float:
-        """By which weights are compared after so many steps; those of the lowest are kept."""
+        """Score of the weights after this number of steps; those with the lowest score are kept."""
 
     def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
         """Whether to stop early, after these (step, training loss, validation loss)."""
@@ -95,11 +95,11 @@ class PaperSchedule:
 class DenseSchedule:
     """Sequences drawn at random; after a burn-in as long as the window every step has a target.
 
-    A state that has seen a whole window hardly depends on what came before, so these states stand for those of a
-    window from zero state, which is what the network is used on. One sequence of 199 steps teaches 100 targets, which
+    A state that has seen a whole window hardly depends on what came before, so these states represent those of a
+    window from zero state, on which the network is used. One sequence of 199 steps has 100 targets, which
     cost the paper's schedule 10,000 steps. The learning rate rises over the first twentieth of the training and falls
     to zero along a cosine. A feed-forward network has a window of one step and no state to burn in: each of its
-    sequences is that step, and teaches one target.
+    sequences is that step, with one target.
     """
 
     setup: Setup
@@ -151,7 +151,7 @@ class DenseSchedule:
 
 
 def make_schedule(setup: Setup, training: WindowSet, config: TrainConfig) -> Schedule:
-    """The schedule that the network of a resolved config's recipe is taught by."""
+    """The training schedule of a resolved config's recipe."""
     if config.row.draws:
         return DenseSchedule(setup, training, config)
     return PaperSchedule(setup, training, config)
@@ -163,12 +163,12 @@ def number(value: Number | None) -> Number:
     return value
 
 
-# --- Training state on disk, so that an interrupted run goes on where it stood.
+# --- Training state on disk, from which an interrupted run continues.
 
 
 @dataclass
 class TrainState:
-    """Everything that moves while training. Fields are replaced, never changed in place, so a copy stays as it is."""
+    """The state of training. Fields are replaced, never changed in place, so a copy stays as it is."""
 
     at: tuple[np.ndarray, Adam]  # parameters (float64) and the optimiser's state
     history: list[tuple[int, float, float]]  # (step, training loss, validation loss), scaled units
@@ -179,7 +179,7 @@ class TrainState:
 
 
 def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
-    """Write under a temporary name, then rename: an interruption leaves the last whole checkpoint."""
+    """Write under a temporary name, then rename: an interruption leaves the last complete checkpoint."""
     parameters, adam = state.at
     with atomic_write(path) as part, part.open("wb") as file:
         np.savez(
@@ -197,14 +197,14 @@ def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
 
 
 def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
-    """The state of an interrupted run with these settings, or None where there is no checkpoint.
+    """The state of an interrupted run with these settings, or None without a checkpoint.
 
     Raises:
-        ConfigError: the checkpoint belongs to other settings or is damaged; names what differs.
+        ConfigError: the checkpoint is damaged or has other settings; the message names the difference.
     """
     if not path.exists():
         return None
-    advice = "remove it to start anew, or write elsewhere"
+    advice = "remove it to start again, or write elsewhere"
     try:
         with np.load(path, allow_pickle=False) as stored:
             theirs = json.loads(str(stored["settings"]))
@@ -224,30 +224,30 @@ def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
     return state
 
 
-# --- The gate: a network ships for a joint only where it helps on recordings that it never saw.
+# --- The gate: a bundle contains a joint's network only if it helps on validation recordings.
 
 
 @dataclass(frozen=True)
 class Gate:
-    """RMSE in free motion on validation recordings, and for which joints the network was worth its place."""
+    """RMSE in free motion on validation recordings, and the joints whose network is kept."""
 
     prior_rmse_nm: np.ndarray  # (n,)
     network_rmse_nm: np.ndarray  # (n,) of prior and network together
     opened: np.ndarray  # (n,) bool
 
     def reason(self, joint: int, margin: float) -> str:
-        """Why the joint has a network or none."""
+        """Reason for the joint's network or its absence."""
         before, after = self.prior_rmse_nm[joint], self.network_rmse_nm[joint]
         verdict = "prior and network" if self.opened[joint] else "prior only"
         growth = after / before - 1 if before > 0 else np.inf
-        change = f"{growth:+.1%}, asked {-margin:.0%}"
+        change = f"{growth:+.1%}, required {-margin:.0%}"
         return f"{verdict}: RMSE {before:.3g} Nm without a network, {after:.3g} Nm with it ({change})"
 
 
 def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: float, threads: int) -> Gate:
-    """Judge every joint's network, and shut it off in the bundle where it does not lower the RMSE by `margin`.
+    """Evaluate every joint's network, and disable it in the bundle unless it lowers the RMSE by `margin`.
 
-    A joint that is shut off has an output scale of 0; where all are, the bundle keeps no network.
+    A disabled joint has an output scale of 0; if all are disabled, the bundle keeps no network.
     """
     n = bundle.joints
     prior, both, samples = np.zeros(n), np.zeros(n), 0
@@ -272,12 +272,12 @@ def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: fl
 
 
 CHECKPOINT_EVERY_S = 20.0
-"""With what a step, a validation and the writing itself take, a killed training loses less than 30 s."""
+"""Including a step, a validation and the writing, a killed training loses less than 30 s."""
 LARGEST_LOSS = 1e3  # targets lie within +-1, so a useful loss is far below 1
 
 
 class Backend(Protocol):
-    """What computes; the loop below holds the parameters, as one vector of float64, and passes them as float32."""
+    """Computes gradients; the loop below keeps the parameters as one vector of float64 and passes them as float32."""
 
     def initial_parameters(self, seed: int) -> np.ndarray: ...
 
@@ -290,7 +290,7 @@ class Backend(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """What a progress bar shows: losses are mean squared errors in scaled units."""
+    """Content of a progress bar; losses are mean squared errors in scaled units."""
 
     step: int
     steps: int
@@ -321,17 +321,17 @@ def train_network(
     """Train the network by its recipe's schedule: mean squared error, Adam.
 
     The weights of the lowest validation loss are kept (see Schedule.score): at the paper's learning rate the loss jumps
-    up now and then and recovers, and the last step would be a draw of luck. The paper does not say which it keeps.
+    up now and then and recovers, so the last step would be arbitrary. The paper does not state which it keeps.
 
-    The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted, be it
-    by SIGKILL: what the last CHECKPOINT_EVERY_S did is done again.
+    The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted, also
+    by SIGKILL: the work of the last CHECKPOINT_EVERY_S is repeated.
 
     Args:
         checkpoint_path: where the state is kept while training; resumed from, and saved on KeyboardInterrupt and at the
-            end. Whoever has written what the network is for removes it.
-        settings: what a checkpoint must agree on to be resumed.
+            end. The caller removes it after writing the bundle.
+        settings: must equal those of a checkpoint to resume it.
         report: called every few hundred steps.
-        backend: what computes, of any kind of network; default: the one that the config names.
+        backend: computes gradients, for any kind of network; default: the config's.
 
     Raises:
         TrainingError: too little data for the schedule, or a loss that diverges.
@@ -375,7 +375,7 @@ def train_network(
 
 
 def take_step(state: TrainState, backend: Backend, schedule: Schedule, config: TrainConfig) -> float:
-    """Move the state on by one step; the loss before it.
+    """Advance the state by one step; returns the loss before it.
 
     Raises:
         TrainingError: the loss diverges.

@@ -1,4 +1,4 @@
-"""The prior: what friction and model error show in r, fitted by ridge regression on filtered regressors."""
+"""The prior: friction and model error in r, fitted by ridge regression on filtered regressors."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from tauext.fit.temperature import with_temperature
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import Setup, with_presliding
 
-# --- Textbook friction: what the prior is compared with.
+# --- Textbook friction, the baseline of the prior.
 
 
 SMOOTHING_RAD_S = 0.03
-"""Of the sign of the speed: wide enough for the noise of a differentiated encoder, narrow beside any motion."""
+"""Smoothing of the sign of the speed: above the noise of a differentiated encoder, small against any motion."""
 
 
 def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: object) -> PriorFit:
@@ -33,11 +33,11 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
 
     .. math:: \tau_f = c + v \dot q + k \tanh(\dot q / 0.03\,\mathrm{rad/s})
 
-    each through the observer's filter. The model is taken as it is: what it has wrong stays in r. Without a model that
-    is all of gravity and inertia, for which three numbers a joint cannot stand: such a fit is hopeless.
+    each through the observer's filter. The model is used unchanged, so its errors stay in r. Without a model, r
+    contains all of gravity and inertia, which three numbers per joint cannot represent: such a fit is useless.
 
     Args:
-        settings: of the prior, which has no say here.
+        settings: of the prior; unused here.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -53,14 +53,14 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
     return fit_ridge(setup, recordings, Regressors(own))
 
 
-# --- Torque ripple of motor and gear, searched for in what a fit leaves.
+# --- Torque ripple of motor and gear, found in the residual of a fit.
 
 
 MOST_CYCLES = 400
-RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while ...
-RIPPLE_JOINTS_S = 600.0  # ... for each joint anew, so with many joints this over their number, but RIPPLE_ENOUGH_S
+RIPPLE_DATA_S = 300.0  # this much motion is enough to find a ripple, and the search is slow ...
+RIPPLE_JOINTS_S = 600.0  # ... for each joint, so this is divided by their number, down to RIPPLE_ENOUGH_S
 RIPPLE_ENOUGH_S = 120.0
-RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
+RIPPLE_LEAST_S = 45.0  # in less motion, noise can pass for a ripple
 AT_A_TIME = 2
 """Joints: all numbers of cycles of one take hundreds of MB."""
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
@@ -75,14 +75,14 @@ def find_ripple(
     known: Sequence[Sequence[int]],
     least_cycles: int = 1,
 ) -> list[list[int]]:
-    """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
+    """For each joint, the cycles per turn with a distinct ripple of motor and gear in the residual of a fit.
 
     Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
-    filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
+    filtered like the observer, explain by themselves. A number is a ripple if it explains RIPPLE_SHARE and
     RIPPLE_OUTSTANDS times as much as the median number.
 
     Args:
-        known: cycles that the fit holds already.
+        known: cycles that the fit already contains.
         least_cycles: fewer a turn are no ripple.
     """
     n = setup.tree.size
@@ -119,7 +119,7 @@ def find_ripple(
 def _of_joint(
     setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, joint: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Products of each number's sine and cosine with what is left of the joint, and their squares: (MOST_CYCLES, 2)."""
+    """Products of each number's sine and cosine with the joint's residual, and their squares: (MOST_CYCLES, 2)."""
     settings = _core.PriorSettings()
     settings.terms = [
         _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
@@ -132,22 +132,22 @@ def _of_joint(
     return (values.T @ left[:, joint]).reshape(-1, 2), (values**2).sum(axis=0).reshape(-1, 2)
 
 
-# --- Play between gear and load: which joints have it, and which presliding width shows where in it they are.
+# --- Play between gear and load: the joints that have it, and the presliding width of its state.
 
 
 HELPS = 0.01
-"""A joint has play where that lowers its error on left-out motion by this share: as of ripples."""
+"""A joint has play if that lowers its error on left-out motion by this share, as for ripples."""
 
 WIDTH_TIE = 0.002
-"""Of the error: of widths that explain the motion so nearly alike the narrowest is taken, hence the least play."""
+"""Share of the error: among widths this similar the narrowest is taken, hence the smallest play."""
 
 Play = tuple[int | None, ...]
-"""Of each joint, the index of the width; None: it has none that shows."""
+"""Index of each joint's width; None: no visible play."""
 
 
 def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, PriorFit]:
-    """The play of each joint and the fit with it: every width is tried at all joints at once, the best of each stays
-    where the others' does not do as well.
+    """The play of each joint and the fit with it: every width is tried at all joints at once; each joint keeps the
+    best one.
 
     A gear carries nothing while it crosses its play: beta (1 - |state|) of the weight shows in r. The state is a stop
     operator's, of half the play [Nordin2002].
@@ -174,7 +174,7 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
 
 
 def play_sentence(play: Play, widths_rad: Sequence[float], joints: Sequence[str]) -> str:
-    """In words; empty where no joint has any."""
+    """As text; empty if no joint has play."""
     found = [f"{name} {2e3 * widths_rad[k]:g} mrad" for name, k in zip(joints, play, strict=True) if k is not None]
     return f"play that carries no weight: {', '.join(found)}" if found else ""
 
@@ -183,20 +183,20 @@ def play_sentence(play: Play, widths_rad: Sequence[float], joints: Sequence[str]
 
 
 RIPPLE_HELPS = 0.01
-"""A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
+"""A ripple is kept if it lowers the error on left-out motion by this share; in minutes, noise can pass for one."""
 FOUND_ARM_COSTS = 0.1
-"""Sines and cosines must explain left-out motion better by this share to stand in for an arm found in the motion."""
+"""Sines and cosines replace an arm found in the motion if they explain left-out motion better by this share."""
 BEYOND = 1.2
-"""Times the most that the arm itself weighed in training: so far load terms are believed."""
+"""Load terms are valid up to this multiple of the arm's largest own weight in training."""
 USUAL_SHARE, WEIGHS = 0.05, 0.05
-"""Of a load in the friction of a strain-wave gear; and of a joint's friction, below which that does not show."""
+"""Share of a load in the friction of a strain-wave gear; and the share of a joint's friction that makes it visible."""
 LOCAL_MEMORY_HELPS = 0.005
 """Friction has a part with local memory where that lowers the error on left-out motion by this share, in the mean over
 the joints. The gears of an arm are alike, so its joints are judged together; a joint whose error grows by as much has
 none."""
 MOVES_RAD_S = 0.05
 LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
-LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
+LEAST_CYCLES = 5  # per turn: lower frequencies are gravity errors, not a gear
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Inertia:
     loads: tuple[_core.Link, ...] = ()
     kinematics: Kinematics | None = None
     play: Play = ()
-    """Of each joint, see own_terms; empty: of none."""
+    """Play index of each joint, see own_terms; empty: no joint has play."""
     local_memory_nm: tuple[float, ...] = ()
     """Most of each joint's presliding friction that may have local memory; 0: none has. Empty: of no joint."""
 
@@ -224,12 +224,12 @@ def fit_prior(
 ) -> PriorFit:
     """The prior of a setup whose prior holds nothing but presliding widths yet.
 
-    Without a model the arm itself is looked for first. Ripple is searched for in what a first fit leaves; then
-    presliding widths that do not help are left out.
+    Without a model, the arm's kinematics are found first. Ripple is then searched for in the residual of a first fit,
+    and presliding widths that do not help are left out.
 
     Args:
         report: receives a line about what was found.
-        known: an arm that was found already, to be looked at first where there is no model.
+        known: an arm found earlier; tried first if there is no model.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -274,7 +274,7 @@ def with_play(
     inertia: Inertia,
     report: Callable[[str], None] | None,
 ) -> tuple[Inertia, PriorFit]:
-    """The play of servos' gears, where it shows: see find_play."""
+    """The play of servo gears, if visible: see find_play."""
     bent = with_presliding(setup, fit.settings.widths_rad)
 
     def fitted_with(play: Play) -> PriorFit:
@@ -292,7 +292,7 @@ def with_local_memory(
 ) -> tuple[Inertia, PriorFit]:
     """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
 
-    The two kinds of memory differ in free motion where a joint reverses again before it slides. Friction of real gears
+    The two kinds of memory differ if a joint reverses again before it slides. Friction of real gears
     mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
     """
     branches = branches_of(fit.settings)
@@ -367,7 +367,7 @@ def chosen(
 
 
 def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -> np.ndarray:
-    """Which joints (n,) bool the arm loads so much that its motion shows the friction of load.
+    """Joints (n,) bool that the arm loads enough to show load-dependent friction.
 
     USUAL_SHARE of what it weighs there is WEIGHS of the friction or more, which is the mean of the torque along the
     joint's speed.
@@ -395,9 +395,9 @@ def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]
 
 
 def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> None:
-    """Load terms of the fit see no more than what the arm itself weighs in this motion, and BEYOND.
+    """Limit the fit's load terms to BEYOND times the arm's own weight in this motion.
 
-    With what a hand carries more would be asked of them than they were fitted to.
+    A carried load would take them beyond the range of the fit.
     """
     forms = {term.form for term in fit.settings.terms if term.kind in LOAD_TERMS}
     if not forms:
@@ -417,10 +417,10 @@ def find_inertia(
     report: Callable[[str], None],
     known: Kinematics | None,
 ) -> tuple[Inertia, PriorFit]:
-    """What stands for gravity and inertia where there is no model, and a first fit with it.
+    """Terms of gravity and inertia for an arm without a model, and a first fit with them.
 
     An arm found from its motion predicts poses that training never saw, which sines and cosines of
-    the angles cannot; those stay where they explain left-out motion better by FOUND_ARM_COSTS.
+    the angles cannot; those are used if they explain left-out motion better by FOUND_ARM_COSTS.
     """
     nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
     basis = fit_terms(setup, recordings, config, nothing, Inertia())

@@ -1,4 +1,4 @@
-"""A fitted prior in words that an engineer can check against a data sheet."""
+"""A fitted prior as quantities that an engineer can check against a data sheet."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
     """Friction of every joint and implied errors of the model, as plain JSON; values that the data do not support are
     marked.
 
-    Coulomb friction: what the terms that follow the sign of the motion add up to in steady sliding, with its sign
-    turned, since r shows minus the friction. A value is supported where the data determine it (and not the
+    Coulomb friction: sum of the terms that follow the sign of the motion in steady sliding, with its sign
+    inverted, since r is minus the friction. A value is supported where the data determine it (and not the
     ridge) and it differs from zero by some standard errors.
     """
     facts: dict[str, Any] = {
@@ -63,7 +63,7 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
 
 
 def held_sentence(facts: dict[str, Any]) -> str:
-    """Which inertial parameters keep a value that a link can have, since the motion alone does not; empty: none."""
+    """Inertial parameters held at a physical bound against the motion, as text; empty: none."""
     held = "; ".join(f"{name} {', '.join(parameters)}" for name, parameters in facts.get("held", {}).items())
     if not held:
         return ""
@@ -74,7 +74,7 @@ def held_sentence(facts: dict[str, Any]) -> str:
 
 
 def arm_found(kinematics: Kinematics) -> list[dict]:
-    """Each joint's axis at q = 0, and how it stands to the one before: as in a table of Denavit and Hartenberg."""
+    """Each joint's axis at q = 0, and its pose relative to the previous one, as in a Denavit-Hartenberg table."""
     facts = []
     for k, (axis, origin) in enumerate(zip(kinematics.axes, kinematics.origins, strict=True)):
         joint: dict = {"axis": axis.round(4).tolist()}

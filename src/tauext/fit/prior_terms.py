@@ -32,7 +32,7 @@ class Refit(Protocol):
     """The same terms fitted once more."""
 
     def __call__(self, setup: Setup) -> PriorFit:
-        """To the residual of another observer, on the same recordings; the setup's presliding widths do not count."""
+        """Fit to another observer's residual, on the same recordings; the setup's presliding widths are ignored."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class PriorFit:
     """(n, 11) bool: at a bound of what a link can be, or as the robot file has it, whatever the motion shows."""
     regression: Regression
     left_out: list[LeftOut]  # one for each fold that leaves a possible model
-    kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it
+    kinematics: Kinematics | None = None  # found from the motion if there is no model and the arm explains it
     dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why
     refit: Refit | None = None  # of the terms that were chosen, on other residuals
 
 
-# --- Which presliding widths the data have a use for.
+# --- Presliding widths that the data support.
 
 
 BENT = (_core.TermKind.presliding, _core.TermKind.load_presliding)
@@ -68,11 +68,11 @@ ROUNDING_RAD = 1e-9
 
 
 def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, fit: PriorFit) -> dict[float, str]:
-    """Presliding widths that the data have no use for, with the reason, from the narrowest up.
+    """Presliding widths that the data do not support, with the reason, from the narrowest up.
 
-    A width below LEAST_COUNTS counts of the encoder follows the last count's flicker and not the joint. Any other goes
-    if without it, and without those that went before, the error on left-out recordings grows by less than IDLE_SHARE in
-    every joint. The width that decides the region of limits stays.
+    A width below LEAST_COUNTS counts of the encoder follows the last count's flicker and not the joint. Any other is
+    dropped if without it, and without those dropped before, the error on left-out recordings grows by less than
+    IDLE_SHARE in every joint. The width that decides the region of limits is kept.
     """
     regression, dropped = fit.regression, {}
     count_rad = encoder_count(recordings)
@@ -129,10 +129,10 @@ def own_terms(
     play: int | None = None,
     local_memory: bool = False,
 ) -> list[_core.Term]:
-    """Friction and ripple of one joint: what it does alone.
+    """Friction and ripple of one joint, independent of other joints.
 
-    A Coulomb term that training never saw level off is left out: beside the viscous one it may be anything, and their
-    difference grows beyond the speeds that were seen.
+    A Coulomb term that training never saw level off is left out: it cannot be separated from the viscous one, and their
+    difference grows beyond the speeds of training.
 
     Args:
         top_speed_rad_s: of the joint in training.

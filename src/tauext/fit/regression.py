@@ -14,7 +14,7 @@ from tauext.fit.ties import simplest
 
 
 RELEASED = 1e-9
-"""Share of the largest slope from which on a bound is left again: less is rounding."""
+"""A bound is released above this share of the largest slope; less is rounding."""
 
 
 def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: n
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric, positive definite matrix, (m, m); symmetric and positive definite itself.
+    """Inverse of a symmetric, positive definite matrix, (m, m); symmetric and positive definite itself.
 
     Directions whose eigenvalue, with the diagonal scaled to 1, is lost in rounding count as if it were the least that
     shows: np.linalg.inv may give a negative variance there.
@@ -77,23 +77,23 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
 RIDGE_TIE = 1e-6
-"""Of the squared error by cross-validation: where the data determine everything, weak ridges differ by rounding alone,
-and the strongest of them is taken. No more, since a stronger one shows in what the data seem to determine."""
+"""Share of the squared error by cross-validation: if the data determine everything, weak ridges differ by rounding
+alone, and the strongest of them is taken. A stronger ridge would distort what the data determine."""
 LEAST_SQUARE = 1e-12
-"""Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
+"""Smallest mean square of a joint's r used as its weight, [N m squared]."""
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 
 @dataclass
 class NormalEquations:
-    """Of one part of the recordings: each joint's target on the columns that it can depend on.
+    """Equations of one part of the recordings: each joint's target on the columns that it can depend on.
 
     Without a model a joint has hundreds of columns of its own and shares none: seven joints as one dense matrix would
     be fifty times as large.
     """
 
     columns: tuple[np.ndarray, ...]
-    """Of each joint: which of all columns are its own or shared, rising."""
+    """Indices of each joint's own and shared columns, rising."""
     gram: list[np.ndarray]
     """(columns of the joint, the same) each."""
     moment: list[np.ndarray]
@@ -106,7 +106,7 @@ class NormalEquations:
         return NormalEquations(self.columns, gram, moment, self.energy + other.energy, self.rows + other.rows)
 
     def squares(self, solution: np.ndarray) -> np.ndarray:
-        """Sum of squares that a solution leaves, (n,)."""
+        """Residual sum of squares of a solution, (n,)."""
         left = self.energy.copy()
         for i, (at, gram, moment) in enumerate(zip(self.columns, self.gram, self.moment, strict=True)):
             w = solution[at]
@@ -139,14 +139,14 @@ class Regression:
         self._groups = coupled(self.whole.columns)
 
     def copy(self) -> Regression:
-        """The same, to be fixed otherwise."""
+        """A copy whose fixed columns can differ."""
         other = copy(self)
         other.used, other._fixed = self.used.copy(), self._fixed.copy()
         other.low, other.high = self.low.copy(), self.high.copy()
         return other
 
     def bound(self, columns: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-        """Keep the coefficients of these columns within these bounds, low <= high, those that are fixed, too."""
+        """Keep the coefficients of these columns, fixed ones included, within these bounds, low <= high."""
         self.low[columns], self.high[columns] = low, high
         self._fixed = np.clip(self._fixed, self.low, self.high)
 
@@ -180,7 +180,7 @@ class Regression:
         return np.array([self.solve(self.without(k), ridge) for k in range(len(self.folds))])
 
     def standard_errors(self, leave_one: np.ndarray) -> np.ndarray:
-        """Of every coefficient, from what `leave_one` found (jackknife), (columns,)."""
+        """Standard error of every coefficient, from `leave_one` (jackknife), (columns,)."""
         count = len(leave_one)
         return np.sqrt((count - 1) / count * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
 

@@ -26,13 +26,13 @@ AT_A_TIME = 4
 
 @dataclass(frozen=True)
 class Regressors:
-    """What r is regressed on.
+    """Regressors of r.
 
     Args:
         own: terms of each joint alone.
         shared: terms with a weight for every joint.
         corrected: the arm whose inertial parameters are corrected too; None: none is.
-        loads: links whose beta the load terms of form CORRECTED see; they are fitted anew here, with little difference.
+        loads: links whose beta the load terms of form CORRECTED see; they are refitted here, with little difference.
     """
 
     own: Sequence[Sequence[_core.Term]]
@@ -81,7 +81,7 @@ def gather(
     """The equations of all recordings that are longer than the warm-up; see fit_ridge.
 
     Args:
-        pieces: of each recording; None: as many as leave something to leave out.
+        pieces: of each recording; None: enough to leave parts out.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -102,7 +102,7 @@ def gather(
 
 
 def solved(setup: Setup, regression: Regression, found: Sequence[Found], regressors: Regressors) -> PriorFit:
-    """The fit that a regression of these equations makes, within the bounds of links that can be."""
+    """The fit by regression of these equations, within the bounds of physical links."""
     corrected, excited = regressors.corrected, regression.used.copy()
     if corrected:
         bound_links(regression, corrected)
@@ -186,7 +186,7 @@ def _by_joint(setup: Setup, regressors: Regressors, solution: np.ndarray) -> np.
 
 
 def _settings(setup: Setup, regressors: Regressors, solution: np.ndarray) -> _core.PriorSettings:
-    """The prior that these coefficients make."""
+    """The prior with these coefficients."""
     corrected, settings = regressors.corrected, _core.PriorSettings()
     settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
     settings.terms = regressors.terms
@@ -211,19 +211,19 @@ def _settings(setup: Setup, regressors: Regressors, solution: np.ndarray) -> _co
 
 ROUNDS = 8
 LEAST_ERROR = 0.5
-"""Of the fleet's error: no minute is known to be twice as quiet as the fleet."""
+"""Smallest error as a share of the fleet's: no minute is twice as quiet as the fleet."""
 
 
 @dataclass(frozen=True)
 class WeightPrior:
-    """What is known of all columns before the arm moves."""
+    """Distribution of all columns before the arm moves."""
 
     mean: np.ndarray  # (columns,)
     covariance: np.ndarray  # (columns, columns); 0 on the diagonal: no arm excites the column, and it stays
     error_nm: np.ndarray  # (n,) usual size of each joint's error
-    memory_s: np.ndarray  # (n,) for so long it stays what it is
+    memory_s: np.ndarray  # (n,) its correlation time
     trust: float = 1.0
-    """gamma."""
+    """Weight of the arm's own rows, gamma."""
 
     @property
     def known(self) -> np.ndarray:
@@ -263,7 +263,7 @@ class MapRegression(Regression):
         information, moment = self._normal(equations)
         used, solution = self.used, self._fixed.copy()
         right = moment[used] - information[np.ix_(used, ~used)] @ solution[~used]
-        # What is fixed is so in the fleet's mean too: a mean that is elsewhere pulls the others along.
+        # Fixed columns are fixed in the fleet's mean too; another mean would pull the other columns along.
         size = 1 / np.sqrt(np.diag(information)[used])
         scaled = information[np.ix_(used, used)] * np.outer(size, size)
         low, high = self.low[used], self.high[used]
@@ -285,7 +285,7 @@ class MapRegression(Regression):
         return shares
 
     def covariance(self) -> np.ndarray:
-        """Of the coefficients, with all of the motion, (columns, columns)."""
+        """Covariance of the coefficients, with all of the motion, (columns, columns)."""
         information, _ = self._normal(self.whole)
         size = self._sizes()
         out = np.zeros_like(information)
@@ -293,7 +293,7 @@ class MapRegression(Regression):
         return out
 
     def _find_errors(self) -> None:
-        """Size of each joint's error, (n,), from what its columns leave of so many independent rows."""
+        """Size of each joint's error, (n,), from the residual over this number of independent rows."""
         least = LEAST_ERROR * self._prior.error_nm
         for _ in range(ROUNDS):
             solution, covariance = self.solve(self.whole), self.covariance()
@@ -312,7 +312,7 @@ class MapRegression(Regression):
         return self._independent / self.error_nm**2
 
     def _normal(self, equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
-        """Information about all columns and what it points to."""
+        """Information matrix of all columns, and its right-hand side."""
         information, moment = self._precision.copy(), self._precision @ self._prior.mean
         for c, at, gram, own in zip(self._counts(), equations.columns, equations.gram, equations.moment, strict=True):
             information[np.ix_(at, at)] += c * gram

@@ -1,4 +1,4 @@
-r"""How a joint's friction follows its temperature: two shares a joint, found in what the prior leaves.
+r"""Temperature dependence of a joint's friction: two shares per joint, found in the residual of the prior.
 
 With f_C and f_V the prior's friction of a joint (Coulomb's, viscous; filtered as r is) and
 k = (T - T_ref) / 10 K, least squares on the motion of training whose temperature is known:
@@ -29,20 +29,20 @@ PER_K = 0.1
 LEAST_SPREAD_K = 1.0
 """Standard deviation of a joint's temperature over the motion: a smaller one is the sensor's."""
 BEYOND_K = 5.0
-"""So much beyond the temperatures of training the shares still hold; farther, friction is taken as it is there."""
+"""The shares hold this far beyond the temperatures of training; beyond that, friction is constant."""
 USUAL_SHARE = 0.3
-"""Friction changes by a third in 10 K at most: what the shares are shrunk by."""
+"""Friction changes by a third in 10 K at most; the shares are shrunk accordingly."""
 MEMORY_S = 0.3
-"""Errors so close together are one."""
+"""Errors this close together count as one."""
 HELPS = 0.01
-"""A joint's shares stay where they lower the error on left-out motion by this share."""
+"""A joint's shares are kept if they lower the error on left-out motion by this share."""
 PARTS, LEAST_PARTS = 10, 4
-"""The motion is cut into so many parts, in order of time, of which one after the other is left out."""
+"""Number of parts of the motion, in order of time; each is left out in turn."""
 
 
 @dataclass(frozen=True)
 class Warmth:
-    """What motion of known temperature shows, at the network's rate."""
+    """Motion of known temperature, at the network's rate."""
 
     left_nm: np.ndarray  # (rows, n): r - prior
     friction_nm: np.ndarray  # (rows, n, 2): Coulomb's, viscous
@@ -52,9 +52,9 @@ class Warmth:
 
 
 def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> PriorFit:
-    """The fit, whose friction follows the temperature on those joints where the motion shows that it does.
+    """The fit with temperature-dependent friction on the joints whose motion shows the dependence.
 
-    Every stand-in of `left_out` gets the same two shares and corrections: they are two numbers of all of the motion.
+    Every fit in `left_out` gets the same shares and corrections, which are found on all of the motion.
     """
     warmth = measure_warmth(setup, [one for one in recordings if one.temperature is not None], fit.settings)
     if warmth is None:
@@ -85,7 +85,7 @@ def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFi
 
 
 def fit_joint(warmth: Warmth, joint: int, known: np.ndarray, reference_c: float) -> np.ndarray | None:
-    """(b_C, b_V, c_C, c_V) of a joint; None where they do not help on left-out motion."""
+    """(b_C, b_V, c_C, c_V) of a joint; None if they do not help on left-out motion."""
     friction, left = warmth.friction_nm[known, joint], warmth.left_nm[known, joint]
     warm = PER_K * (warmth.temperature_c[known, joint] - reference_c)
     X, part = np.hstack([friction, friction * warm[:, None]]), warmth.part[known]
@@ -106,7 +106,7 @@ def fit_joint(warmth: Warmth, joint: int, known: np.ndarray, reference_c: float)
 
 
 def measure_warmth(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> Warmth | None:
-    """What the recordings show; None where there is nothing."""
+    """The motion of known temperature in the recordings; None if there is none."""
     if not recordings:
         return None
     stride = setup.observer.network_stride

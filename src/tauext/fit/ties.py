@@ -1,9 +1,9 @@
-"""Options that are about equally good: the simplest is taken, so that rounding on another machine does not choose.
+"""Among options of about equal cost the simplest is taken, so that rounding on another machine does not decide.
 
-The least of several costs is decided by rounding wherever costs are equal by construction: mirror images, options that
-the data do not depend on, flat minima. Within a margin the order of the options decides instead; the margin of each
-decision stands beside it with its reason. A cost exactly at the margin can still fall on either side, but nothing makes
-costs lie there.
+Rounding decides the lowest of several costs that are equal by construction: mirror images, options that the
+data do not depend on, flat minima. Within a margin the order of the options decides instead; each decision defines its
+margin and the reason for it. A cost exactly at the margin can still fall on either side, but nothing makes costs lie
+there.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def simplest(options: Sequence[Option], cost: Callable[[Option], float], margin:
 
 
 def ranked(options: Sequence[Option], cost: Callable[[Option], float], margin: float, most: int) -> list[Option]:
-    """As many of the best as asked for, the best first: each is the simplest of those that are left."""
+    """The requested number of best options, best first; each is the simplest of the remaining ones."""
     left = [(cost(option), option) for option in options]
     found: list[Option] = []
     while left and len(found) < most:

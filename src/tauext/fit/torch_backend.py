@@ -9,7 +9,7 @@ A research network of your own, trained by the same loop on the same windows as 
     backend.load(network.parameters)  # the best weights, into backend.module
 
 `network.shape` describes the LSTM that a bundle holds, so of a network of another kind only `network.parameters` and
-`network.history` mean something, and no bundle can be made of it.
+`network.history` are valid, and no bundle can be made of it.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class TorchBackend:
     gradient is 1e-5 to 6e-5 off, where the core's is 1e-7.
 
     Args:
-        module: maps windows (B, T, F) to the residual at their last step (B, n), scaled units; inputs stand in the
+        module: maps windows (B, T, F) to the residual at their last step (B, n), scaled units; inputs are in the
             order of `setup.inputs`. For more than one target a sequence it also has `sequence(x)`, which maps (B, T, F)
-            to an output at every step (B, T, n) and looks at no later step. Training starts from its weights as they
+            to an output at every step (B, T, n) and uses no later step. Training starts from its weights as they
             are, so seed PyTorch before making it. It is moved to the device, and after each call holds the parameters
             of that call; `load` puts others into it.
         length: network steps of a sequence.
-        targets: its last so many steps teach.
+        targets: number of its last steps that have a target.
 
     Raises:
         TrainingError: a module that lacks `sequence` where it is needed, has nothing to train, or whose output depends
@@ -79,7 +79,7 @@ class TorchBackend:
         self._shown: tuple[WindowSet, torch.Tensor] | None = None  # the last set that was predicted
 
     def initial_parameters(self, seed: int) -> np.ndarray:
-        """The module's own at the time it was handed over, whatever the seed: (parameters,) float64."""
+        """The module's initial parameters, whatever the seed: (parameters,) float64."""
         return self._start.copy()
 
     def load(self, parameters: np.ndarray) -> None:
@@ -156,7 +156,7 @@ class TorchBackend:
 
 
 class LstmModule(torch.nn.Module):
-    """The core's network in PyTorch's words, for windows and for sequences."""
+    """The core's network as a PyTorch module, for windows and for sequences."""
 
     def __init__(self, lstm: torch.nn.LSTM, head: torch.nn.Linear):
         super().__init__()
@@ -178,7 +178,7 @@ def lstm_module(setup: Setup, hidden: int, seed: int) -> LstmModule:
 
 
 def lstm_from_parameters(shape: _core.LstmShape, parameters: np.ndarray) -> tuple[torch.nn.LSTM, torch.nn.Linear]:
-    """LSTM (batch first) and head with these weights, say `bundle.parameters` with `bundle.shape`.
+    """LSTM (batch first) and head with these weights, for example `bundle.parameters` with `bundle.shape`.
 
     PyTorch has two biases a gate and only their sum matters. The second stays at zero and is not trained: two would
     move twice as far in a step of Adam.
@@ -221,8 +221,8 @@ def in_core_order(lstm: torch.nn.LSTM, head: torch.nn.Linear) -> list[torch.nn.P
     """The parameters in the order of LstmShape, which is also that of LstmModule's trainable ones."""
     return [
         lstm.weight_ih_l0,  # W_x (4H, F): gates in the order i, f, g, o, H rows each, here as in the core
-        lstm.weight_hh_l0,  # W_h (4H, H): likewise
-        lstm.bias_ih_l0,  # b (4H): likewise
+        lstm.weight_hh_l0,  # W_h (4H, H): same order
+        lstm.bias_ih_l0,  # b (4H): same order
         head.weight,  # W_head (n, H)
         head.bias,  # b_head (n)
     ]

@@ -37,12 +37,12 @@ MASS_OFF = 0.1
 TOOL = 0.1
 """Mass of what may hang at the last link beside it, as a share of the arm's; at so large a share of its reach."""
 INDEPENDENT_S = 1.0
-"""What friction leaves unexplained stays for about as long, so that many samples say no more than one."""
+"""Correlation time of the residual of friction: samples within it count as one."""
 KNOWN = 0.5
-"""Standard error, as a share, from which on a constant by the unchanged model has no information, not even its sign."""
+"""Above this relative standard error, a constant by the unchanged model has no information, not even its sign."""
 SIGN_TIE = 1.0
-"""By so much in the logarithm of the evidence an inverted sign must be more likely: a factor of e means nothing, and
-few drives report their current with the sign inverted."""
+"""Least gain in log evidence for an inverted sign: a factor of e is insignificant, and few drives report their current
+with the sign inverted."""
 LEAST_NOISE = 1e-6
 ROUNDS = 8
 DELTA = 1e-4
@@ -56,7 +56,7 @@ class ScaledArm:
     log_errors: np.ndarray
     """(n,) standard errors of their logarithms."""
     doubt: float
-    """How wrong the model turned out to be: 1 where masses are off by MASS_OFF."""
+    """Estimated model error: 1 if masses are off by MASS_OFF."""
 
 
 def fit_scaled_arm(
@@ -121,7 +121,7 @@ def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray
 
 
 def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:
-    """Constants that the model has if nothing of it is off, (n,); an undetermined joint gets the mean.
+    """Constants by the unchanged model, (n,); an undetermined joint gets the mean.
 
     Args:
         count: independent samples.
@@ -136,12 +136,12 @@ def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:
 
 
 def unexplained(columns: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """What a fit of columns by those beside them leaves."""
+    """Residual of a fit of columns by other columns."""
     return columns - beside @ np.linalg.lstsq(beside, columns, rcond=None)[0]
 
 
 def spreads(tree: _core.Tree) -> np.ndarray:
-    """D: how far parameters may be off, (10 n,), from a mass that is missing or too much somewhere on its link."""
+    """D: spread of the parameters, (10 n,), from a missing or surplus mass somewhere on the link."""
     reach = sum(float(np.linalg.norm(link.translation)) for link in tree.links[1:])
     whole = sum(link.mass for link in tree.links)
     rows = []
@@ -192,7 +192,7 @@ class Evidence:
         return cost, np.r_[-scales * of_scales, of_doubt] + at / np.r_[np.full(n, self.log_spread**2), 1.0], theta
 
     def squares(self, at: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """What the most likely parameters leave of each joint's r, sum of squares, (n,)."""
+        """Residual sum of squares of each joint's r with the most likely parameters, (n,)."""
         theta, scales = self.cost(at, weights)[2], 1 / self.constants(at)
         sides = np.column_stack([-scales[:, None] * theta, np.ones(len(scales))])
         return np.einsum("ji,jik,jk->j", sides, self.grams, sides)
@@ -203,20 +203,20 @@ class Evidence:
 
 PIECES = 10
 WELL_DETERMINED = 0.15
-"""A constant counts as known whose standard error is at most this share of it: masses are seldom known better."""
+"""A constant counts as known up to this relative standard error; masses are seldom known better."""
 GUESS = 0.5
 """One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
 it must meet, than amperes are."""
 LEAST_SHARE = 0.05
-"""Without a model: what gravity and inertia of the arm found must make up of what friction leaves of the current."""
+"""Without a model: least share of the current's friction residual explained by the found arm's gravity and inertia."""
 UNKNOWN_TO = 1.0
 """Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
 GIVEN_TO = 0.1
-"""The same of a given one: makers' numbers, and gear losses beside them, are right to about 10 %."""
+"""The same for a given constant: makers' numbers and gear losses are right to about 10 %."""
 KEPT = 0.75
-"""A given constant is kept where motion leaves this share of its doubt or more."""
+"""A given constant is kept if the motion leaves this share of its uncertainty or more."""
 UNIT_TIE = 0.01
-"""Of a standard error from PIECES parts: of joints that are known so nearly alike, the first has the unit of all."""
+"""Of a standard error from PIECES parts: among joints known this similarly, the first one's unit is used for all."""
 ARM_OFF = 0.05
 """Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
@@ -244,17 +244,17 @@ class TorqueConstants:
 
     @property
     def used(self) -> list[float]:
-        """What recordings are scaled by: 1 for a joint of which nothing is known, whose torque stays as it was."""
+        """Factors for the recordings: 1 for a joint without information, whose torque is unchanged."""
         return np.where(self.determined | self.guessed, self.nm_per_unit, 1.0).tolist()
 
     def units(self, given: _core.TorqueUnit) -> _core.TorqueUnits:
-        """What a bundle with these constants takes and answers in; given: the unit of the recordings' tau."""
+        """Units of a bundle with these constants, in and out; given: the unit of the recordings' tau."""
         unknown = ~(self.determined | self.guessed) & (not self.given)
         relative_to = -1 if self.relative_to is None else self.relative_to
         return _core.TorqueUnits(given, relative_to, unknown.astype(int).tolist() if unknown.any() else [])
 
     def facts(self, joints: Sequence[str]) -> dict:
-        """For provenance: what is used, in the order of the joints, and what was found of each."""
+        """For provenance: the constants used, in the order of the joints, and each joint's result."""
         facts: dict = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
         facts |= {"given": True} if self.given else {}
         return facts | {
@@ -270,7 +270,7 @@ class TorqueConstants:
         }
 
     def sentences(self, joints: Sequence[str]) -> list[str]:
-        """What was found, in words."""
+        """The result as text."""
         words = [
             f"{name} {k:.3g} ± {error:.1g}"
             for name, k, error in zip(joints, self.nm_per_unit, self.standard_errors, strict=True)
@@ -309,7 +309,7 @@ class TorqueConstants:
 def fit_torque_constants(
     tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig, given: bool = False
 ) -> TorqueConstants:
-    """Constants from free motion, where friction and the torque of the model are what the current exerts.
+    """Constants from free motion, where the current exerts friction and the model's torque.
 
     The model's masses, centres of mass and inertia are corrected along with them, see fit_scaled_arm: a tool that it
     lacks does not go into the constants. Friction is the prior's, and a joint's rotor is its own.
@@ -317,7 +317,7 @@ def fit_torque_constants(
     Without a model they are compared with the arm that is found in the motion; then only their ratios show.
 
     Args:
-        given: the recordings' currents were multiplied by constants known to GIVEN_TO; what is found corrects them.
+        given: the recordings' currents were multiplied by constants known to GIVEN_TO; the result corrects them.
 
     Raises:
         ConfigError: no model, and no arm can be found: a joint slides, or too little motion.
@@ -347,7 +347,7 @@ def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float
 
 
 def given_constants(factors: np.ndarray, log_errors: np.ndarray) -> TorqueConstants:
-    """Corrections of given constants; 1 where the data say little more than what was given."""
+    """Corrections of given constants; 1 if the data add little information."""
     determined = (log_errors <= KEPT * GIVEN_TO) & (factors > 0)
     factors, errors = np.where(determined, factors, 1.0), np.where(determined, log_errors, GIVEN_TO)
     return TorqueConstants(factors, errors * factors, determined, given=True)

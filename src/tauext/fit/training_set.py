@@ -22,23 +22,23 @@ class TooShort(TrainingError):
 
 @dataclass(frozen=True)
 class Setup:
-    """What a training sets up before its network: estimated model, observer, length of the window, and prior."""
+    """Setup of a training before its network: estimated model, observer, length of the window, and prior."""
 
     tree: _core.Tree
     observer: _core.ObserverSettings
     window_steps: int
     prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: as in the paper
     threads: int = 1
-    """That fits take; what they find does not depend on it."""
+    """Threads of the fits; results do not depend on it."""
 
     @property
     def widths_rad(self) -> list[float]:
-        """Of the presliding states."""
+        """Widths of the presliding states."""
         return self.prior.widths_rad
 
     @property
     def columns(self) -> int:
-        """Of the feature rows: q, dq and the presliding states of every joint."""
+        """Number of feature columns: q, dq and the presliding states of every joint."""
         return self.tree.size * (2 + len(self.widths_rad))
 
     @property
@@ -49,7 +49,7 @@ class Setup:
 
     @property
     def warm_up_s(self) -> float:
-        """Of the observer and its filters, [s]."""
+        """Warm-up of the observer and its filters, [s]."""
         return warm_up_s(self.observer.gain_per_s, self.observer.low_pass_per_s)
 
     @property
@@ -80,7 +80,7 @@ class WindowSet:
     rows: np.ndarray  # (rows, columns) float32, scaled
     target_rows: np.ndarray  # (rows, n) float32, scaled: observer minus prior; NaN where a row has no target
     ends: np.ndarray  # (windows,) int64: the row that ends each window
-    first_rows: np.ndarray  # (windows,) int64: the first row of the stretch that each window stands in
+    first_rows: np.ndarray  # (windows,) int64: the first row of the stretch that contains each window
 
     @property
     def windows(self) -> int:
@@ -166,7 +166,7 @@ def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording
 
 
 def remainder(observation: _core.Observation) -> np.ndarray:
-    """What is left of r for the network: (samples, n), [N m]."""
+    """Part of r left for the network: (samples, n), [N m]."""
     return observation.residual - observation.prior if observation.prior.size else observation.residual
 
 
@@ -175,16 +175,16 @@ def _observe(setup: Setup, recording: Recording) -> _core.Observation:
     return _core.observe(setup.tree, setup.observer, *signals, setup.prior, recording.temperature)
 
 
-# --- What an arm can do at most, from its recordings and its robot file: beyond it a sample is no sample.
+# --- An arm's largest possible signals, from its recordings and robot file; samples beyond them are invalid.
 
 
 LEAST_TORQUE_NM = 1.0
-"""A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
+"""Smallest torque bound, since a joint that needed no torque in training may need some later."""
 BEYOND_DRIVE = 2.0
 """Times the robot file's drive torque: files often state the rated torque, and a peak is twice that."""
 BEYOND_TORQUE = 10.0
-"""Times what a joint needed where its drive is not known: a wrist that moved gently needs a tenth of what its drive
-gives, and a collision makes it give all."""
+"""Multiple of a joint's training torque if its drive is unknown: a wrist in gentle motion needs a tenth of its drive's
+torque, and a collision demands all of it."""
 BEYOND_SPEED = 5.0
 """Times the speed of training ..."""
 USUAL_SPEED_RAD_S = 2.0
@@ -197,10 +197,10 @@ def signal_bounds(
     torque_limit_nm: Sequence[float] | np.ndarray | None = None,
     nm_per_unit: Sequence[float] | np.ndarray = (1.0,),
 ) -> SignalBounds:
-    """Beyond which torque and speed a sample of this arm cannot be true, whatever touches it.
+    """Torque and speed beyond which a sample of this arm cannot be valid, whatever touches it.
 
-    The largest values of training count but for MOST_SHARE of all samples, which may be glitches. A joint whose drive
-    is not known may have the torque at least that the arm's strongest joint needed.
+    The largest values of training count, except for MOST_SHARE of all samples, which may be glitches. A joint with
+    an unknown drive may have the torque at least that the arm's strongest joint needed.
 
     Args:
         recordings: at least one.

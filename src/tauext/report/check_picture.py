@@ -1,4 +1,4 @@
-"""Measured against predicted torque, a row a joint, and a picture of each joint alone."""
+"""Measured and predicted torque, one row per joint, and a picture of each joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.report.style import LIMIT, RC, WIDTH_IN, label_joint, save_png
 
 SHOWN_S = 60.0
-"""Of the motion, from its start: more would be a smear."""
+"""Length of motion drawn, from its start; more would be illegible."""
 MEASURED, PREDICTED, LEFT = "#000000", "#0072b2", "#d55e00"
 BREAK_S = 0.5
 """Between rows further apart no line is drawn."""
@@ -85,7 +85,7 @@ def _one(diagnosis: Diagnosis, j: int) -> Figure:
 
 
 def _servos(diagnosis: Diagnosis) -> Figure:
-    """Each joint's effort at rest with its law, and what it bears after a turn with its play."""
+    """Each joint's effort at rest with its law, and its load after a reversal with its play."""
     n = len(diagnosis.joints)
     figure = Figure(figsize=(WIDTH_IN, 0.9 + 1.5 * n), layout="constrained")
     grid = figure.subplots(n, 2, squeeze=False)

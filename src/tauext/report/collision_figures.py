@@ -48,7 +48,7 @@ LIMIT_LINE: dict[str, Any] = {"color": LIMIT, "linestyle": "--", "linewidth": 0.
 
 @dataclass(frozen=True)
 class Excerpt:
-    """A stretch of one recording around a collision, and where it stands on the joined axis."""
+    """A stretch of one recording around a collision, and its place on the joined axis."""
 
     collision: LabelledCollision
     recording: Recording
@@ -161,14 +161,14 @@ def label_excerpts(top: Axes, bottom: Axes, excerpts: list[Excerpt]) -> None:
     )
 
 
-# --- Error after a contact is over, beside that in free motion.
+# --- Error after a contact, compared with that in free motion.
 
 
 MOST_COLUMNS = 4
 
 
 def draw_after_contact(results: Results) -> Drawing:
-    """A panel a joint, and one for the contacts reported; a curve a bundle over the time since the last touch.
+    """One panel per joint and one for the reported contacts; one curve per bundle over the time since the last touch.
 
     Raises:
         NotAvailable: no bundle has them.
@@ -219,7 +219,7 @@ def draw_entries(axes: Axes, values: list[float | None], stroke: dict, label: st
         axes.plot(len(values) - 1, values[-1], color=stroke["color"], marker=stroke["marker"], markersize=6)
 
 
-# --- Share of collisions latched and their delay, over how hard they were.
+# --- Share of collisions latched and their delay, over their strength.
 
 
 def draw_strength(results: Results) -> Drawing:
@@ -266,11 +266,11 @@ def range_label(edge: tuple[float, float | None], collisions: int) -> str:
     return f"{words}\n{collisions}"
 
 
-# --- Share of the collisions found, over how strong they were.
+# --- Share of the collisions found, over their strength.
 
 
 def draw_found_curve(results: Results) -> Drawing:
-    """One step of the axis a bin of peak over limit; a bin's count of collisions stands under it.
+    """One axis step per bin of peak over limit, with the bin's number of collisions below.
 
     Raises:
         NotAvailable: the results hold no collision.
@@ -305,12 +305,12 @@ def draw_found_curve(results: Results) -> Drawing:
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
         "in units of the limit that holds there at that moment. Limits differ from bundle to bundle, and so do the "
-        "counts; a larger dot stands for more collisions." + results.shown_note,
+        "counts; a larger dot means more collisions." + results.shown_note,
     )
 
 
 def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
-    """Range of a bin, and how many collisions fall in it; a range where bundles differ."""
+    """Range of a bin and its number of collisions, as a range if bundles differ."""
     low, high = edge
     counts = [b.collisions for bundle in results.shown for b in bundle.found_curve if b.edges == edge]
     count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)}–{max(counts)}"
@@ -323,11 +323,11 @@ def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
 MOST_PER_HOUR = 300.0
 """Upper end of the axis: more false alarms are of no use."""
 STRIP = (0.02, 0.4)
-"""Where limits without any false collision stand: between these shares of one in the hours tested."""
+"""Limits without false collisions are drawn between these shares of one false collision in the hours tested."""
 
 
 def draw_missed_curve(results: Results) -> Drawing:
-    """One curve a bundle, its limits scaled by a common factor; a mark where its own limits stand.
+    """One curve per bundle, its limits scaled by a common factor; a mark at its own limits.
 
     The axis of rates is logarithmic. Limits without any false collision are drawn in a strip at its left: of those,
     the lowest limits, hence the fewest missed.
@@ -363,7 +363,7 @@ def draw_missed_curve(results: Results) -> Drawing:
     return Drawing(
         figure,
         "Collisions missed over false collisions an hour, as all limits of a method are lowered and raised by one "
-        "factor: lower and further left is better. The mark is where the method stands with its own limits. In the "
+        "factor: lower and further left is better. The mark shows the method with its own limits. In the "
         f"grey strip no false collision fell in {hours:.3g} h of test motion; how far left does not matter there.",
     )
 

@@ -53,7 +53,7 @@ def with_sigma(results: Results) -> list[EvaluatedBundle]:
 
 
 def draw_error_against_sigma(results: Results) -> Drawing:
-    """A panel a joint: RMS error over sigma, a dot a bin; on the diagonal sigma is right.
+    """One panel per joint: RMS error over sigma, one dot per bin; sigma is right on the diagonal.
 
     Raises:
         NotAvailable: no bundle has an error scale.
@@ -103,7 +103,7 @@ def draw_error_against_sigma(results: Results) -> Drawing:
 
 
 def sigma_table(results: Results) -> Table | None:
-    """Shares of errors within one and two standard errors, a row a bundle and joint; None without an error scale."""
+    """Shares of errors within one and two standard errors, by bundle and joint; None without an error scale."""
     bundles = with_sigma(results)
     if not bundles:
         return None
@@ -251,7 +251,7 @@ NARROWEST_IN = 6.0
 
 
 def draw_free_motion(results: Results, signals: Signals) -> Drawing:
-    """One column a bundle, one row a joint: the first test recording, from where the estimate begins.
+    """One column per bundle, one row per joint: the first test recording, from where the estimate begins.
 
     Raises:
         NotAvailable: no test recording or no estimates of it.
@@ -295,7 +295,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     )
 
 
-# --- How the loss fell in training: one panel a model, its recipes together.
+# --- Loss over training: one panel per model, its recipes together.
 
 
 LOSS_COLUMNS = 5
@@ -362,7 +362,7 @@ def draw_history(axes: Axes, bundle: EvaluatedBundle, label: str, colour: str) -
     axes.plot(steps[lowest], validation[lowest], "o", color=colour, markersize=5, markeredgecolor="white", zorder=5)
 
 
-# --- Error over how much was recorded for training.
+# --- Error over the amount of training data.
 
 
 def draw_learning_curves(results: Results) -> Drawing:

@@ -1,4 +1,4 @@
-"""The page of one flight: what happened, in words, numbers and figures."""
+"""The page of one flight: text, numbers and figures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tauext.report.tables import render_template
 from tauext.report.trace_packing import GAP_PERIODS
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
 
-# --- Figures of a flight: all joints from beginning to end, and the event from close by.
+# --- Figures of a flight: all joints from beginning to end, and a close-up of the event.
 
 
 TAU_EXT = "#0072b2"
@@ -88,7 +88,7 @@ def draw_flight(flight: Flight) -> Drawing:
 
 
 def carried_words(flight: Flight) -> str:
-    """What the arm was taken to carry, for the caption."""
+    """The assumed load, for the caption."""
     if not flight.loads:
         return ""
     first, *later = (f"{mass_kg:.3g} kg" if mass_kg else "nothing" for _, mass_kg in flight.loads)
@@ -191,7 +191,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     ]
 
 
-# --- The page of one flight: what happened in words and numbers, and its figures.
+# --- The page of one flight: text, numbers and figures.
 
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
@@ -241,7 +241,7 @@ def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces 
 
 
 def facts(flight: Flight) -> list[tuple[str, str]]:
-    """Where the flight comes from, as pairs of a word and its value."""
+    """The flight's origin, as pairs of a name and a value."""
     recording = flight.recording
     known = {word: flight.facts.get(word) for word in ("recording", "bundle", "version")}
     pairs = [(word, str(value)) for word, value in known.items() if value is not None]
@@ -252,7 +252,7 @@ def facts(flight: Flight) -> list[tuple[str, str]]:
 
 
 def loads(flight: Flight) -> list[tuple[str, str]]:
-    """What the arm was taken to carry, where it ever carried anything."""
+    """The assumed load, if there was any."""
     words: list[str] = []
     for since_s, mass_kg in flight.loads:
         words.append(f"{mass_kg:.4g} kg" + (f" from {since_s:+.3f} s on" if words else ""))
@@ -290,5 +290,5 @@ def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:
 
 
 def contact_margin(limit: float | None, tau_ext: float | None) -> dict[str, float | None]:
-    """The contact limit in the place of the collision's, and the margin to it."""
+    """The contact limit instead of the collision's, and the margin to it."""
     return {"limit_nm": limit, "margin_nm": None if limit is None or tau_ext is None else limit - abs(tau_ext)}

@@ -1,4 +1,4 @@
-"""A flight as the report reads it: the recording, the estimates beside it, and what stands in its provenance."""
+"""A flight as the report reads it: the recording, its estimates, and its provenance."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ ESTIMATES = ".estimates.parquet"
 LISTS: dict[str, Any] = dict.fromkeys([column.key for column in COLUMNS if column.in_messages], int | float | None)
 LISTS |= dict.fromkeys(("tau", "dq_rad_s"), int | float | None)
 LISTS |= {"near_stiction": bool, "torque_units": str, "estimate_units": str}
-"""Of an event, a value a joint: its kind."""
+"""Fields of an event with one value per joint, and their kinds."""
 NEEDED = {"what", "t_ns", "joint", *LISTS}
-"""Of an event."""
+"""Required fields of an event."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Flight:
 
     @property
     def loads(self) -> list[tuple[float, float]]:
-        """What the arm was taken to carry, [kg], and since when, [s] from the event on; none where it never carried.
+        """Assumed loads, [kg], and their start times, [s] from the event; empty if there was no load.
 
         The first is of the whole time before the second.
         """
@@ -54,12 +54,12 @@ class Flight:
 
     @property
     def torque_unit(self) -> str:
-        """Of the motor torque: Nm, A or whatever the bundle took."""
+        """Unit of the motor torque: Nm, A or the bundle's other unit."""
         return of_all(self.event["torque_units"])
 
     @property
     def estimate_unit(self) -> str:
-        """Of external torque and limits, which need not be Nm where the arm had no model."""
+        """Unit of external torque and limits, which may differ from Nm if the arm had no model."""
         return of_all(self.event["estimate_units"])
 
     def estimate_unit_of(self, joint: int) -> str:
@@ -131,7 +131,7 @@ def check_event(path: Path, event: dict[str, Any], joints: int) -> None:
 
 
 def newest(folder: Path) -> Path:
-    """The flight that was written last."""
+    """The flight written last."""
     flights = [path for path in folder.glob("*.parquet") if path.with_name(path.stem + ESTIMATES).is_file()]
     if not flights:
         raise ConfigError(f"{folder}: there are no flights in this folder; `tauext run --flights` writes them")

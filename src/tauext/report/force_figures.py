@@ -29,7 +29,7 @@ from tauext.report.style import (
 )
 from tauext.report.tables import NONE, Row, Table, block, milliseconds
 
-# --- What force on a link a bundle notices, as a figure and as a table.
+# --- Smallest force on a link that a bundle notices, as a figure and as a table.
 
 
 COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
@@ -51,7 +51,7 @@ WAYS = {"x": "x", "y": "y", "z": "z", "worst_way": "worst way"}
 
 
 def joined(limits: Mapping[str, Limit]) -> dict[str, Limit]:
-    """The same, with limits that notice the same under one name: `collision and contact while sliding`."""
+    """Limits by name; limits that notice the same share a name: `collision and contact while sliding`."""
     found: dict[str, Limit] = {}
     for name, entries in limits.items():
         same = next((other for other, those in found.items() if those == entries), None)
@@ -72,7 +72,7 @@ def left_out_words(joints: Sequence[str]) -> str:
 
 
 def surely(error_share: float) -> float:
-    """Times the force that goes over a limit: from there on 19 of 20 do, whatever way the estimate errs."""
+    """Multiple of the force that exceeds a limit, above which 19 of 20 forces do, whatever the error's sign."""
     return 1 + ONE_SIDED_95 * error_share
 
 
@@ -153,7 +153,7 @@ def noticed_table(noticed: NoticedForce | None) -> Table | None:
 
 
 def short(place: str) -> str:
-    """The place without what the column's heading states: that a link's end is the next joint."""
+    """The place without the part in the column's heading: that a link's end is the next joint."""
     link, _, end = place.partition(", at ")
     return place if end == "its origin" else link
 
@@ -183,7 +183,7 @@ def write_noticed_picture(noticed: NoticedForce, picture: Place) -> None:
             raise ConfigError(f"{picture}: cannot be written ({error.strerror or error})") from error
 
 
-# --- What is detected of forces that were added to free motion, as a figure and as a table.
+# --- Detection of forces added to free motion, as a figure and as a table.
 
 
 ASSUMED = (

@@ -50,19 +50,19 @@ from tauext.report.tables import method_errors, methods, milliseconds, number, p
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 
-# --- What matters first, in plain words: what was tested, what one method found, what it cannot see, what to do next.
+# --- The first screen: the test, one method's results, its limitations, and the next steps.
 
 
 MOST_FALSE_PER_HOUR = 1.0
-"""At so many false alarms methods are compared by what they miss."""
+"""Rate of false alarms at which methods are compared by their misses."""
 NO_ALARMS_BELOW = 3.0
 """Without one false alarm in T hours the rate is below 3/T with 95 %: exp(-3) = 0.05."""
 RELIABLE = 0.9
-"""Share of collisions of one strength that raise an alarm, from which on they count as seen."""
+"""Share of collisions of one strength with an alarm above which this strength counts as reliably found."""
 FEW_HOURS = 1.0
 """With less test motion, a rate an hour is uncertain."""
 MOST_JOINTS = 8
-"""Whose limits are named one by one."""
+"""Largest number of joints whose limits are listed one by one."""
 CONTACT_KINDS = {"pads": "by padded bodies", "pulses": "by force pulses"}
 
 
@@ -76,7 +76,7 @@ class Glance:
 
 @dataclass(frozen=True)
 class Step:
-    """What to do, and by which command; empty: by none."""
+    """An instruction and its command; empty: no command."""
 
     words: str
     command: str = ""
@@ -95,13 +95,13 @@ class FirstScreen:
 
 
 def first_screen(results: Results) -> FirstScreen:
-    """Of the method that misses least."""
+    """The first screen of the method with the fewest misses."""
     bundle = shown_bundle(results)
     several = len(results.bundles) > 1
     return FirstScreen(
         tested=tested(results, bundle),
         method=bundle.label,
-        why=f"of {len(results.bundles)} that were compared it misses least; the others stand below" if several else "",
+        why=f"of {len(results.bundles)} bundles it misses the fewest collisions; others follow" if several else "",
         glances=(found(bundle), false_alarms(bundle), delay(bundle), limits(results, bundle)),
         unseen=tuple(unseen(results, bundle)),
         steps=tuple(steps(results, bundle)),
@@ -109,7 +109,7 @@ def first_screen(results: Results) -> FirstScreen:
 
 
 def shown_bundle(results: Results) -> EvaluatedBundle:
-    """The one that misses fewest collisions at limits scaled to at most one false alarm an hour, and errs least."""
+    """The bundle with the fewest misses at no more than one false alarm an hour, then the smallest errors."""
 
     def rank(bundle: EvaluatedBundle) -> tuple[float, int, float]:
         points = bundle.missed_curve
@@ -122,7 +122,7 @@ def shown_bundle(results: Results) -> EvaluatedBundle:
 
 
 def tested(results: Results, bundle: EvaluatedBundle) -> str:
-    """One sentence."""
+    """A sentence about the test data."""
     hours = bundle.free_motion.hours
     motion = f"{span(hours)} of motion in which nothing touched the arm" if hours else "no free motion"
     kinds = Counter(collision.kind for collision in results.collisions)
@@ -135,7 +135,7 @@ def tested(results: Results, bundle: EvaluatedBundle) -> str:
 
 
 def rejected_words(bundle: EvaluatedBundle) -> str:
-    """A sentence about the time in which nothing could be detected; empty where it is next to nothing."""
+    """A sentence about the time in which nothing could be detected; empty if negligible."""
     share = bundle.rejected.share
     if not share or share <= WORTH_A_WARNING:
         return ""
@@ -194,22 +194,22 @@ def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
 
 
 def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
-    """What it does not see, with what the test showed of it."""
+    """Its limitations, with the test's results."""
     lines = ["Touches that push every joint by less than its limit." + weak_words(results, bundle)]
     lines.append(
         "Forces that turn no joint: along a link towards the base, or through a joint's axis. Encoders and motors do "
         "not feel them."
     )
     lines.append(
-        "A load that training did not have: a new tool or workpiece looks like a lasting touch, until the load is "
-        "set in the monitor or the arm is trained with it."
+        "A load that training did not have: a new tool or workpiece causes the residual of a lasting touch until the "
+        "load is set in the monitor or the arm is trained with it."
     )
     lines.append("The first second after a start, while the filters fill.")
     return lines
 
 
 def weak_words(results: Results, bundle: EvaluatedBundle) -> str:
-    """Of the collisions below the strength from which on they are seen."""
+    """The misses among collisions too weak to be found reliably."""
     bins = [one for one in bundle.by_strength if one.collisions]
     dim = [k for k, one in enumerate(bins) if one.latched < RELIABLE * one.collisions]
     if not dim or bins[dim[-1]].peak_nm_to is None:
@@ -230,22 +230,22 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
         words = (
             "The limits promise nothing about false alarms. Record an hour or more of the arm's own work with nothing "
         )
-        lines.append(Step(f"{words}touching it, and set them for a rate that you can bear:", "tauext calibrate"))
+        lines.append(Step(f"{words}touching it, and set the limits for an acceptable rate:", "tauext calibrate"))
     elif free.promise_kept is False:
         words = f"At most {plain(free.promised_per_hour)} false alarms an hour were promised, and the test had more. "
         words += "Find out what differs (load, speed, temperature), record it, and set new limits:"
         lines.append(Step(words, "tauext calibrate"))
     if free.hours is not None and free.hours < FEW_HOURS:
         rate = plain(NO_ALARMS_BELOW / free.hours)
-        words = f"{span(free.hours)} of test motion can show no rate below {rate} an hour: record more before you "
-        lines.append(Step(f"{words}trust it."))
+        words = f"{span(free.hours)} of test motion cannot show a rate below {rate} an hour. Record more before "
+        lines.append(Step(f"{words}relying on the result."))
     if not results.collisions:
-        lines.append(Step("Touch the arm while it is recorded, and mark when: else the share found is unknown."))
+        lines.append(Step("Record touches and label their times. Without them the share found is unknown."))
     else:
-        lines.append(Step("Look at what was missed: every collision has its row below, and the traces show it."))
+        lines.append(Step("Check the missed collisions: each has a row below, and the traces show it."))
     command = f"tauext run {bundle.name}.tauext RECORDING.parquet --acknowledge-after-s 1"
-    lines.append(Step("Watch it on a recording:", command))
-    lines.append(Step("Keep the arm's own safety functions: this is none."))
+    lines.append(Step("Run it on a recording:", command))
+    lines.append(Step("Keep the arm's own safety functions enabled. tauext is not a safety function."))
     return lines
 
 
@@ -283,11 +283,11 @@ def plain(value: float) -> str:
 TEMPLATE = Path(__file__).with_name("page.html.j2")
 PIXELS_PER_INCH = 100
 MOST_TILES = 5
-"""In one row; more stand in rows of about the same number."""
+"""Number in one row; more are spread over rows of about the same number."""
 SCALES = {
     "smoke": "Scale smoke: seconds of data and training, to test that everything runs. The numbers mean nothing.",
     "quick": "Scale quick: less motion, and every model's network by a short training of its own (recipe dense); "
-    "tauext's own recipe stands beside them. The paper's recipe, whole and for all five models, is in --scale full.",
+    "tauext's own recipe is shown, too. The paper's recipe, complete and for all five models, is in --scale full.",
     "full": "Scale full: as much data as the paper's, and every model by its whole recipe beside tauext's short one.",
 }
 
@@ -386,7 +386,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
-    """What made these results, as pairs of a word and its value."""
+    """Origin of these results, as pairs of a name and a value."""
     names = {
         "command": "command",
         "scale": "scale",
@@ -418,7 +418,7 @@ def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
 
 
 def headline(bundle: EvaluatedBundle, results: Results) -> tuple[str, str]:
-    """How many collisions it found that it had to, and what those are.
+    """Number of required collisions found, and the meaning of required.
 
     Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results without
     them have the ten that were drawn by seed.
@@ -461,14 +461,14 @@ def write_report(
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 
-    What is missing (a bundle, a recording, estimates, a number) is named on the page where it would stand.
+    What is missing (a bundle, a recording, estimates, a number) is named on the page in its place.
 
     Args:
         results_dir: what `tauext evaluate` wrote.
         dataset_dir: the dataset that was evaluated.
         page_mb: size that interactive traces fill the page up to, [MB]; where figures and tables leave no room there
             are none.
-        trace_methods: bundles whose traces stand in the page; none: the five best.
+        trace_methods: bundles whose traces are in the page; none: the five best.
 
     Raises:
         ConfigError: results.json is missing or damaged, or of another dataset; out_dir cannot be written, page_mb < 0,
@@ -481,7 +481,7 @@ def write_report(
     expect_same_dataset(results, results_dir, dataset_dir)
     chosen_bundles(results, trace_methods)
     signals = Signals(dataset_dir, results_dir, results.joints)
-    # Those of recordings first: what does not belong together is refused soon.
+    # Figures of recordings first, so that files that do not belong together are refused early.
     draw: dict[str, Callable[[], Drawing]] = {
         "figure-5-free-motion": partial(draw_free_motion, results, signals),
         "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),

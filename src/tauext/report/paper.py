@@ -1,4 +1,4 @@
-"""The paper's published numbers, to stand beside ours.
+"""The paper's published numbers, for comparison with ours.
 
 Source: D. Lim, D. Kim, J. Park, "Momentum Observer-Based Collision Detection Using LSTM for Model Uncertainty
 Learning", ICRA 2021: Table I, and the text for stiction, limit, collisions and delays. The observer's extremes are

@@ -1,4 +1,4 @@
-"""Recordings and estimates that figures draw; what is missing is named, not guessed."""
+"""Recordings and estimates for figures; missing ones are named."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tauext.files.places import Place
 
 
 class NotAvailable(Exception):
-    """A figure cannot be drawn from what is there; the message is for the reader of the page."""
+    """Data for a figure are missing; the message is for the reader of the page."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Signals:
         return found, missing
 
 
-# --- Results are drawn with the dataset that they were measured on, and with no other.
+# --- Results are drawn only with the dataset that they were measured on.
 
 
 NAMED = 3
@@ -93,7 +93,7 @@ NAMED = 3
 def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
     """Raise ConfigError where the dataset's recordings are not those that were evaluated.
 
-    A missing recording is named on the page where it would stand; a dataset that has none of them is another one.
+    A missing recording is named on the page in its place; a dataset with none of them is a different dataset.
     Results from before fingerprints were kept are not checked.
     """
     judged = results.provenance.get("recordings") or {}

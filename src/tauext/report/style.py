@@ -36,14 +36,14 @@ BAND = 0.25
 # Okabe and Ito's palette, distinguishable for colour-blind readers; black is the sensor's.
 CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
 VARIANT_COLOURS = {"exact": "#56b4e9", "mass": "#8f6200", "com": "#00563f", "mass+com": "#85406a", "none": "#7d3000"}
-"""Of a second bundle of the same model: its colour, lighter or darker."""
+"""A second bundle of the same model has its colour, lighter or darker."""
 OTHER_COLOURS = ("#7f3c8d", "#6b6b00", "#00a0a8", "#a0522d", "#708090", "#b3123f", "#1f2f70")
 
 MARKS = "osD^vPX<>*hp"
 LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (6, 1.5, 1.5, 1.5)))
 LEGEND_COLUMNS = 6
 GREY = "#8a8a8a"
-"""Of what is there to compare with, and is no method."""
+"""Colour of baselines, which are not methods."""
 
 RC = {
     "font.size": 9,
@@ -163,7 +163,7 @@ def label_joint(axes: Axes, joint: str, quantity: str = "torque, Nm") -> None:
     axes.set_ylabel(f"{joint}\n{quantity}")
 
 
-# --- A figure with the words that stand under it.
+# --- A figure and its caption.
 
 
 @dataclass(frozen=True)

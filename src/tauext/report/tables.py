@@ -104,7 +104,7 @@ class Measure:
 def by_joint(
     results: Results, measures: Iterable[Measure], last: Mapping[str, Callable[[EvaluatedBundle], str]] | None = None
 ) -> Table:
-    """One row a bundle and joint; where the paper gives a measure, ours and the paper's stand side by side.
+    """One row per bundle and joint; our value and the paper's, if published, are side by side.
 
     Args:
         last: texts of the last columns by their headings, once a bundle.
@@ -213,7 +213,7 @@ def extremes(results: Results) -> Table:
 
 
 def alarms(results: Results) -> Table:
-    """One row a bundle: collisions found, false alarms, training."""
+    """One row per bundle: collisions found, false alarms, training."""
     show_paper = has_paper(results)
     groups = [("", 1), ("collisions found", 3 if show_paper else 2), ("free motion", 3), ("training", 4)]
     of = f"of the {len(results.ten_collisions)}"
@@ -242,7 +242,7 @@ def found_of(bundle: EvaluatedBundle) -> str:
 def collisions(results: Results, chosen: Iterable[LabelledCollision], traced: Collection[str] = ()) -> Table:
     """One row a collision; a bundle's cell gives its delay and, in brackets, the delay against the sensor.
 
-    The first column is the number that the collision has in figure 7, where it stands in it. Recordings that are
+    The first column is the collision's number in figure 7, if shown there. Recordings that are
     `traced` lead to the collision in the page's traces.
     """
     headings = [in_lines(bundle.label) for bundle in results.bundles]
@@ -279,7 +279,7 @@ def verdict_text(verdict: Verdict | None) -> str:
 
 
 EACH_JOINT = 2
-"""So many joints have a column each; of more, the range over all stands in one, or the table would not fit a page."""
+"""Up to this number, each joint has a column; more joints share one column with their range, to fit a page."""
 
 
 def methods(results: Results) -> Table:
@@ -347,7 +347,7 @@ def sanity_cells(row: SanityRow) -> tuple[str, ...]:
 
 
 def kept(free: FreeMotion) -> str:
-    """Whether the test leaves the promise standing; `far below` where it shows that less would have done."""
+    """Whether the test is consistent with the promise; `far below` if the rate is much lower than promised."""
     if free.promise_kept is None:
         return NONE
     if not free.promise_kept:
@@ -371,8 +371,8 @@ OWN = "the robot's own tau_ext"
 
 
 def events_of(results: Results) -> list[tuple[EvaluatedBundle | None, Events]]:
-    """Of every bundle that was held against labels, and, without a bundle, of the robot's own torque; none where
-    nothing was labelled."""
+    """Results of every bundle compared with labels and of the robot's own torque (without a bundle); none
+    without labels."""
     found: list[tuple[EvaluatedBundle | None, Events]] = [(one, one.events) for one in results.bundles if one.events]
     found += [(None, results.own_torque.events)] if results.own_torque else []
     return found if any(events.all.events for _, events in found) else []
@@ -409,7 +409,7 @@ def event_cells(counts: EventCounts) -> tuple[str, ...]:
     )
 
 
-# --- Which link and kind were reported of collisions, beside the labels.
+# --- Reported links and kinds of collisions, compared with the labels.
 
 
 KINDS = ("impact", "push", "clamp", "load", "unknown")

@@ -77,7 +77,7 @@ class Scene:
 
 
 def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
-    """Above, whole collisions; below, the moment of impact and the delay of every bundle. One column a collision.
+    """Whole collisions above; the moment of impact and every bundle's delay below. One column per collision.
 
     Raises:
         NotAvailable: no collision was chosen or found, or the files of one are missing.
@@ -218,7 +218,7 @@ def draw_delays(
 
 
 def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
-    """What stands in a lane; another joint is named where that one found the collision.
+    """Text of a lane; names the joint if another one found the collision.
 
     Without a sensor the delay is counted from the onset of contact as labelled.
     """

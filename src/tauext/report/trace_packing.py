@@ -100,7 +100,7 @@ def in_buckets(t_ns: np.ndarray, blocks: Sequence[np.ndarray], begins: np.ndarra
     return Buckets(size, np.stack([t_ns[first], t_ns[last]], axis=1), begins[first], low, high)
 
 
-# --- Stretches of time in which something holds: contacts, alarms, gaps, health that is not ok.
+# --- Intervals of a condition: contacts, alarms, gaps, health other than ok.
 
 
 Stretch = tuple[float, float]
@@ -139,9 +139,9 @@ def gaps(t_ns: np.ndarray, gap_ns: float) -> list[Stretch]:
 
 
 AROUND_S = 0.5
-"""Every sample is kept from so long before the beginning of an event ..."""
+"""Every sample is kept from this time before the beginning of an event ..."""
 EVENT_S = 1.0
-"""... to so long after its end, or after this much of it."""
+"""... to this time after its end, or after this much of it."""
 METHOD_SIGNALS = ("tau_ext", "limit", "sigma", "learned", "r")
 """Of every method; sigma of those whose bundle has an error scale."""
 
@@ -153,7 +153,7 @@ class Traced:
     head: dict[str, Any]
     """Names, and times in s from the first sample, as the page reads them."""
     traces: list[tuple[str, str | None, int]]
-    """Of every column: signal, method (None: the recording's own), joint."""
+    """Signal, method (None: the recording's own) and joint of every column."""
     whole: Buckets
     close: list[tuple[int, Buckets]]
     """Windows of every sample in order of time, each with its place in the order of importance."""
@@ -310,7 +310,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Tier:
-    """Buckets as they stand in the page."""
+    """Buckets as encoded in the page."""
 
     header: dict[str, Any]
     text: str

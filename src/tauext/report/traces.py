@@ -23,7 +23,7 @@ from tauext.report.trace_packing import METHOD_SIGNALS, Plan, Traced, pack, trac
 FOLDER = Path(__file__).parent
 SCRIPTS = ("traces_data.js", "traces_view.js", "traces_control.js")
 PAGE_MB = 9.5
-"""Of the whole page, unless another size is requested: traces get what figures and tables leave."""
+"""Default size of the whole page; traces get what figures and tables leave."""
 LEAST_MB, SCRIPT_MB = 0.3, 0.05
 """With less room there are no traces; what script and controls take."""
 HOUR_S = 3600.0
@@ -147,7 +147,7 @@ def make_plan(samples: int, joints: int, methods: int, room: float) -> Plan:
 
 
 def chosen_bundles(results: Results, names: Sequence[str]) -> list[EvaluatedBundle]:
-    """Of these names, or the five that latch most collisions and err least; the paper's exact model first."""
+    """Bundles with these names, or the five that latch most collisions and err least; the paper's exact model first."""
     for name in names:
         if name not in results.labels:
             raise ConfigError(f"--trace-methods: there is no method '{name}'; choose among {', '.join(results.labels)}")

@@ -39,6 +39,7 @@ from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
 from tauext.report.tables import methods
 from tauext.report.three_collisions import choose, draw_three_collisions
+from tauext.train.tail import duration
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
 OF_METHODS = ("missed-curve", "strength", "after-contact")
@@ -190,8 +191,10 @@ def test_ours_stand_beside_the_papers(made):
     assert f"{ours.limits.sliding_nm[0]:.2f} 4.62" in page
     assert "0.418" in page and "1.344" in page
     false, latched = ours.free_motion.false_collisions, ours.latched
-    assert f"{false:,} false collision{'' if false == 1 else 's'} in {ours.free_motion.hours:.2f} h" in page
-    assert f"exact {latched.strong_latched} of {latched.strong} strong collisions raised an alarm" in page
+    time = duration(ours.free_motion.hours)
+    assert f"{false:,} false collision{'' if false == 1 else 's'} in {time} of free motion" in page
+    strong = f"{latched.strong_latched} of {latched.strong} strong ones"
+    assert f"exact {latched.latched} of {latched.collisions} collisions latched, {strong}" in page
 
 
 def test_cards_count_as_the_table_of_methods_does(made):
@@ -199,7 +202,8 @@ def test_cards_count_as_the_table_of_methods_does(made):
     rows = {row.bundle: row.cells for row in methods(results).rows if row.bundle}
     for bundle in results.bundles:
         card, cells = tile(bundle, results, "#000000"), rows[bundle.name]
-        assert card.found == cells[-3] and card.false_alarms.startswith(f"{cells[1]} false collision")
+        assert card.latched == cells[-4] and f"latched, {cells[-3]} strong ones" in card.of_what
+        assert card.false_collisions.startswith(f"{cells[1]} false collision")
 
 
 def test_the_papers_numbers_agree_among_themselves():
@@ -259,8 +263,8 @@ def test_numbers_that_do_not_exist_are_dashes(copied):
     change(copied[0], edit)
     page = words_of(page_of(copied[0]))
     assert "exact joint1 – 0.402 – 0.661" in page
-    assert "false collisions: not available" in page
-    assert "exact none tried" in page
+    assert "false collisions: no free motion tested" in page
+    assert "exact – no collisions tested" in page
 
 
 def test_results_without_collisions_say_so(copied):

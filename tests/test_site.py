@@ -94,6 +94,23 @@ def test_every_name_of_the_front_door_is_in_one_group():
     assert sorted([*names, "__version__"]) == sorted(tauext.__all__)
 
 
+def test_every_group_of_the_front_door_has_a_page_and_every_name_a_row_of_the_index():
+    found = python_page.groups()
+    index = "\n".join(python_page.index(found))
+    contents = re.findall(r"^made/python/(\w+)$", index, re.MULTILINE)
+    assert contents == [heading.lower() for heading in found]
+    assert re.findall(r"^\| \{py:obj\}`~tauext\.(\w+)` \| \S", index, re.MULTILINE) == sum(found.values(), [])
+    for heading, names in found.items():
+        page = "\n".join(python_page.page(heading, names))
+        assert re.findall(r"^## (\w+)$", page, re.MULTILINE) == names
+        assert re.findall(r"^\.\. auto\w+:: tauext\.(\w+)$", page, re.MULTILINE) == names
+
+
+def test_a_row_of_the_index_is_the_first_sentence():
+    assert python_page.first_sentence("load_recording").endswith("`path`")
+    assert "." not in python_page.first_sentence("Bundle") and "\n" not in python_page.first_sentence("Monitor")
+
+
 def test_docstrings_keep_their_sections_and_lose_no_sign():
     lines = ["|dq| of `q_*`, x_j.", "", "Args:", "    rate: how", "        often.", "Raises:", "    E: where."]
     rst_text.plain(None, "function", "f", None, None, lines)

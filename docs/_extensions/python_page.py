@@ -1,4 +1,4 @@
-"""The page of the Python API: every name of `tauext.__all__`, in the groups that `help(tauext)` has."""
+"""The Python API: a page for each group of `help(tauext)`, and an index of all names."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import inspect
 import re
 from typing import Any
 
-from made_pages import write_page
+from made_pages import prose, write_page
 
 import tauext
 
@@ -50,16 +50,38 @@ def members(name: str) -> list[str]:
     return lines
 
 
-def write(app: Any) -> None:
+def page(heading: str, names: list[str]) -> list[str]:
+    """The Markdown of one group."""
+    lines = [f"# {heading}", "", "A part of the [Python API](../../python.md): each name is `tauext.NAME`.", ""]
+    for name in names:
+        kind = directive(name)
+        lines += [f"## {name}", "", "```{eval-rst}", f".. {kind}:: tauext.{name}"]
+        lines += members(name) if kind == "autoclass" else []
+        lines += ["```", ""]
+    return lines
+
+
+def first_sentence(name: str) -> str:
+    """The first sentence of a name's docstring, without its full stop."""
+    paragraph = (inspect.getdoc(getattr(tauext, name)) or "").partition("\n\n")[0]
+    return prose(re.split(r"\.(?:\s|$)", " ".join(paragraph.split()), maxsplit=1)[0])
+
+
+def index(found: dict[str, list[str]]) -> list[str]:
+    """A table of all names for each group, and the contents, which lead to the groups' pages."""
     lines: list[str] = []
-    for heading, names in groups().items():
-        lines += [f"## {heading}", ""]
-        for name in names:
-            kind = directive(name)
-            lines += [f"### {name}", "", "```{eval-rst}", f".. {kind}:: tauext.{name}"]
-            lines += members(name) if kind == "autoclass" else []
-            lines += ["```", ""]
-    write_page("python.inc", lines)
+    for heading, names in found.items():
+        lines += [f"## [{heading}](made/python/{heading.lower()}.md)", "", "| name | description |", "|---|---|"]
+        lines += [f"| {{py:obj}}`~tauext.{name}` | {first_sentence(name)} |" for name in names]
+        lines.append("")
+    return [*lines, "```{toctree}", ":hidden:", "", *(f"made/python/{heading.lower()}" for heading in found), "```"]
+
+
+def write(app: Any) -> None:
+    found = groups()
+    for heading, names in found.items():
+        write_page(f"python/{heading.lower()}.md", page(heading, names))
+    write_page("python.inc", index(found))
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -37,6 +37,7 @@ from tauext.report.style import (
     use_log_height,
     write_above,
 )
+from tauext.train.tail import duration
 
 # --- Figure 7: observer and uncertainty over time, without a model, while the ten collisions happen.
 
@@ -201,8 +202,8 @@ def draw_after_contact(results: Results) -> Drawing:
         figure,
         "What a contact leaves behind: error of the estimate while nothing touches the arm any more, and at the right "
         "of each panel in motion without contacts. A network whose window still holds the contact errs more than that. "
-        f"Last panel, alarms of the contact level that begin there. {hours:.2g} "
-        "h lie after contacts.",
+        f"Last panel, alarms of the contact level that begin there. "
+        f"{duration(hours)} lie after contacts.",
     )
 
 
@@ -358,13 +359,13 @@ def draw_missed_curve(results: Results) -> Drawing:
     rates = [10.0**k for k in range(math.ceil(math.log10(right)), 3)]
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates])
     axes.set(xlabel="false collisions an hour of free motion", ylabel="collisions missed, %")
-    write_above(axes, (left * right) ** 0.5, f"none in {hours:.3g} h", color="#555555")
+    write_above(axes, (left * right) ** 0.5, f"none in {duration(hours)}", color="#555555")
     figure.legend(loc="outside right upper", handlelength=3)
     return Drawing(
         figure,
         "Collisions missed over false collisions an hour, as all limits of a method are lowered and raised by one "
         "factor: lower and further left is better. The mark shows the method with its own limits. In the "
-        f"grey strip no false collision fell in {hours:.3g} h of test motion; how far left does not matter there.",
+        f"grey strip no false collision fell in {duration(hours)} of free motion; how far left does not matter there.",
     )
 
 

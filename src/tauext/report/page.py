@@ -14,7 +14,7 @@ import matplotlib
 
 from tauext.check.preflight import WORTH_A_WARNING
 from tauext.errors import ConfigError
-from tauext.evaluate.results import EvaluatedBundle, Numbers, Results, load_results
+from tauext.evaluate.results import EvaluatedBundle, FreeMotion, Numbers, Results, load_results
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
@@ -49,6 +49,7 @@ from tauext.report.style import RC, Drawing, bundle_colours, save_png
 from tauext.report.tables import method_errors, methods, milliseconds, number, plural, render_template
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
+from tauext.train.tail import duration
 
 # --- The first screen: the test, one method's results, its limitations, and the next steps.
 
@@ -124,7 +125,7 @@ def shown_bundle(results: Results) -> EvaluatedBundle:
 def tested(results: Results, bundle: EvaluatedBundle) -> str:
     """A sentence about the test data."""
     hours = bundle.free_motion.hours
-    motion = f"{span(hours)} of motion in which nothing touched the arm" if hours else "no free motion"
+    motion = f"{duration(hours)} of motion in which nothing touched the arm" if hours else "no free motion"
     kinds = Counter(collision.kind for collision in results.collisions)
     counted = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
     known = (
@@ -145,24 +146,34 @@ def rejected_words(bundle: EvaluatedBundle) -> str:
 
 def found(bundle: EvaluatedBundle) -> Glance:
     latched = bundle.latched
+    value, words = collisions_latched(bundle)
     if latched is None or not latched.collisions:
-        return Glance("–", "no collisions were tested, so the share found is unknown")
-    strong = f"; of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}"
+        return Glance(value, f"{words}, so the share found is unknown")
+    strong = " (every method must latch those)" if latched.strong else ""
     if latched.unhealthy:
         why = f"; {latched.unhealthy} came while the monitor was not healthy, and nothing is detected"
     else:
         why = "" if latched.latched else "; none pushed a joint over its limit for as long as an alarm takes"
-    return Glance(
-        f"{latched.latched} of {latched.collisions}",
-        "collisions of every strength raised an alarm" + (strong if latched.strong else "") + why,
-    )
+    return Glance(value, words + strong + why)
+
+
+def collisions_latched(bundle: EvaluatedBundle) -> tuple[str, str]:
+    """How many of all collisions were latched, and what is counted, with the same count of the strong ones.
+
+    `148 of 200`, `collisions latched, 110 of 110 strong ones`; headline and cards show the same.
+    """
+    latched = bundle.latched
+    if latched is None or not latched.collisions:
+        return tables.NONE, "no collisions tested"
+    strong = f"{latched.strong_latched} of {latched.strong} strong ones" if latched.strong else "none of them strong"
+    return f"{latched.latched} of {latched.collisions}", f"collisions latched, {strong}"
 
 
 def false_alarms(bundle: EvaluatedBundle) -> Glance:
     free = bundle.free_motion
     count, hours = free.false_collisions, free.hours
     if count is None or not hours:
-        return Glance("–", "false alarms: no free motion was tested")
+        return Glance(tables.NONE, false_collisions_words(free))
     low, high = free.false_collisions_interval_per_hour or (None, None)
     if count == 0:
         rate = f"fewer than {plain(NO_ALARMS_BELOW / hours)} an hour, the bound of a test this short"
@@ -170,7 +181,7 @@ def false_alarms(bundle: EvaluatedBundle) -> Glance:
         rate = f"{plain(count / hours)} an hour"
         if low is not None and high is not None:
             rate += f" (the truth lies between {plain(low)} and {plain(high)}, 95 %)"
-    return Glance(f"{count:,} in {span(hours)}", f"false alarms while nothing touched the arm: {rate}")
+    return Glance(f"{count:,}", f"{false_collisions_words(free)}: {rate}")
 
 
 def delay(bundle: EvaluatedBundle) -> Glance:
@@ -235,9 +246,9 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
         words = f"At most {plain(free.promised_per_hour)} false alarms an hour were promised, and the test had more. "
         words += "Find out what differs (load, speed, temperature), record it, and set new limits:"
         lines.append(Step(words, "tauext calibrate"))
-    if free.hours is not None and free.hours < FEW_HOURS:
+    if free.hours and free.hours < FEW_HOURS:
         rate = plain(NO_ALARMS_BELOW / free.hours)
-        words = f"{span(free.hours)} of test motion cannot show a rate below {rate} an hour. Record more before "
+        words = f"{duration(free.hours)} of test motion cannot show a rate below {rate} an hour. Record more before "
         lines.append(Step(f"{words}relying on the result."))
     if not results.collisions:
         lines.append(Step("Record touches and label their times. Without them the share found is unknown."))
@@ -259,17 +270,6 @@ def joint_list(results: Results, values: Numbers) -> str:
         return f"{number(min(several), 1)} to {number(max(several), 1)} {results.unit}"
     apart = "\N{NO-BREAK SPACE}"  # of a number and its name or unit
     return ", ".join(f"{name}{apart}{number(values[k], 1)}" for name, k in known) + f"{apart}{results.unit}"
-
-
-def span(hours: float | None) -> str:
-    """A time in words: 6 seconds, 6 minutes, 10.2 hours."""
-    if hours is None:
-        return "an unknown time"
-    if hours < 1 / 60:
-        return plural(round(3600 * hours), "second")
-    if hours < 1:
-        return plural(max(round(60 * hours), 1), "minute")
-    return f"{hours:.1f} hours"
 
 
 def plain(value: float) -> str:
@@ -315,10 +315,10 @@ class Tile:
 
     bundle: str
     colour: str
-    found: str
+    latched: str
     of_what: str
     """What was found."""
-    false_alarms: str
+    false_collisions: str
     error: str
 
 
@@ -412,31 +412,22 @@ def by_bundle(values: dict[str, str]) -> str:
 
 def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
     """Headline of one bundle; missing numbers are named as missing."""
-    found, of_what = headline(bundle, results)
+    latched, of_what = collisions_latched(bundle)
     error = f"L1 {short_list(bundle.free_motion.l1_nm, results.unit)}"
-    return Tile(bundle.label, colour, found, of_what, false_collisions(bundle), error)
+    return Tile(bundle.label, colour, latched, of_what, false_collisions(bundle.free_motion), error)
 
 
-def headline(bundle: EvaluatedBundle, results: Results) -> tuple[str, str]:
-    """Number of required collisions found, and the meaning of required.
-
-    Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results without
-    them have the ten that were drawn by seed.
-    """
-    latched = bundle.latched
-    if latched is not None and latched.strong:
-        return f"{latched.strong_latched} of {latched.strong}", "strong collisions raised an alarm"
-    if bundle.ten_found is not None and results.ten_collisions:
-        return f"{bundle.ten_found} of {len(results.ten_collisions)}", "chosen collisions went over a limit"
-    return "none tried", "collisions"
+def false_collisions_words(free: FreeMotion) -> str:
+    """`false collisions in 5.93 minutes of free motion`, without the count."""
+    if free.false_collisions is None or not free.hours:
+        return "false collisions: no free motion tested"
+    return f"false collision{'' if free.false_collisions == 1 else 's'} in {duration(free.hours)} of free motion"
 
 
-def false_collisions(bundle: EvaluatedBundle) -> str:
-    """False collisions in test free motion, as the table of methods counts them."""
-    count, hours = bundle.free_motion.false_collisions, bundle.free_motion.hours
-    if count is None or hours is None:
-        return "false collisions: not available"
-    return f"{count:,} false collision{'' if count == 1 else 's'} in {hours:.2f}\N{NO-BREAK SPACE}h"
+def false_collisions(free: FreeMotion) -> str:
+    """`0 false collisions in 5.93 minutes of free motion`, the count of the headline and the table of methods."""
+    count = "" if free.false_collisions is None or not free.hours else f"{free.false_collisions:,} "
+    return count + false_collisions_words(free)
 
 
 def short_list(values: Numbers, unit: str = "Nm") -> str:

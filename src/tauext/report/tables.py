@@ -25,6 +25,7 @@ from tauext.evaluate.results import (
     Verdict,
 )
 from tauext.report import paper
+from tauext.train.tail import duration
 
 # --- The page's tables: ours beside the paper's where the paper has a number, a dash where there is none.
 
@@ -58,10 +59,15 @@ def block(label: str, lines: Iterable[Sequence[str]], bundle: str | None = None)
     return [Row((label if k == 0 else "", *one), bundle if k == 0 else None, opens=k == 0) for k, one in rows]
 
 
+LOOK = Path(__file__).with_name("look.css")
+"""Style that pages share: colours, light and dark, wide tables, figures."""
+
+
 def render_template(template: Path, **facts: Any) -> str:
     """A page, by jinja; a name that it lacks is an error."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(template.read_text(encoding="utf-8")).render(facts)
+    look = LOOK.read_text(encoding="utf-8").rstrip()
+    return environment.from_string(template.read_text(encoding="utf-8")).render(facts, look=look)
 
 
 def plural(count: int, word: str) -> str:
@@ -83,6 +89,11 @@ def milliseconds(value_s: float | None, signed: bool = False) -> str:
         return NONE
     rounded = round(value_s * 1e3)
     return f"{rounded:{'+' if signed and rounded else ''}d}".replace("-", "−")
+
+
+def duration_or_dash(hours: float | None) -> str:
+    """`24 s`, `33.5 minutes`, `10.2 h`; a dash where there is no time at all."""
+    return duration(hours) if hours else NONE
 
 
 def has_paper(results: Results) -> bool:
@@ -166,7 +177,7 @@ def table_one(results: Results) -> Table:
     several_recipes = len({bundle.recipe for bundle in results.bundles}) > 1
     last = {"recipe": lambda bundle: bundle.recipe or NONE} if several_recipes else {}
     if len({bundle.training_minutes for bundle in results.bundles}) > 1:
-        last |= {"minutes": lambda bundle: number(bundle.training_minutes, 1)}
+        last |= {"motion": lambda bundle: duration_or_dash((bundle.training_minutes or 0.0) / 60)}
     return by_joint(
         results,
         (
@@ -215,16 +226,21 @@ def extremes(results: Results) -> Table:
 def alarms(results: Results) -> Table:
     """One row per bundle: collisions found, false alarms, training."""
     show_paper = has_paper(results)
-    groups = [("", 1), ("collisions found", 3 if show_paper else 2), ("free motion", 3), ("training", 4)]
+    groups = [
+        ("", 1),
+        ("collisions found", 3 if show_paper else 2),
+        ("over a limit in free motion", 3),
+        ("training", 4),
+    ]
     of = f"of the {len(results.ten_collisions)}"
     columns = ["model", of, *([f"paper, of {paper.COLLISIONS}"] if show_paper else []), "of all"]
-    columns += ["hours", "false alarms", "per hour", "recipe", "epochs", "batch", "steps"]
+    columns += ["of", "times", "an hour", "recipe", "epochs", "batch", "steps"]
     rows = []
     for bundle in results.bundles:
         known = paper.FOUND if bundle.model in paper.L1_NM else None
         cells = [bundle.label, whole(bundle.ten_found), *([whole(known)] if show_paper else []), found_of(bundle)]
         cells += [
-            number(bundle.free_motion.hours, 2),
+            duration_or_dash(bundle.free_motion.hours),
             whole(bundle.free_motion.false_alarms),
             number(bundle.free_motion.false_alarms_per_hour, 1),
         ]
@@ -284,7 +300,7 @@ EACH_JOINT = 2
 
 def methods(results: Results) -> Table:
     """False collisions against what was promised, collisions latched, delay; a row a bundle and ignorant detector."""
-    groups = [("", 1), ("false collisions, test free motion", 4)]
+    groups = [("", 1), ("false collisions in free motion", 4)]
     groups += [("collisions latched", 2), ("delay against\nthe sensor, ms", 2)]
     columns = ["method", "count", "an hour,\n95 % interval", "promised\nan hour", "kept"]
     columns += ["of all", "of strong", "median", "95 %"]
@@ -380,8 +396,8 @@ def events_of(results: Results) -> list[tuple[EvaluatedBundle | None, Events]]:
 
 def events_table(results: Results) -> Table | None:
     """One row a method and state that occurred; None where nothing was labelled."""
-    groups = (("", 3), ("delay from label, ms", 2), ("delay from onset, ms", 2), ("false alarms in free time", 3))
-    columns = ("method", "arm", "found", "median", "95 %", "median", "95 %", "count", "minutes", "an hour")
+    groups = (("", 3), ("delay from label, ms", 2), ("delay from onset, ms", 2), ("alarms outside of events", 3))
+    columns = ("method", "arm", "found", "median", "95 %", "median", "95 %", "count", "in", "an hour")
     rows = []
     for bundle, events in events_of(results):
         label, name = (bundle.label, bundle.name) if bundle else (OWN, None)
@@ -404,7 +420,7 @@ def event_cells(counts: EventCounts) -> tuple[str, ...]:
         f"{counts.found} of {counts.events}" if counts.events else NONE,
         *(milliseconds(delay) for delay in delays),
         f"{counts.false_alarms:,}",
-        number(60 * counts.free_hours, 1),
+        duration_or_dash(counts.free_hours),
         number(counts.false_alarms_per_hour, 1),
     )
 

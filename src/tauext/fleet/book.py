@@ -1,4 +1,4 @@
-"""Tasks of a fleet and fleet.json: what is done, from which inputs, and why not."""
+"""Tasks of a fleet and fleet.json: state, inputs and reasons."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tauext.fleet.task import Contents, Outcome, Task, finished, marker_of
 
 
 MOST_NAMED = 4
-"""Changed inputs that are named; more are counted."""
+"""Number of changed inputs that are listed by name; further ones are counted."""
 ARMS, MEMORY = "arms", "inputs.json"
 
 
@@ -59,8 +59,8 @@ def plan_fleet(
     """All tasks of all arms; contents of files not hashed yet are read.
 
     Args:
-        out: folder of the fleet, which need not be there.
-        show: is called with how many files are read, and of how many.
+        out: folder of the fleet, which may not exist yet.
+        show: called with the number of files read and the total.
 
     Raises:
         ConfigError: a file that cannot be read.
@@ -154,7 +154,7 @@ def without_threads(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def planned(task: Task, before: str | None) -> Planned:
-    """before: stage that this one needs and that is to be done; None: there is none."""
+    """before: required stage that is still to be done; None: none."""
     there = finished(task)
     if there is not None:
         return Planned(task, there, "")
@@ -175,7 +175,7 @@ def planned(task: Task, before: str | None) -> Planned:
 
 
 def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
-    """Names of inputs that are other ones, gone or new."""
+    """Names of inputs that were changed, removed or added."""
     return [name for name in {**new, **old} if old.get(name) != new.get(name)]
 
 
@@ -230,7 +230,7 @@ class Book:
         ]
 
     def write(self, now: bool = True) -> None:
-        """now: else only where the last writing is some seconds ago."""
+        """now: write at once; else only if the last write was some seconds ago."""
         if not now and time.monotonic() - self._written < EVERY_S:
             return
         content = {"format": FORMAT, "version": VERSION, "fleet": self._fleet.path.name, "counts": self.counts()}

@@ -13,7 +13,7 @@ from tauext.fleet.odds import NAMED, Odds, Question, learn_odds
 from tauext.fleet.visits import BundleFacts, friction_nm
 from tauext.robot.inertial import unit_loads
 
-# --- What two states of an arm weigh differently: a tool at the flange, or the scale of a joint's torque.
+# --- Change of gravity torques between two states of an arm: a tool at the flange, or the scale of a joint's torque.
 #
 # .. math:: y_j(q) = X_j(q) (m, m c) - \kappa_j g_j(q) + error
 #
@@ -33,7 +33,7 @@ LEAST_SHARE, LEAST_NM = 0.5, 0.02
 
 @dataclass(frozen=True)
 class Weighed:
-    """One arm beside another state of it, or beside the fleet."""
+    """One arm compared with another state of it, or with the fleet."""
 
     kg: float
     kg_error: float
@@ -77,7 +77,7 @@ def longest_run(cells: Sequence[int]) -> list[int]:
 
 
 def arm_tree(bundle: _core.Bundle) -> _core.Tree:
-    """The arm as training found it."""
+    """The arm model as trained."""
     return _core.Tree(bundle.prior.corrected_links or bundle.links, bundle.gravity)
 
 
@@ -159,7 +159,7 @@ OWN_SHARE, FLEET_SHARE = 0.1, 0.05
 
 
 LEAST_ARMS = 3
-"""Fewer arms are not compared: of two, either could be the odd one."""
+"""Least number of arms that are compared: of two, either could be the odd one."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Compared:
         return content
 
     def facts(self) -> dict[str, Any] | None:
-        """What healthy arms do."""
+        """Variation of healthy arms."""
         if self.odds is None:
             return None
         odds = self.odds
@@ -212,7 +212,7 @@ def compare(facts: Sequence[BundleFacts], serials: Sequence[str], order: Sequenc
 
     Args:
         facts: of every visit that has a bundle, an arm's visits in the order of their dates.
-        serials: which arm each is.
+        serials: identity of each arm.
         order: which of the arm's dates each is: 0 the first; dates of one number are compared with each other.
     """
     poses = poses_seen([one.bundle for one in facts])
@@ -238,7 +238,7 @@ def frictions(facts: Sequence[BundleFacts], gravity: np.ndarray) -> np.ndarray:
 def fleet_tables(
     facts: Sequence[BundleFacts], friction: np.ndarray, gravity: np.ndarray, tool: np.ndarray, rows: Sequence[int]
 ) -> dict[str, Compared]:
-    """Every arm at its last date beside the others."""
+    """Compare every arm at its last date with the others."""
     middle = np.median(gravity[list(rows)], axis=0)
     weighed = weigh_all([gravity[k] - middle for k in rows], middle, tool, FLEET_SHARE, left_nm(facts, rows))
     errors = np.array([facts[k].friction_error(friction[k]) for k in rows])
@@ -263,7 +263,7 @@ def own_tables(
     rows: Sequence[int],
     first: Sequence[int],
 ) -> dict[str, Compared]:
-    """Every arm beside its own first date, by the recorded torque, so that the scale used in training does not
+    """Compare every arm with its own first date, by the recorded torque, so that the scale used in training does not
     matter."""
     by_first = [facts[a].nm_per_unit / facts[b].nm_per_unit for a, b in zip(first, rows, strict=True)]
     middle = np.median(gravity[list(first)], axis=0)
@@ -309,7 +309,7 @@ def compared(rows: Sequence[int], values: np.ndarray, errors: np.ndarray, questi
 
 
 def logs(values: np.ndarray) -> np.ndarray:
-    """NaN where there is none."""
+    """NaN where the value is missing."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.asarray(values) > 0, np.log(np.abs(values)), np.nan)
 

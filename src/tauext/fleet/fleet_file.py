@@ -19,7 +19,7 @@ from tauext.files.toml_file import read_toml, settings_of, unknown_key
 from tauext.fleet.places import below, files_in, place_of, places_of
 from tauext.fleet.task import Contents
 
-# --- A FLEET.toml to begin with.
+# --- Template of a FLEET.toml.
 
 
 EXAMPLE = """\
@@ -66,7 +66,7 @@ calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another pro
 """
 
 
-# --- FLEET.toml: arms, what they have in common by type, and the stages; all of it is checked before anything runs.
+# --- FLEET.toml: arms, common settings by type, and the stages; all of it is checked before anything runs.
 
 
 if TYPE_CHECKING:
@@ -104,11 +104,11 @@ class Arm:
     accept: tuple[str, ...] = ()
     train: TrainConfig = TrainConfig()
     like: Place | None = None
-    """Fleet prior that its training begins with; None: it is by itself."""
+    """Fleet prior that its training starts from; None: none."""
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
     serial: str = ""
-    """Which arm it is: entries of one serial, here or in another file, are one arm at several dates. Default: name."""
+    """Identity of the arm: entries of one serial, here or in another file, are one arm at several dates. Default: name."""
     date: str = ""
     """Day of its recordings, YYYY-MM-DD; empty: not given."""
 
@@ -256,7 +256,7 @@ def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
 
 
 def alarm_of(settings: CalibrateStage) -> AlarmConfig:
-    """The promise alone."""
+    """The promised false alarm rate alone."""
     return AlarmConfig(**{name: getattr(settings, name) for name in AlarmConfig.__dataclass_fields__})
 
 
@@ -339,7 +339,7 @@ def files_of(arm: Arm) -> Iterator[Place]:
 
 
 def source_files(arm: Arm) -> dict[str, Place]:
-    """What an import reads: sources, description, and the robot file that this names."""
+    """Input files of an import: sources, description, and the robot file that this names."""
     if arm.description is None:
         return {}
     found = {"arm.toml": arm.description} | robot_files(load_arm(arm.description).model)
@@ -359,7 +359,7 @@ def dataset_files(folder: Place, what: str) -> dict[str, Place]:
 
 
 def like_files(arm: Arm) -> dict[str, Place]:
-    """The fleet prior that its training begins with."""
+    """The fleet prior that its training starts from."""
     return {} if arm.like is None else {"train.like": arm.like}
 
 

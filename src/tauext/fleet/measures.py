@@ -20,7 +20,7 @@ FULL = 3.0
 LEAST_SPREAD = 0.02
 """Numbers that differ by less than some per cent are the same."""
 FAINT = 0.5
-"""Fewer are white."""
+"""Cells with fewer spreads are white."""
 MORE_RGB, LESS_RGB = (246, 180, 138), (156, 199, 228)
 
 
@@ -32,9 +32,9 @@ class Cell:
     value: float | None = None
     """For sorting; None: the text is sorted."""
     out: float = 0.0
-    """How far from the middle, in spreads."""
+    """Distance from the centre, in spreads."""
     probability: float | None = None
-    """Of what is named at this place."""
+    """Probability of the deviation named here."""
     link: str = ""
     title: str = ""
     word: bool = False
@@ -67,7 +67,7 @@ NONE = Cell("–")
 
 
 def colour(out: float) -> str:
-    """Whiter the nearer to the middle."""
+    """Colour of a cell, whiter towards the centre."""
     share = min(abs(out) / FULL, 1.0)
     rgb = MORE_RGB if out > 0 else LESS_RGB
     return "#" + "".join(f"{round(255 + share * (one - 255)):02x}" for one in rgb)
@@ -79,7 +79,7 @@ def percent(probability: float) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """With so many digits that count."""
+    """A number with this many significant digits."""
     if value is None or not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:,.0f}"
@@ -105,7 +105,7 @@ def likelier(row: Mapping[str, Any], joint: int) -> tuple[float | None, float]:
     return (more[0], 1.0) if more[0] >= less[0] else (less[0], -1.0)
 
 
-# --- Tables of arms by joints, one for each thing that is measured.
+# --- Tables of arms by joints, one for each measure.
 
 
 Content = Mapping[str, Any]

@@ -27,7 +27,7 @@ SHARES = (0.005, 0.03)
 ODD_ARM = 0.05
 """Share of arms all of whose joints differ from those of the others."""
 POINTS = 161
-"""Of an arm's A."""
+"""Spread of an arm's A."""
 ROUNDS = 3
 """Of the centre and of which joints it is the centre of."""
 FAR = 5.0
@@ -35,7 +35,7 @@ FAR = 5.0
 LEAST_WEIGHT = 1e-5
 LIKELIEST = 12
 NAMED = 0.5
-"""Probability from which on a joint is named: it is rather so than not."""
+"""Least probability of a named joint: more likely than not."""
 FARTHEST, FARTHEST_JUMPS = np.log(6.0), 6.0
 """Upper end of the search for the smallest named value: a factor; in other units, usual jumps."""
 
@@ -45,9 +45,9 @@ class Question:
     """The prior of a table; in its own unit, for logarithms as shares."""
 
     arm_spread: float
-    """sigma_A, usually; 0: the columns have nothing in common."""
+    """Usual sigma_A; 0: no common part of the columns."""
     joint_spread: float
-    """sigma_J, usually."""
+    """Usual sigma_J."""
     jump: float
     """Scale of w."""
     common: float

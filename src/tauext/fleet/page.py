@@ -62,7 +62,7 @@ def false(visit: Content, link: str) -> Cell:
 
 
 def tool(visit: Content, against: str, link: str) -> Cell:
-    """Kilograms at the flange."""
+    """Text of the mass at the flange, [kg]."""
     entries = (visit.get(against) or {}).get("tool")
     value = entries["value"][0] if entries else None
     if entries is None or value is None:
@@ -73,7 +73,7 @@ def tool(visit: Content, against: str, link: str) -> Cell:
 
 
 def findings(visit: Content) -> Cell:
-    """Codes of the doctor, faults first."""
+    """Codes of the check, faults first."""
     listed = sorted(visit["findings"], key=lambda one: one["severity"] != "fault")
     if not listed:
         return Cell("–", 0.0, word=True)
@@ -131,7 +131,7 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
 
 
 def with_places(content: Content) -> tuple[list[dict[str, Any]], list[str]]:
-    """The arms, each visit with the place of its date among all dates; and what the dates are called."""
+    """The arms, each visit with the index of its date; and the labels of the dates."""
 
     def key(visit: Content) -> tuple[str, int]:
         return (visit["date"] or "", visit["run"])
@@ -166,7 +166,7 @@ def title(arms: Sequence[Content], labels: Sequence[str]) -> str:
 
 
 def lead(content: Content, arms: Sequence[Content]) -> str:
-    """One sentence."""
+    """The summary sentence."""
     own = {one["arm"] for one in content["named"] if one["against"] == "own"}
     fleet = {one["arm"] for one in content["named"]} - own
     bad = sum(arm["visits"][-1]["state"] != "done" for arm in arms)
@@ -183,7 +183,7 @@ def lead(content: Content, arms: Sequence[Content]) -> str:
 
 
 def glances(content: Content, arms: Sequence[Content]) -> list[FleetGlance]:
-    """Numbers that matter first."""
+    """The key numbers of the page."""
     done = sum(arm["visits"][-1]["state"] == "done" for arm in arms)
     wearing = [one for one in content["named"] if one["kind"] == "wearing"]
     others = [one for one in content["named"] if one["kind"] != "wearing"]
@@ -219,7 +219,7 @@ def failed(arm: Content, visit: Content) -> Content:
 
 
 def reading(content: Content) -> list[str]:
-    """What the probabilities mean, with what the fleet itself taught."""
+    """Meaning of the probabilities, with the variation learned from the fleet."""
     lines = [
         f"A probability measures how far a number is from what healthy arms do; {percent(NAMED)} and more is named. "
         "It rests on this fleet: how much healthy joints differ is learned from all of them, and a joint stands out "

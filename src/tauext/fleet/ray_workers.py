@@ -14,7 +14,7 @@ from tauext.fleet.workers import Begun, Ended, cores
 
 
 def remote_task(task: dict[str, Any]) -> dict[str, Any]:
-    """What a worker of Ray calls: a task and an outcome are plain JSON."""
+    """Entry point of a Ray worker: task and outcome are plain JSON."""
     return asdict(run_task(expect_json(task), STAGES))
 
 

@@ -113,7 +113,7 @@ def number_of(numbers: GroupNumbers, k: int) -> int:
 
 
 def group_facts(kind: tuple, members: Sequence[Visit], facts: BundleFacts, numbers: GroupNumbers) -> dict[str, Any]:
-    """What arms of a group have in common."""
+    """Common properties of the arms of a group."""
     tables = {name: content for name, table in numbers.tables.items() if (content := table.facts()) is not None}
     return {
         "type": kind[0],

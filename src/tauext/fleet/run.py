@@ -82,7 +82,7 @@ def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -
     """Run all tasks that are not done yet; OUT/fleet.json holds the state of all, after an interruption too.
 
     Tasks are given out in the order in which they become possible, so that all imports come before the first training:
-    what is broken shows early.
+    faults are reported early.
 
     Raises:
         ConfigError: a folder that cannot be written to, another driver in it, no Ray.
@@ -115,7 +115,7 @@ def home_of(arm_folder: Place) -> Path:
 
 
 def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watcher: Watcher) -> None:
-    """Until no task is left that is possible."""
+    """Run tasks until none is possible."""
     under_way = 0
     for task in first:
         workers.submit(task)
@@ -134,7 +134,7 @@ def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watche
 
 
 def workers_of(config: FleetConfig, most: int, begun: Begun) -> Workers:
-    """most: tasks at a time that there can be."""
+    """most: largest number of simultaneous tasks."""
     if config.ray is None:
         return LocalWorkers(min(config.workers or cores(), most), config.retries, begun)
     from tauext.fleet.ray_workers import RayWorkers

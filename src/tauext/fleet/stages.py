@@ -1,4 +1,4 @@
-"""What the stages do: each calls what its command calls, with one thread, and writes into a folder of its own."""
+"""The stages: each calls the function of its command with one thread, and writes into a folder of its own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMAND = "tauext fleet run"
 
 
 def import_arm(work: Mapping[str, Any], part: Path) -> None:
-    """The dataset folder NAME, and what was done to the numbers in NAME.txt."""
+    """The dataset folder NAME, and the changes to the numbers in NAME.txt."""
     from tauext.data.importing import import_dataset
 
     messages: list[str] = []

@@ -27,7 +27,7 @@ from tauext.files.places import Place, StoredPlace, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, json_of, read_text
 from tauext.files.provenance import VERSION, provenance, write_json
 
-# --- One driver a folder: a second one would clear away what the first one's workers are writing.
+# --- One driver a folder: a second one would delete unfinished output of the first one's workers.
 #
 # A store has no locks: there it is one driver of this machine.
 
@@ -71,7 +71,7 @@ AT_A_TIME = 4
 
 
 def sha256_of(path: Place) -> str:
-    """Of a file's bytes, hexadecimal."""
+    """SHA-256 of a file, hexadecimal."""
     expect_file(path)
     digest = hashlib.sha256()
     with path.open("rb") as file:
@@ -84,7 +84,7 @@ class Contents:
     """SHA-256 of files, remembered between runs by path, size and time of the last change."""
 
     def __init__(self, memory: Place):
-        """memory: file of what is remembered; a damaged one is none."""
+        """memory: file of known digests; a damaged one is ignored."""
         self._memory = memory
         self._known: dict[str, list] = {}
         try:
@@ -122,7 +122,7 @@ class Contents:
         return str(digest)
 
     def keep(self) -> None:
-        """For the next run."""
+        """Save the digests for the next run."""
         write_json(dict(sorted(self._known.items())), self._memory)
 
 
@@ -131,7 +131,7 @@ def digest_of(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-# --- Which tauext does the work: the release, and a digest of all code that decides an output's bytes.
+# --- The build of tauext: the release, and a digest of all code that decides an output's bytes.
 
 
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
@@ -156,7 +156,7 @@ def build() -> str:
     return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"
 
 
-# --- One stage of one arm: done once, in a folder that appears whole, with a marker of what it was made from.
+# --- One stage of one arm: done once, in a folder that appears complete, with a marker of its inputs.
 
 
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
@@ -178,7 +178,7 @@ class Task:
     folder: str
     """Folder of its complete output; absolute."""
     inputs: dict[str, str]
-    """All that the output depends on, by readable names: digests of contents, settings, hashes of tasks before it."""
+    """Everything that the output depends on, by readable names: digests of contents, settings, hashes of tasks before it."""
     work: dict[str, Any] = field(default_factory=dict)
     """Arguments of the stage: places and settings. The content of a place is an input, its path is not."""
     build: str = field(default_factory=build)
@@ -268,7 +268,7 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
     try:
         part.mkdir(parents=True)
         with warnings.catch_warnings():
-            # What overflows is found by whoever checks the number; the interpreter's own words are none of ours.
+            # Overflows are found where the number is checked; the interpreter's warnings are not shown.
             warnings.simplefilter("ignore", RuntimeWarning)
             refused = stages[task.stage](task.work, part)
         marker = mark(task, part, refused, time.monotonic() - started)
@@ -369,7 +369,7 @@ def one_line(text: str) -> str:
 
 
 def clean(arm_folder: Path) -> None:
-    """Remove what killed workers left of an arm; no other worker may be active there."""
+    """Remove leftovers of killed workers of an arm; no other worker may be active there."""
     for pattern in (".*.part-*", ".*.old-*"):
         for left in arm_folder.glob(pattern):
             shutil.rmtree(left, ignore_errors=True)

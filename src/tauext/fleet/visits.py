@@ -1,4 +1,4 @@
-"""Arms at their dates: what the fleet folders hold of bundles, results and robots."""
+"""Arms at their dates: bundles, results and robots of the fleet folders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tauext.files.places import Place, place_of
 from tauext.files.plain_file import expect_format, json_of, read_text
 from tauext.fleet.odds import NAMED
 
-# --- Which arms and joints are named, in words: what is rather so than not.
+# --- Which arms and joints are named, in words: deviations that are more likely than not.
 
 
 FRICTION = "friction × {factor} of {whose}"
@@ -107,13 +107,13 @@ class BundleFacts:
     recipe: str
     minutes: float | None
     error_nm: np.ndarray
-    """Left by the prior in training; NaN: unknown."""
+    """Residual of the prior in training; NaN: unknown."""
     ripple_nm: np.ndarray
     """Amplitudes of all ripples of the joint together, as squares add; NaN without a prior."""
     limit_nm: np.ndarray
     stiction_limit_nm: np.ndarray
     false_per_hour: float | None
-    """What its limits promise at most."""
+    """Largest promised false alarm rate of its limits."""
     promise: str
     constants: np.ndarray
     """Found, in N m a unit of the recordings' torque, or by the import's; NaN where motion did not determine it."""
@@ -122,7 +122,7 @@ class BundleFacts:
 
     @property
     def nm_per_unit(self) -> np.ndarray:
-        """What recorded torque is multiplied by."""
+        """Factor on the recorded torque."""
         used = self.bundle.observer.nm_per_unit
         return np.array(used) if len(used) else np.ones(len(self.joints))
 
@@ -138,7 +138,7 @@ class BundleFacts:
 
 
 def read_bundle(path: Place) -> BundleFacts:
-    """Of a bundle's file.
+    """Facts of a bundle file.
 
     Raises:
         TauextError: it cannot be read.
@@ -178,7 +178,7 @@ def of(facts: Any, key: str) -> dict[str, Any]:
 
 
 def numbers(values: Any) -> np.ndarray:
-    """NaN for what is not there."""
+    """The number; NaN if it is missing."""
     return np.array([np.nan if value is None else float(value) for value in values])
 
 
@@ -227,9 +227,9 @@ class Visit:
     """One arm at one date."""
 
     serial: str
-    """Which arm it is."""
+    """Identity of the arm."""
     name: str
-    """What its fleet calls it."""
+    """Its name in the fleet."""
     type: str
     run: int
     """Index of its fleet folder, from 0."""
@@ -237,7 +237,7 @@ class Visit:
     """YYYY-MM-DD; empty: unknown."""
     state: str
     reason: str
-    """Why it is not done; empty where it is."""
+    """Reason why it is not done; empty if it is."""
     stage: str
     """The stage that failed."""
     folder: Place
@@ -325,11 +325,11 @@ def date_in(dataset: Place | None) -> str:
     return found.isoformat() if found is not None else ""
 
 
-# --- Content of the files of one arm at one date, as plain JSON: bundle, results, findings of the doctor.
+# --- Content of the files of one arm at one date, as plain JSON: bundle, results, findings of the check.
 
 
 def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray | None, broken: str) -> dict[str, Any]:
-    """All of one visit but what it is compared with.
+    """Everything of one visit except its comparisons.
 
     Args:
         facts: None: it has no bundle.
@@ -366,7 +366,7 @@ def results_of(folder: Place | None) -> dict[str, Any]:
     """Results on free motion outside training: errors and false collisions."""
     try:
         free = load_results(folder).bundles[0].free_motion if folder is not None else None
-    except ConfigError:  # a report of a hundred arms does not end for one of them
+    except ConfigError:  # one bad arm does not end a report of a hundred
         free = None
     if free is None:
         return {"error_nm": None, "hours": None, "false_collisions": None}
@@ -377,7 +377,7 @@ def findings_of(path: Place) -> list[dict[str, Any]]:
     """Findings of the check, without notes."""
     try:
         content = json_of(read_text(path))
-    except (OSError, ValueError):  # not there, or damaged
+    except (OSError, ValueError):  # missing or damaged
         content = None
     listed = content.get("findings") if isinstance(content, dict) else None
     kept = ("code", "severity", "joint", "evidence", "advice")

@@ -18,10 +18,10 @@ from tauext.fleet.task import expect_json, run_task
 
 
 def work() -> None:
-    """Until stdin ends."""
+    """Do tasks until stdin ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the driver, which stops the workers
     reports = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what a library prints is no outcome
+    os.dup2(2, 1)  # output of libraries is no outcome
     waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=read_on, args=(waiting,), daemon=True).start()
     while True:

@@ -15,7 +15,7 @@ from typing import IO, Protocol, Self
 
 from tauext.fleet.task import LONGEST_REASON, Outcome, Task
 
-# --- What a fleet's driver needs of those who do its tasks: processes of this machine, or Ray.
+# --- The interface of workers: processes of this machine, or Ray.
 
 
 Begun = Callable[[Task], None]
@@ -46,15 +46,15 @@ class Workers(Protocol):
         """Wait for the next task to end, in any order; at least one must be running."""
 
 
-# --- Workers that are processes of this machine: one that dies costs the task it was at, which is begun again.
+# --- Workers that are processes of this machine: a task whose worker dies is restarted.
 
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-"""What libraries read that would take all cores."""
+"""Environment variables of libraries that would use all cores."""
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -64,7 +64,7 @@ class Process:
 
     process: subprocess.Popen[str]
     errors: IO[str]
-    """What it writes to stderr."""
+    """File of its stderr."""
     task: Task | None = None
 
     @classmethod

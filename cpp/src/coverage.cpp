@@ -89,7 +89,7 @@ Coverage::Coverage(int joints, const CoverageSettings& settings, double fades_pe
 }
 
 // One pass over everything that says no more than whether anything is unfamiliar: it hardly ever is.
-Unfamiliar Coverage::look(std::span<const double> q, std::span<const double> dq) const noexcept {
+Unfamiliar Coverage::evaluate(std::span<const double> q, std::span<const double> dq) const noexcept {
   if (joints_ == 0) return {};
   Cells cells, pair_cells;
   double ratio = 0;
@@ -129,7 +129,7 @@ Unfamiliar Coverage::farthest(std::span<const double> dq, const Cells& cells, co
 }
 
 const Unfamiliar& Coverage::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept {
-  Unfamiliar now = look(q, dq);
+  Unfamiliar now = evaluate(q, dq);
   if (state_.last.share > 0) {
     const double left =
         state_.last.share * std::exp(-fades_per_s_ * 1e-9 * static_cast<double>(elapsed_ns(t_ns, state_.t_ns)));

@@ -24,7 +24,7 @@ class Coverage {
   static constexpr int kMostReach = 16;         // cells: a quarter or half of a turn
   static constexpr int kFartherCells = 2;       // a position beyond its reach by so many is wholly unfamiliar
   static constexpr double kFasterShare = 0.25;  // a speed over the fastest by this share is wholly unfamiliar
-  static constexpr double kWorthTelling = 0.5;  // from this share on, motion is called unfamiliar
+  static constexpr double kWorthReporting = 0.5;  // from this share on, motion is called unfamiliar
 
   struct State {
     std::int64_t t_ns = 0;
@@ -38,7 +38,7 @@ class Coverage {
   //   (|dq_j| / fastest_j - 1) / kFasterShare    and    (d - reach) / kFartherCells,
   // d the cells from the nearest seen one (of a pair the larger of the two ways), both cut to 0 to 1. Of two that are
   // alike it is the one looked at first: speeds, positions, pairs, each in the order of joints.
-  Unfamiliar look(std::span<const double> q, std::span<const double> dq) const noexcept;
+  Unfamiliar evaluate(std::span<const double> q, std::span<const double> dq) const noexcept;
 
   // The same with memory: the residual still holds what was, so share never falls faster than exp(-fades_per_s t), and
   // tells what it was meanwhile. Samples in order of time.

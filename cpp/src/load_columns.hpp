@@ -47,7 +47,7 @@ class LoadRegressor {
   LoadRegressor(const Tree& tree, const LoadFrame& frame);
 
   // One sample; q and dq hold one value a joint.
-  void look(std::span<const double> q, std::span<const double> dq) noexcept;
+  void compute(std::span<const double> q, std::span<const double> dq) noexcept;
 
   // Of the last sample: P, B, and the joint torques of a force of 1 N at the frame's origin, along the frame's axes and
   // along the base's.

@@ -148,16 +148,16 @@ class MotionStage {
     const SampleClock::Tick tick = clock_.step(t_ns);
     if (tick.kind == SampleClock::Kind::not_later) return tick;
     if (tick.kind == SampleClock::Kind::restart) presliding_.reset();
-    look(q, dq);
+    compute(q, dq);
     presliding_.step(q);
     return tick;
   }
   // p and beta of a state; clock and presliding states stay as they are.
-  void look(std::span<const double> q, std::span<const double> dq) noexcept {
+  void compute(std::span<const double> q, std::span<const double> dq) noexcept {
     const auto n = static_cast<std::size_t>(tree_.size());
     tree_.momentum(q, dq, std::span(momentum_).first(n), std::span(beta_).first(n));
   }
-  // The model carries this from now on (Tree::carry); look() again for its p and beta.
+  // The model carries this from now on (Tree::carry); compute() again for its p and beta.
   void carry(int link, const Carried& what) noexcept { tree_.carry(link, what); }
 
   const Tree& tree() const noexcept { return tree_; }

@@ -86,7 +86,7 @@ std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& setting
       tau[j] = settings.nm_per_unit.empty() ? s.tau[j] : s.tau[j] * settings.nm_per_unit[j];
     const std::span<const double> torque(tau.data(), n);
     const bool near = k > 0 && elapsed_ns(s.t_ns, recording.t_ns[k - 1]) <= bridged_ns;
-    const Impossible found = watch.look(s.t_ns, s.q, s.dq, torque, follows && near);
+    const Impossible found = watch.check(s.t_ns, s.q, s.dq, torque, follows && near);
     follows = found.cause == 0;
     if (follows)
       watch.step(s.t_ns, 1, s.q, s.dq, torque);
@@ -129,7 +129,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     const Sample sample = recording.at(k);
     if (motion.step(sample.t_ns, sample.q, sample.dq).kind == SampleClock::Kind::restart)
       for (MomentumObserver& filter : filters) filter.reset();
-    terms.look(sample.q, sample.dq, motion.presliding(), motion.beta());
+    terms.compute(sample.q, sample.dq, motion.presliding(), motion.beta());
     const bool wanted = samples[next] == k;
     for (std::size_t f = 0; f < filters.size(); ++f) {
       const std::size_t first = f * kMaxJoints, count = std::min<std::size_t>(kMaxJoints, M - first);

@@ -30,7 +30,7 @@ PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
 }
 
-void PriorTerms::look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
                       std::span<const double> beta) noexcept {
   q_ = q;
   dq_ = dq;
@@ -121,7 +121,7 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
   const auto n = static_cast<std::size_t>(joints_);
   auto& [p, v, unknown] = sums;
   for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = unknown[i] = 0.0;
-  terms_.look(q, dq, presliding, beta);
+  terms_.compute(q, dq, presliding, beta);
   if (terms_.corrects_model())
     for (std::size_t i = 0; i < n; ++i) {
       p[i] = momentum[i] - terms_.corrected_momentum()[i];

@@ -49,7 +49,7 @@ class PriorTerms {
   PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity);
 
   // One sample, with beta of the estimated model. All of it must stay where it is until the next one.
-  void look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+  void compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
             std::span<const double> beta) noexcept;
   // Value of a term; those of momentum give their momentum.
   double value(std::size_t term) const noexcept;
@@ -58,7 +58,7 @@ class PriorTerms {
 
   // The corrected model, where there is one.
   const std::optional<Tree>& corrected() const noexcept { return corrected_; }
-  // The corrected model carries this from now on (Tree::carry); look() again for its p and beta.
+  // The corrected model carries this from now on (Tree::carry); compute() again for its p and beta.
   void carry(int link, const Carried& what) noexcept {
     if (corrected_) corrected_->carry(link, what);
   }

@@ -225,7 +225,7 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
         motion[j].take(kept.t_ns[k], r.dq[from * motion.size() + j], bundle.limits.near_stiction_rad_s);
       const bool used = source.use.empty() || source.use[from];
       if (!used || said.health[from] != static_cast<std::uint8_t>(Health::ok) ||
-          said.unfamiliar[from] >= Coverage::kWorthTelling)
+          said.unfamiliar[from] >= Coverage::kWorthReporting)
         continue;
       at.push_back(static_cast<std::int64_t>(k));
       rows.t_ns.push_back(kept.t_ns[k]);

@@ -81,7 +81,7 @@ void TouchKind::step(const Seen& seen) noexcept {
   if (largest <= kBegins && (!s.alarmed || seconds(seen.t_ns, s.over_ns) > kOver_s))
     s.touching = false;
   else
-    look(seen);
+    update(seen);
 }
 
 // Speed and place behind the observer's filter; false where there is nothing to be looked at.
@@ -157,7 +157,7 @@ void TouchKind::measure(const Seen& seen) noexcept {
 }
 
 // What shows at this sample.
-void TouchKind::look(const Seen& seen) noexcept {
+void TouchKind::update(const Seen& seen) noexcept {
   State& s = state_;
   measure(seen);
   if (s.count > 0 && seen.t_ns - before(seen.t_ns).t_ns < block_ns_) return;
@@ -216,7 +216,7 @@ TouchKind::Stretch TouchKind::recent_blocks() const noexcept {
 double TouchKind::left_by_load(const Seen& seen) noexcept {
   State& s = state_;
   const JointVector still{};
-  weight_.look(seen.q, std::span(still).first(joints_));
+  weight_.compute(seen.q, std::span(still).first(joints_));
   JointVector pull, sigma;  // a load adds to beta, and so much less shows in tau_ext
   for (std::size_t j = 0; j < joints_; ++j) {
     pull[j] = -seen.tau_ext[j];
@@ -264,13 +264,13 @@ bool TouchKind::bounces(bool over) noexcept {
 void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (bounces(seen.over)) return;
-  const Touch looks = looks_like(recent, seen);
+  const Touch looks = classify(recent, seen);
   if (looks != s.says) {
     s.says = looks;
-    s.says_ns = s.t_ns;
+    s.candidate_ns = s.t_ns;
   }
   const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || seconds(s.t_ns, s.alarm_ns) <= kDecided_s;
-  const bool sure = looks != Touch::none && seconds(s.t_ns, s.says_ns) >= kSure_s - 1e-6;
+  const bool sure = looks != Touch::none && seconds(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
   const bool lets_go = s.kind == Touch::clamp && looks == Touch::push;  // an arm that slips off looks like that
   if (open && sure && looks != s.kind && !lets_go) {
     s.kind = looks;
@@ -289,7 +289,7 @@ void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
 }
 
 // What the recent blocks say; none: nothing yet.
-Touch TouchKind::looks_like(const Stretch& recent, const Seen& seen) noexcept {
+Touch TouchKind::classify(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (!(recent.s > 0)) return Touch::none;
   const double since_s = seconds(s.t_ns, s.alarm_ns);

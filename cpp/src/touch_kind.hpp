@@ -88,7 +88,7 @@ class TouchKind {
     Touch kind = Touch::none, says = Touch::none;
     bool timed = false, touching = false, lost = false, alarmed = false, bounced = false;
     int strongest = -1;
-    std::int64_t t_ns = 0, begin_ns = 0, alarm_ns = 0, peak_ns = 0, over_ns = 0, says_ns = 0;
+    std::int64_t t_ns = 0, begin_ns = 0, alarm_ns = 0, peak_ns = 0, over_ns = 0, candidate_ns = 0;
     double dt_s = 0;
     StepShare share;
     double base = 0, size = 0, peak = 0, way = 0, came = 0;  // came: dx/dt until the alarm
@@ -113,13 +113,13 @@ class TouchKind {
   };
   bool follow(const Seen& seen) noexcept;
   void begin(const Seen& seen) noexcept;
-  void look(const Seen& seen) noexcept;
+  void update(const Seen& seen) noexcept;
   void measure(const Seen& seen) noexcept;
   void close_block(const Seen& seen) noexcept;
   bool bounces(bool over) noexcept;
   Stretch recent_blocks() const noexcept;
   void decide(const Stretch& recent, const Seen& seen) noexcept;
-  Touch looks_like(const Stretch& recent, const Seen& seen) noexcept;
+  Touch classify(const Stretch& recent, const Seen& seen) noexcept;
   Touch driven_into(const Stretch& recent, double since_s) noexcept;
   Touch standing(const Stretch& recent, const Seen& seen, double since_s) const noexcept;
   bool fits_load() const noexcept;

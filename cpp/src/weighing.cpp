@@ -69,7 +69,7 @@ void Weighing::forget() noexcept {
   unsolved_rows_ = 0;
 }
 
-void Weighing::look(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
+void Weighing::take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
   stand(estimate.t_ns, estimate.near_stiction);
   entered_ = observed.passage == Passage::entered;
   restarted_ = observed.restarted;

@@ -15,7 +15,7 @@ namespace tauext {
 
 struct Bundle;
 
-// look() copies what advance() needs; that steps the columns, adds a row once a network period and solves once in
+// take() copies what advance() needs; that steps the columns, adds a row once a network period and solves once in
 // kRefreshRows, so that the columns stand about the load as known so far. Rows are healthy samples; the columns need 10/K0
 // from the start and from every break of the chain.
 class Weighing {
@@ -42,7 +42,7 @@ class Weighing {
   bool on() const noexcept { return on_; }
 
   // The sample that was just judged. Only where on().
-  void look(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept;
+  void take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept;
   // beta: the estimated model's at that sample. Nothing happens where it was done.
   void advance(std::span<const double> beta) noexcept;
 

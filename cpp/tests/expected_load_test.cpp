@@ -71,8 +71,8 @@ class Cell {
     }
     std::vector<double> p(n), v(n);
     tree_.momentum(q_, dq_, p, v);
-    load_.look(q_, dq_);
-    pushed_.look(q_, dq_);
+    load_.compute(q_, dq_);
+    pushed_.compute(q_, dq_);
     const auto phi = parameters(scene_.mass, scene_.com);
     const double share = scene_.share(t);
     const auto force = scene_.push(t);

@@ -86,7 +86,7 @@ Motion motion(const Bundle& b, const Load& load, std::int64_t samples, double sp
     tree.momentum(q, dq, at_p, at_beta);
     for (std::size_t j = 0; j < kN && !b.prior.empty(); ++j)
       at_beta[j] += kRubs * std::fabs(at_beta[j]) * std::tanh(dq[j] / kSignSpeed);
-    forces.look(q, dq);
+    forces.compute(q, dq);
     for (std::size_t j = 0; j < kN; ++j) {
       for (std::size_t i = 0; i < 3; ++i) at_beta[j] -= forces.base_forces()[i][j] * push.base[i];
       m.q.push_back(q[j]);

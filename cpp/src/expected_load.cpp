@@ -54,7 +54,7 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
       columns_(bare_, bundle.prior, load_frame(bundle.load), gain_per_s_),
       usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
   std::ranges::copy(bundle.most_units_per_nm(), units_per_nm_.begin());
-  for (int j = 0; j < joints_; ++j) told_ += bundle.in_newtons(j);
+  for (int j = 0; j < joints_; ++j) newton_joints_ += bundle.in_newtons(j);
 }
 
 std::string ExpectedLoad::why_not(double seconds, double at_most_kg) const {
@@ -152,19 +152,19 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
   State& s = state_;
   const auto n = static_cast<std::size_t>(joints_);
   const LoadRegressor::Columns& columns = columns_.state().load;
-  const auto told = ten_of(s.set), before = ten_of(s.change);
+  const auto already = ten_of(s.set), before = ten_of(s.change);
   JointVector shown, inertia, sigma;
   for (std::size_t j = 0; j < n; ++j) {
     if (!(s.limit_nm[j] > 0)) return;
     sigma[j] = units_per_nm_[j] > 0 ? std::numeric_limits<double>::infinity() : kSigmaOfLimit * s.limit_nm[j];
-    shown[j] = tau_ext[j] + torque(columns, told, j);
+    shown[j] = tau_ext[j] + torque(columns, already, j);
     inertia[j] = torque(columns, before, j, 4);
   }
   ChangeSums one;
   one.add(columns, std::span(shown).first(n), inertia, sigma);
   s.change = one.solve(s.bounds, s.change);
   const auto now = ten_of(s.change);
-  for (std::size_t j = 0; j < n; ++j) explained[j] = torque(columns, now, j) - torque(columns, told, j);
+  for (std::size_t j = 0; j < n; ++j) explained[j] = torque(columns, now, j) - torque(columns, already, j);
   if (s.count == 0) {
     s.next = 0;
     s.count = 1;
@@ -289,7 +289,7 @@ ExpectedLoad::Stretch ExpectedLoad::agreeing() const noexcept {
   }
   if (state_.past.rows > 0 && (all || agree(state_.past, whole.sums, state_.bounds, state_.change, alike()))) {
     whole.sums.add(state_.past);
-    whole.samples += state_.past.rows / told_;
+    whole.samples += state_.past.rows / newton_joints_;
     whole.begin_ns = state_.begin_ns;
   }
   if (all) whole.begin_ns = state_.begin_ns;

@@ -150,7 +150,7 @@ class ExpectedLoad {
   const Stretch& block(std::size_t back) const noexcept { return state_.blocks[(state_.next + kBlocks - 1 - back) % kBlocks]; }
   bool shows(const LoadChange& one, const LoadChange& other, double share) const noexcept;
 
-  int joints_, told_ = 0;         // of them, those that answer in N m
+  int joints_, newton_joints_ = 0;         // of them, those that answer in N m
   JointVector units_per_nm_{};    // Bundle::most_units_per_nm()
   LoadSettings settings_;
   double gain_per_s_, period_s_;

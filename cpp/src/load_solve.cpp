@@ -94,7 +94,7 @@ namespace {
 
 constexpr std::size_t kMost = 4;  // coefficients that all joints share
 // Of a mass before any motion, standard deviation: what no joint shows has it still, not none. No arm carries so much.
-constexpr double kUntoldKg = 1000;
+constexpr double kUnseenMassKg = 1000;
 
 struct Shared {
   std::size_t first, size;
@@ -188,7 +188,7 @@ std::array<double, kMost * kMost> inverted(const std::array<double, kMost * kMos
   return out;
 }
 
-void tell_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& whole, const LoadBefore& before,
+void report_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& whole, const LoadBefore& before,
                LoadFit& fit) noexcept {
   double total = 0, worth = 0, independent = 0;
   for (int joint = 0; joint < sums.joints(); ++joint) {
@@ -201,7 +201,7 @@ void tell_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& 
                 fit.coulomb_nm[j] * fit.coulomb_nm[j] * information_of(before.coulomb_nm[j]);
   }
   fit.cost += independent / fit.noise.correlation;
-  if (shared.size == 4) fit.cost += fit.values[0] * fit.values[0] * information_of(kUntoldKg);
+  if (shared.size == 4) fit.cost += fit.values[0] * fit.values[0] * information_of(kUnseenMassKg);
   if (shared.size == 4 && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) fit.cost += fit.values[k] * fit.values[k] * information_of(before.moment_kg_m);
   fit.misfit = total / std::max(worth, 1e-9);
@@ -223,7 +223,7 @@ LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& 
   std::array<double, kMost * kMost> information{};
   std::array<double, kMost> moment{};
   std::array<Own, kMaxJoints> own;
-  if (cause == LoadCause::load) information[0] = information_of(kUntoldKg);
+  if (cause == LoadCause::load) information[0] = information_of(kUnseenMassKg);
   if (cause == LoadCause::load && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) information[k * 4 + k] = information_of(before.moment_kg_m);
   for (int joint = 0; joint < sums.joints(); ++joint) {
@@ -245,7 +245,7 @@ LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& 
       fit.coulomb_nm[j] -= own[j].per_shared[1][k] * fit.values[k];
     }
   }
-  tell_left(sums, shared, whole, before, fit);
+  report_left(sums, shared, whole, before, fit);
   return fit;
 }
 
@@ -401,7 +401,7 @@ LoadVerdict verdict(const LoadFound& found, double mass_kg, const Load& set, con
 }
 
 // Mass, centre of mass, their errors and what is not seen.
-void tell(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFound& out) noexcept {
+void report(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFound& out) noexcept {
   out.phi = phi;
   out.covariance = fit.covariance;
   out.mass_kg = phi[0];
@@ -493,7 +493,7 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
   for (double& scale : noise.scale) scale = std::min(scale, kMostScale);
   for (int cause = 0; cause < kLoadCauses; ++cause)
     out.fits[static_cast<std::size_t>(cause)] = solve_load(sums, static_cast<LoadCause>(cause), about, last, noise);
-  tell(fit, now, settings.reach_m, out);
+  report(fit, now, settings.reach_m, out);
   out.misfit = fit_of(out, LoadCause::load).misfit;
   LoadParameters whole = parameters_of(set);
   for (std::size_t k = 0; k < whole.size(); ++k) whole[k] += now[k];

@@ -146,7 +146,7 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
   }
 }
 
-// The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
+// The filter is linear and preserves signs: a filtered bound is a bound of the filtered value.
 void Prior::filter(std::int64_t t_ns, const Sums& sums, bool raise, std::span<double> prior,
                    std::span<double> doubt) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
@@ -207,7 +207,7 @@ void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<cons
 
 namespace {
 
-// Of a joint that slides at this speed: its presliding states are 1.
+// For a joint sliding at this speed, with presliding states of 1.
 double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) {
   double sum = 0;
   for (std::size_t m = 0; m < prior.terms.size(); ++m) {
@@ -223,7 +223,7 @@ double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) 
 
 }  // namespace
 
-// Through the friction at a slow and at a usual speed.
+// Line through the friction at a slow and at a usual speed.
 FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
   constexpr double slow = 0.15, usual = 0.5;  // [rad/s]: where Coulomb terms have levelled off
   const double at_slow = friction_nm(prior, joint, slow), at_usual = friction_nm(prior, joint, usual);

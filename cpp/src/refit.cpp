@@ -34,7 +34,7 @@ struct RefitRows {
   std::vector<std::size_t> places;       // ... and where they stand in the prior
   std::vector<double> values;            // (rows, terms)
   double period_s = 0;
-  bool knows_sigma = false;
+  bool has_sigma = false;
 
   std::size_t size() const noexcept { return t_ns.size(); }
 };
@@ -58,7 +58,7 @@ class JointFit {
   JointFit(const Bundle& bundle, const RefitRows& rows, int joint, const RefitSettings& settings);
 
   // Factors and constant.
-  void tell(RefitJoint& out) const;
+  void report(RefitJoint& out) const;
   // The joint's weights, and its network's scale.
   void put(Bundle& bundle) const;
   // Error of every row after a fit without its block, [N m].
@@ -147,7 +147,7 @@ void add_row(RefitRows& rows, const Bundle& bundle, const Estimates& said, const
     const double limit = bundle.limits.limit_nm(bundle.limits.collision, static_cast<int>(j), said.near_stiction[cell]) *
                          said.limit_scale[cell];
     joint.error.push_back(said.residual[cell] - said.prior[cell] - said.network[cell]);
-    joint.sigma.push_back(rows.knows_sigma ? said.sigma_nm[cell] : limit / kLimitOverSigma);
+    joint.sigma.push_back(rows.has_sigma ? said.sigma_nm[cell] : limit / kLimitOverSigma);
     joint.limit.push_back(limit);
     joint.doubt.push_back(said.doubt[cell]);
     joint.near_stiction.push_back(said.near_stiction[cell]);
@@ -193,7 +193,7 @@ bool may_change(const Term& term) noexcept {
 RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources, int threads) {
   RefitRows rows;
   rows.joints.resize(bundle.links.size());
-  rows.knows_sigma = bundle.error_scale.on();
+  rows.has_sigma = bundle.error_scale.on();
   rows.period_s = 1e-9 * static_cast<double>(bundle.observer.sample_period_ns) * bundle.observer.network_stride;
   for (std::size_t m = 0; m < bundle.prior.terms.size(); ++m)
     if (may_change(bundle.prior.terms[m])) {
@@ -472,7 +472,7 @@ RefitFactor JointFit::factor(Group group) const {
   return {value, std::sqrt(std::max(variance, 0.0))};
 }
 
-void JointFit::tell(RefitJoint& out) const {
+void JointFit::report(RefitJoint& out) const {
   out.coulomb = factor(Group::friction);
   out.viscous = factor(Group::viscous);
   out.moved_s = rows_.joints[joint_].moved_s;
@@ -560,7 +560,7 @@ std::vector<std::uint8_t> free_rows(const RefitRows& rows, std::span<const Refit
   return free;
 }
 
-void tell_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
+void report_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
                 RefitJoint& out) {
   const RefitRows::Joint& of = rows.joints[static_cast<std::size_t>(joint)];
   std::vector<double> all, of_blocks;
@@ -573,7 +573,7 @@ void tell_error(const RefitRows& rows, int joint, std::span<const double> left, 
     if (!ratios.empty()) of_blocks.push_back(quantile(std::move(ratios), kOneSigma));
   }
   out.error_ratio = out.error_ratio_upper = std::numeric_limits<double>::quiet_NaN();
-  if (!rows.knows_sigma || of_blocks.size() < 2) return;
+  if (!rows.has_sigma || of_blocks.size() < 2) return;
   const double mean = std::accumulate(of_blocks.begin(), of_blocks.end(), 0.0) / static_cast<double>(of_blocks.size());
   double squares = 0;
   for (double one : of_blocks) squares += (one - mean) * (one - mean);
@@ -645,7 +645,7 @@ Refit refit(const Bundle& bundle, std::span<const RefitSource> sources, const Re
   for (int j = 0; j < n; ++j) {
     const JointFit fit(bundle, rows, j, settings);
     RefitJoint& joint = out.joints.emplace_back();
-    fit.tell(joint);
+    fit.report(joint);
     expect_friction(bundle, j, joint.coulomb);
     fit.put(out.bundle);
     out.memory_s = std::max(out.memory_s, fit.memory_s());
@@ -664,7 +664,7 @@ Refit refit(const Bundle& bundle, std::span<const RefitSource> sources, const Re
     const auto at = static_cast<std::size_t>(j);
     for (std::size_t k = 0; k < rows.size(); ++k)
       if (free[k]) out.joints[at].largest_share = std::max(out.joints[at].largest_share, shares[at][k]);
-    tell_error(rows, j, left[at], free, out.joints[at]);
+    report_error(rows, j, left[at], free, out.joints[at]);
     expect_explained(bundle, j, out.joints[at].error_ratio);
     raise(out.bundle, j, out.joints[at]);
   }

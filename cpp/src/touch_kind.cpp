@@ -116,7 +116,7 @@ void TouchKind::begin(const Seen& seen) noexcept {
   s.begin_ns = s.peak_ns = seen.t_ns;
   s.base = -1;
   s.peak = s.way = s.came = s.fastest = s.steepest = s.yields = s.decided_size = 0;
-  s.says = Touch::none;
+  s.candidate = Touch::none;
   s.load = {};
   s.count = s.next = 0;
   s.speed_at = s.speed;
@@ -251,7 +251,7 @@ bool TouchKind::bounces(bool over) noexcept {
     if (stays || s.size > std::max(1.0, kBack * s.peak)) {
       s.bounced = false;
       s.kind = Touch::unknown;
-      s.says = Touch::none;
+      s.candidate = Touch::none;
     }
   } else if (s.size <= kFell * s.peak && seconds(s.peak_ns, s.begin_ns) <= kBounce_s + 1.5 / gain_per_s_ &&
              seconds(s.t_ns, s.peak_ns) <= kBounce_s + 0.7 / gain_per_s_ + 0.01) {
@@ -264,16 +264,16 @@ bool TouchKind::bounces(bool over) noexcept {
 void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (bounces(seen.over)) return;
-  const Touch looks = classify(recent, seen);
-  if (looks != s.says) {
-    s.says = looks;
+  const Touch found = classify(recent, seen);
+  if (found != s.candidate) {
+    s.candidate = found;
     s.candidate_ns = s.t_ns;
   }
   const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || seconds(s.t_ns, s.alarm_ns) <= kDecided_s;
-  const bool sure = looks != Touch::none && seconds(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
-  const bool lets_go = s.kind == Touch::clamp && looks == Touch::push;  // an arm that slips off looks like that
-  if (open && sure && looks != s.kind && !lets_go) {
-    s.kind = looks;
+  const bool sure = found != Touch::none && seconds(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
+  const bool lets_go = s.kind == Touch::clamp && found == Touch::push;  // an arm that slips off looks like that
+  if (open && sure && found != s.kind && !lets_go) {
+    s.kind = found;
     s.decided_size = s.size;
   }
   const bool may_turn = s.kind == Touch::push || s.kind == Touch::load;
@@ -284,7 +284,7 @@ void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
   s.count = s.next = 0;
   s.speed_at = s.speed_before = s.speed;
   s.place = {};
-  s.says = Touch::none;
+  s.candidate = Touch::none;
   s.kind = Touch::unknown;
 }
 

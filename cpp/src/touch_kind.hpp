@@ -85,7 +85,7 @@ class TouchKind {
   };
   static constexpr std::size_t kBlocks = 24, kPast = 9;
   struct State {
-    Touch kind = Touch::none, says = Touch::none;
+    Touch kind = Touch::none, candidate = Touch::none;
     bool timed = false, touching = false, lost = false, alarmed = false, bounced = false;
     int strongest = -1;
     std::int64_t t_ns = 0, begin_ns = 0, alarm_ns = 0, peak_ns = 0, over_ns = 0, candidate_ns = 0;

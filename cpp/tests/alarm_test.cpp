@@ -69,7 +69,7 @@ void a_contact_falls_back_and_a_collision_does_not() {
   CHECK(s.step(1010, 0, 7).alarm == Alarm::collision);
 }
 
-void one_sample_under_the_limit_begins_the_hold_time_anew() {
+void one_sample_under_the_limit_restarts_the_hold_time() {
   Stage s;
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, t % 5 == 4 ? 3 : 11, 0).alarm != Alarm::collision);
 }
@@ -191,7 +191,7 @@ void bad_limits_are_refused() {
 int main() {
   a_ramp_raises_contact_and_collision_after_their_hold_times();
   a_contact_falls_back_and_a_collision_does_not();
-  one_sample_under_the_limit_begins_the_hold_time_anew();
+  one_sample_under_the_limit_restarts_the_hold_time();
   near_stiction_has_its_own_limits();
   factors_scale_the_torque_that_raises_an_alarm();
   a_bent_presliding_state_is_near_stiction_at_any_speed();

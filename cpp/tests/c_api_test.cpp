@@ -397,7 +397,7 @@ void a_refit_in_c_is_that_of_cpp() {
   tauext_monitor_close(empty);
 }
 
-void what_cannot_be_opened_says_why() {
+void failed_opening_reports_the_cause() {
   char message[256];
   const auto says = [&](const char* part) {
     if (!std::strstr(message, part)) std::printf("message was: %s\n", message);
@@ -457,7 +457,7 @@ int main() {
   what_is_weighed_in_c_is_that_of_cpp();
   a_wrench_in_c_is_that_of_cpp();
   a_refit_in_c_is_that_of_cpp();
-  what_cannot_be_opened_says_why();
+  failed_opening_reports_the_cause();
   every_code_has_a_name();
   return check::result();
 }

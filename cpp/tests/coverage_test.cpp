@@ -52,7 +52,7 @@ bool is(const Unfamiliar& u, double share, Unseen what, int joint, int other) {
   return std::fabs(u.share - share) < 1e-12 && u.what == what && u.joint == joint && u.other == other;
 }
 
-void nothing_is_unfamiliar_where_nobody_knows() {
+void without_training_motion_nothing_is_unfamiliar() {
   const Pose anywhere{{1e9, -7, 0}, {1e9, 0, 0}};
   CHECK(is(Coverage(3, {}, kFades).evaluate(anywhere.q, anywhere.dq), 0, Unseen::nothing, -1, -1));
 }
@@ -74,7 +74,7 @@ void positions_count_by_cells_from_seen_ones_also_round_the_turn() {
   CHECK(is(at(3.1, 0.01, -99), 1, Unseen::position, 2, -1));
 }
 
-void pairs_know_positions_that_were_never_together() {
+void pairs_detect_untrained_combinations_of_positions() {
   CoverageSettings s = blank(4, 1);
   const double apart[] = {-2, -2, 0.25}, again[] = {2, 2, 0.25};
   s.see(apart);
@@ -96,7 +96,7 @@ void speeds_count_by_their_share_over_the_fastest() {
   CHECK(is(evaluate(s, {{0, 0, 0}, {-3, 1.06, 0.5}}), 1, Unseen::speed, 0, -1));
 }
 
-void one_that_is_alike_is_told_in_the_order_of_speeds_positions_and_pairs() {
+void ties_are_reported_in_the_order_of_speeds_positions_and_pairs() {
   CoverageSettings s = blank(2, 2);
   const double seen[] = {-2, -2, 0.25};
   s.see(seen);
@@ -204,11 +204,11 @@ void settings_that_do_not_fit_are_named() {
 }  // namespace
 
 int main() {
-  nothing_is_unfamiliar_where_nobody_knows();
+  without_training_motion_nothing_is_unfamiliar();
   positions_count_by_cells_from_seen_ones_also_round_the_turn();
-  pairs_know_positions_that_were_never_together();
+  pairs_detect_untrained_combinations_of_positions();
   speeds_count_by_their_share_over_the_fastest();
-  one_that_is_alike_is_told_in_the_order_of_speeds_positions_and_pairs();
+  ties_are_reported_in_the_order_of_speeds_positions_and_pairs();
   what_was_unfamiliar_fades_as_the_residual_forgets_it();
   shares_are_those_of_the_nearest_seen_cells();
   any_finite_numbers_have_a_share();

@@ -221,7 +221,7 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
   return "";
 }
 
-void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
+void batch_and_loop_agree_on_random_mixtures_of_all_faults() {
   const std::vector<Bundle> all = chains();
   std::mt19937_64 random(20260101);
   Seen seen;
@@ -250,7 +250,7 @@ void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
 }
 
 // The test above can fail: a chain that differs in one number is told apart.
-void another_chain_is_told_apart() {
+void another_chain_is_rejected() {
   const Bundle one = quick(2, 5, 2);
   Bundle other = one;
   other.output_scale_nm[1] *= 1 + 1e-15;
@@ -289,8 +289,8 @@ void a_recording_of_other_joints_is_refused() {
 }  // namespace
 
 int main() {
-  both_ways_say_the_same_of_random_mixtures_of_all_faults();
-  another_chain_is_told_apart();
+  batch_and_loop_agree_on_random_mixtures_of_all_faults();
+  another_chain_is_rejected();
   features_that_would_overflow_the_network_are_a_fault();
   a_recording_of_other_joints_is_refused();
   return check::result();

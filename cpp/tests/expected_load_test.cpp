@@ -307,7 +307,7 @@ void swallows_nothing(Meanwhile meanwhile) {
   CHECK(alarm);
 }
 
-void acknowledging_swallows_nothing() {
+void acknowledging_loses_no_alarm() {
   swallows_nothing([](Monitor& monitor, double t) {
     if (t >= kCommand_s && t < kCommand_s + 1e-3) CHECK(monitor.expect_load(3, 4));
     if (monitor.last().load_phase == LoadPhase::deciding) monitor.acknowledge();
@@ -362,7 +362,7 @@ void outside_the_window_nothing_changes() {
   }
 }
 
-void telling_the_load_ends_it() {
+void setting_the_load_ends_it() {
   Cell cell(Scene{});
   Monitor monitor(arm());
   for (int k = 0; k < 600; ++k) monitor.step(cell.next());
@@ -416,11 +416,11 @@ int main() {
   the_window_ends();
   no_blow_is_lost_where_the_window_ends();
   a_fault_in_the_window_hides_nothing();
-  acknowledging_swallows_nothing();
+  acknowledging_loses_no_alarm();
   asking_again_swallows_nothing();
   a_saved_state_holds_it();
   outside_the_window_nothing_changes();
-  telling_the_load_ends_it();
+  setting_the_load_ends_it();
   nonsense_is_refused_in_words();
   return check::result();
 }

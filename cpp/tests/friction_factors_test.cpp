@@ -81,7 +81,7 @@ void a_step_of_friction_is_followed_within_nine_seconds() {
   }
 }
 
-void parts_that_change_apart_are_told_apart() {
+void parts_that_change_separately_are_separated() {
   Arm arm;
   arm.move(30, 0.3, 0);
   CHECK_CLOSE(arm.off(0), 0.3, 0.03);
@@ -124,7 +124,7 @@ void pushes_are_not_friction() {
   }
 }
 
-void a_push_on_a_standing_arm_is_not_learned() {
+void a_push_on_a_resting_arm_is_not_learned() {
   Arm arm;
   arm.move(120, 0, 0, [](double, int, const double*) { return 3.0; }, true, 0);
   CHECK(!arm.learned());
@@ -132,7 +132,7 @@ void a_push_on_a_standing_arm_is_not_learned() {
 
 // What nobody can tell from friction: a force at a constant lever on a joint that moves alone. No more of it is learned
 // than the share, and where it is larger nothing; that is told.
-void of_what_looks_like_friction_no_more_than_a_share_is_learned() {
+void at_most_a_share_of_friction_like_force_is_learned() {
   const double friction = kCoulomb + 0.5 * kViscous;
   const auto against = [](double nm) {
     return [nm](double, int j, const double* dq) { return j == 0 ? -nm * std::tanh(dq[0] / 0.01) : 0.0; };
@@ -216,11 +216,11 @@ void a_restored_or_reset_tracker_goes_on_as_it_should() {
 
 int main() {
   a_step_of_friction_is_followed_within_nine_seconds();
-  parts_that_change_apart_are_told_apart();
+  parts_that_change_separately_are_separated();
   a_change_within_the_usual_error_is_left_alone();
   pushes_are_not_friction();
-  a_push_on_a_standing_arm_is_not_learned();
-  of_what_looks_like_friction_no_more_than_a_share_is_learned();
+  a_push_on_a_resting_arm_is_not_learned();
+  at_most_a_share_of_friction_like_force_is_learned();
   nothing_is_learned_while_another_joint_shows_a_push();
   what_cannot_be_trusted_teaches_nothing();
   without_a_standard_error_or_a_share_nothing_is_learned();

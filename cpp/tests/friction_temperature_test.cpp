@@ -85,7 +85,7 @@ void without_a_temperature_friction_is_that_of_the_reference() {
 }
 
 // As a recording, sample by sample, and told beside the samples; and a saved state knows it.
-void the_monitor_says_the_same_however_it_is_told() {
+void temperatures_in_bulk_by_sample_and_set_separately_agree() {
   const Bundle b = bundle();
   const Signals s = motion(1500);
   std::vector<double> celsius;
@@ -153,7 +153,7 @@ void what_makes_no_sense_is_refused_and_the_rest_is_saved() {
 int main() {
   friction_is_that_of_the_scaled_weights();
   without_a_temperature_friction_is_that_of_the_reference();
-  the_monitor_says_the_same_however_it_is_told();
+  temperatures_in_bulk_by_sample_and_set_separately_agree();
   temperatures_that_are_not_one_a_joint_are_refused();
   what_makes_no_sense_is_refused_and_the_rest_is_saved();
   return check::result();

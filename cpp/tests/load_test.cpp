@@ -258,7 +258,7 @@ void since_an_earlier_time_is_as_if_it_had_been_set_then() {
 }
 
 // The hand takes one thing, gives it away for another and lays that down; all of it is told afterwards, out of order.
-void what_is_told_again_begins_where_what_was_told_before_led() {
+void retroactive_loads_out_of_order_equal_loads_set_in_time() {
   Bundle b = bundle();
   b.drift = {};
   Load other = tool(0.2);
@@ -468,7 +468,7 @@ void nonsense_is_refused_and_changes_nothing() {
     CHECK(monitor.set_load(fine));  // a flat disc among them, at the bound
 }
 
-void without_a_model_it_is_refused_and_the_bundle_says_why() {
+void without_a_model_it_is_refused_with_the_reason() {
   Bundle b = bundle();
   for (Link& link : b.links) link.mass = link.rotor_inertia = 0, link.com = {}, link.inertia = {};
   b.prior.corrected_links.clear();
@@ -611,7 +611,7 @@ int main() {
   set_at_first_it_is_a_bundle_whose_links_hold_it();
   it_acts_from_the_next_step_on();
   since_an_earlier_time_is_as_if_it_had_been_set_then();
-  what_is_told_again_begins_where_what_was_told_before_led();
+  retroactive_loads_out_of_order_equal_loads_set_in_time();
   before_a_gap_is_the_gap();
   longer_ago_than_r_remembers_all_but_a_rest_comes_back();
   taken_off_nothing_of_it_stays();
@@ -619,7 +619,7 @@ int main() {
   what_drift_learned_of_it_is_taken_back();
   the_drift_of_an_earlier_second_comes_back();
   nonsense_is_refused_and_changes_nothing();
-  without_a_model_it_is_refused_and_the_bundle_says_why();
+  without_a_model_it_is_refused_with_the_reason();
   the_corrected_model_alone_can_carry_it();
   other_residuals_carry_it_from_now_on();
   a_saved_state_holds_it();

@@ -275,7 +275,7 @@ void positions_that_are_held_and_stamps_that_jitter_are_no_jumps() {
   CHECK(e.causes == kImpossiblePosition && e.cause_joint == 1);
 }
 
-void a_gap_in_the_samples_warms_up_anew_and_says_why() {
+void a_gap_restarts_the_warm_up_and_reports_the_cause() {
   const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
   Monitor monitor(bundle);
   feed(monitor, regular(2, kWarm), 0, kWarm);
@@ -368,7 +368,7 @@ void a_saturated_drive_is_a_fault_that_hides_no_collision() {
   CHECK(monitor.last().alarm == Alarm::none && monitor.last().clear());
 }
 
-void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
+void a_frozen_encoder_is_a_fault_and_a_resting_arm_is_not() {
   const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
   // Joint 2's position freezes while its velocity goes on.
   Signals s = regular(2, 6000);
@@ -668,7 +668,7 @@ void resume_of_joints_that_slide_is_an_acknowledgement() {
   }
 }
 
-void names_are_told() {
+void names_are_reported() {
   for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
   CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
   CHECK(std::string(name(Health::warming_up)) == "warming up" && std::string(name(Alarm::collision)) == "collision");
@@ -694,11 +694,11 @@ int main() {
   what_a_collision_can_cause_is_judged();
   a_position_that_jumps_is_a_fault_once_wherever_it_stays();
   positions_that_are_held_and_stamps_that_jitter_are_no_jumps();
-  a_gap_in_the_samples_warms_up_anew_and_says_why();
+  a_gap_restarts_the_warm_up_and_reports_the_cause();
   late_and_missing_samples_are_stale_and_change_nothing();
   another_rate_is_refused_and_the_right_one_taken_up_again();
   a_saturated_drive_is_a_fault_that_hides_no_collision();
-  an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not();
+  a_frozen_encoder_is_a_fault_and_a_resting_arm_is_not();
   reset_equals_fresh_and_acknowledge_ends_the_alarm_alone();
   a_restored_monitor_goes_on_as_if_nothing_had_been();
   a_restored_monitor_goes_on_with_every_method();
@@ -711,7 +711,7 @@ int main() {
   drift_is_not_learned_from_motion_that_training_never_saw();
   resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();
-  names_are_told();
+  names_are_reported();
   a_bundle_that_does_not_hold_together_makes_no_monitor();
   return check::result();
 }

@@ -526,7 +526,7 @@ void the_doubt_at_rest_has_its_closed_form() {
 
 // An arm that was seen to come to rest, and one that is first seen at rest and then creeps: what the second cannot know
 // lies within its doubt at every sample, and the doubt goes when the joint has travelled.
-void the_doubt_bounds_what_an_unknown_start_may_hide() {
+void the_doubt_bounds_the_error_of_an_unknown_start() {
   const PriorSettings settings = of_two_widths({{TermKind::presliding, 0, 0, 0, 0, 0},
                                                 {TermKind::presliding, 0, 1, 0, 0, 0},
                                                 {TermKind::viscous, 0, 0, 0, 0, 0}},
@@ -625,7 +625,7 @@ int main() {
   a_restored_stage_goes_on_and_a_reset_one_begins_as_a_fresh_one();
   a_saved_bundle_keeps_its_prior();
   the_doubt_at_rest_has_its_closed_form();
-  the_doubt_bounds_what_an_unknown_start_may_hide();
+  the_doubt_bounds_the_error_of_an_unknown_start();
   the_doubt_after_forgetting_bounds_what_happened_unseen();
   without_a_prior_nothing_is_expected();
   return check::result();

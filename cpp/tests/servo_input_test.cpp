@@ -146,7 +146,7 @@ void one_step_is_the_difference_and_so_is_no_count() {
   CHECK(one[0] == 0);
 }
 
-void a_pause_starts_the_window_anew() {
+void a_pause_restarts_the_window() {
   ServoInput input(servo(TorqueFrom::torque, 16));
   const double tau[] = {0.5};
   std::int64_t t_ns = 0;
@@ -209,7 +209,7 @@ int main() {
   a_flicker_between_two_counts_has_no_speed();
   an_accelerating_joint_is_followed();
   one_step_is_the_difference_and_so_is_no_count();
-  a_pause_starts_the_window_anew();
+  a_pause_restarts_the_window();
   a_goal_acts_after_its_delay();
   wrong_settings_are_refused();
   return check::result();

@@ -193,7 +193,7 @@ void a_weight_at_the_load_frame_is_a_load() {
   CHECK(weight(-1).at(0.2) == Touch::push);  // nothing is lighter than nothing
 }
 
-void what_nobody_saw_begin_is_not_decided() {
+void a_touch_without_an_observed_start_is_unknown() {
   const Touching steady = [](double) { return Moment{{0, 0.3, 0, 0}, {0, -3, 0, 0}}; };
   Run run;
   run.r = {0, -6, 0, 0};
@@ -240,7 +240,7 @@ void an_alarm_that_ends_takes_its_kind_along() {
 }
 
 // The monitor says it with the answer after, offline as online; names are told.
-void the_chain_says_it() {
+void the_chain_reports_it() {
   Bundle bundle = make_bundle();
   const std::size_t samples = 3000;
   std::vector<std::int64_t> t_ns(samples);
@@ -275,10 +275,10 @@ int main() {
   a_blow_is_an_impact();
   what_bounces_and_then_holds_is_a_clamp();
   a_weight_at_the_load_frame_is_a_load();
-  what_nobody_saw_begin_is_not_decided();
+  a_touch_without_an_observed_start_is_unknown();
   samples_without_an_estimate_change_nothing();
   a_state_goes_on_in_another();
   an_alarm_that_ends_takes_its_kind_along();
-  the_chain_says_it();
+  the_chain_reports_it();
   return check::result();
 }

@@ -6,7 +6,7 @@
 namespace tauext {
 namespace {
 
-// What ObserveStage said of every sample, as columns; residual, prior and doubt stand in the answer already.
+// Results of ObserveStage for every sample, as columns; residual, prior and doubt are already in the answer.
 struct Seen {
   struct Row {
     std::uint32_t causes, near_stiction;

@@ -164,7 +164,7 @@ Load changed(const Load& before, const LoadChange& change) noexcept {
   if (!(mass > 0)) return load;
   if (change[0] > 0) {
     load = together(before, ball(change[0], com_of(change)));
-  } else {  // what is left of a body: nobody knows how it is spread, and as before is possible
+  } else {  // rest of a partly removed load: its centre is unknown, so the old one stays possible
     load = before;
     load.mass = mass;
     for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;

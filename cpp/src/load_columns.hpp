@@ -1,4 +1,4 @@
-// What a load that nobody told shows in tau_ext, per unit of its parameters; and what else could show there.
+// Contribution of an unknown load to tau_ext per unit of its parameters, and of other possible causes.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -66,7 +66,7 @@ class LoadRegressor {
   Forces frame_forces_{}, base_forces_{};
 };
 
-// All of it passed through the observer's own filter, so that it stands beside tau_ext:
+// All columns are passed through the observer's filter, in phase with tau_ext:
 //   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
 //   offset     what of the load's friction does not grow with phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
 //   frame, base force   torque of 1 N at the load frame's origin along its own axes and along the base's
@@ -86,12 +86,12 @@ class LoadColumns {
   // Throws Error where the frame or the shares do not fit the tree.
   LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s);
 
-  // The next sample starts anew.
+  // Restarts at the next sample.
   void reset() noexcept;
   // One sample, with beta of the estimated model; phi: (kParameters), of the load.
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
             std::span<const double> phi) noexcept;
-  // The first sample, where r has been running: the filters stand as if the arm had been so for long.
+  // First sample while r is already running: filters start in steady state.
   void begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
              std::span<const double> phi) noexcept;
   bool started() const noexcept { return state_.filters.front().started(); }
@@ -121,7 +121,7 @@ class LoadColumns {
   std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
   std::vector<double> shares_;
   State state_;
-  bool settled_ = false;  // filters stand at what goes into them
+  bool settled_ = false;  // filters are in steady state
 };
 
 // The columns at `samples` of a recording, which rise; row-major.

@@ -189,7 +189,7 @@ std::array<double, kMost * kMost> inverted(const std::array<double, kMost * kMos
 }
 
 void report_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& whole, const LoadBefore& before,
-               LoadFit& fit) noexcept {
+                 LoadFit& fit) noexcept {
   double total = 0, worth = 0, independent = 0;
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);

@@ -12,14 +12,14 @@ namespace tauext {
 //   d_k = (p_k - p_{k-1})/dt - mean over the step of (tau_m - beta),  a = exp(-K0 dt),  r_k = a r_{k-1} + (1 - a) d_k.
 // The mean of tau_m follows from what a torque sample means (TorqueTiming); that of beta is the trapezoid.
 // Sign: r is positive where the environment pushes the joint in its positive direction; friction and modelling error
-// of the estimated model stand in it with their own signs.
+// of the estimated model are part of it, with their own signs.
 // A constant push from rest gives r(t) = (1 - exp(-K0 t)) tau_ext at every sample, whatever the steps.
 class MomentumObserver {
  public:
   // gain_per_s: K0 > 0, [1/s]. Throws Error otherwise, or where joints is not 1 to kMaxJoints.
   MomentumObserver(int joints, double gain_per_s, TorqueTiming timing);
 
-  // Forget everything: the next sample starts anew with r = 0.
+  // Clears all state: the next sample restarts with r = 0.
   void reset() noexcept { started_ = false; }
 
   // One sample; residual [N m] is written. The first sample after a reset only starts the observer and gives zeros.

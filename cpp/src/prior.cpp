@@ -31,7 +31,7 @@ PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3
 }
 
 void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-                      std::span<const double> beta) noexcept {
+                         std::span<const double> beta) noexcept {
   q_ = q;
   dq_ = dq;
   beta_ = beta;

@@ -49,7 +49,7 @@ class PriorTerms {
 
   // Processes one sample; beta is of the estimated model. The arguments must stay alive until the next call.
   void compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-            std::span<const double> beta) noexcept;
+               std::span<const double> beta) noexcept;
   // Value of a term; for momentum terms their momentum.
   double value(std::size_t term) const noexcept;
   // Largest deviation from it while its presliding state is undetermined.

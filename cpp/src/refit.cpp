@@ -51,8 +51,8 @@ inline std::pair<std::size_t, std::size_t> block_of(std::size_t rows, int block,
 }
 
 // minimise |u|^2 + k sum_r t_r (y_r - a_r.u)^2 / s^2 over the unknowns u of RefitSettings, with y = error / sigma,
-// a = terms' values by sigma times what a unit of u changes their weights by (of the trend: by that row's time), t Tukey's weights, s the spread of what is
-// left and k the share of rows that are independent.
+// a = terms' values by sigma, times the change of their weights per unit of u (of the trend: times the row's time). t:
+// Tukey's weights; s: spread of the residual; k: share of independent rows.
 class JointFit {
  public:
   JointFit(const Bundle& bundle, const RefitRows& rows, int joint, const RefitSettings& settings);
@@ -561,7 +561,7 @@ std::vector<std::uint8_t> free_rows(const RefitRows& rows, std::span<const Refit
 }
 
 void report_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
-                RefitJoint& out) {
+                  RefitJoint& out) {
   const RefitRows::Joint& of = rows.joints[static_cast<std::size_t>(joint)];
   std::vector<double> all, of_blocks;
   for (int block = 0; block < kBlocks; ++block) {

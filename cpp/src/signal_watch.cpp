@@ -25,7 +25,7 @@ SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_
 }
 
 Impossible SignalWatch::check(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                             std::span<const double> tau, bool follows) const noexcept {
+                              std::span<const double> tau, bool follows) const noexcept {
   follows = follows && state_.started;
   // Counts how long a position changed with every sample; explain() covers the other cases.
   const double since_s = follows ? 1e-9 * (static_cast<double>(elapsed_ns(t_ns, state_.t_ns)) + sample_period_ns_)

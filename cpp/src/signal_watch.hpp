@@ -55,7 +55,7 @@ class SignalWatch {
   // sample period and kEncoderRad for jitter. Applies for as long as the clock bridges gaps, and only to direct
   // successors of the last step(). After a fault or gap the check restarts, so a moved zero costs one sample.
   Impossible check(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                  std::span<const double> tau, bool follows) const noexcept;
+                   std::span<const double> tau, bool follows) const noexcept;
 
   // Processes one sample with finite values. ticks: of the SampleClock since the last one; 0 after a restart.
   // Rate: the mean step (exponential, one second) differs from the sample period by more than rate_tolerance. A bridged

@@ -83,10 +83,10 @@ struct SlidingLstm::Windows {
   struct Position {
     std::int64_t row = -1;           // last row of the stretch, -1 before the first
     std::int64_t advanced = -1;      // last row that the filling windows have taken in
-    std::int64_t due = -1;           // row whose window stands ready in due_h and due_c
-    std::int64_t answered = -1;      // row whose answer stands in `last`
-    std::int64_t projected = -1;     // row whose projection stands in `projection`
-    std::int32_t ring_at = 0;        // where in the ring the last row stands
+    std::int64_t due = -1;           // row whose finished window is in due_h and due_c
+    std::int64_t answered = -1;      // row whose answer is in `last`
+    std::int64_t projected = -1;     // row whose projection is in `projection`
+    std::int32_t ring_at = 0;        // ring index of the last row
     std::int32_t unused = 0;
   };
   static_assert(std::is_trivially_copyable_v<Position>);
@@ -106,7 +106,7 @@ struct SlidingLstm::Windows {
     groups = static_cast<int>(round_up(static_cast<std::size_t>(length - 1), static_cast<std::size_t>(lane_width))) / lane_width;
     phase_floats = static_cast<std::size_t>(groups) * 2 * P * static_cast<std::size_t>(lane_width);
     const std::size_t states = phase_floats * static_cast<std::size_t>(every_sample ? stride : 1);
-    // Rows that were pushed at once, and those that the first of them looks back to.
+    // Rows pushed at once, and the earlier rows that the first of them needs.
     ring_rows = static_cast<std::int64_t>(largest_lag) * stride + std::max(stride, kMostBridged) + 2;
     const std::size_t ring_floats = static_cast<std::size_t>(ring_rows) * static_cast<std::size_t>(columns);
     if ((states + ring_floats) * sizeof(float) > kMaxSlidingBytes)

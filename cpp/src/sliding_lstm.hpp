@@ -28,7 +28,7 @@ class SlidingLstm {
   SlidingLstm(SlidingLstm&&) noexcept;
   SlidingLstm& operator=(SlidingLstm&&) noexcept;
 
-  // The next row begins a new stretch: nothing looks back beyond it.
+  // The next row begins a new stretch without history.
   void restart() noexcept;
   // A new row, `ticks` (1 to stride + 1) after the last; the ticks between hold the last one. Of a stretch's first row
   // `ticks` is not looked at.

@@ -27,8 +27,7 @@ struct Bundle;
 //  if the arm stood still:
 //    push   S stopped growing, and not because the arm yields more
 //    clamp  S keeps growing as since its start
-// In doubt the touch is a clamp, and stays one. A touch that fits no class, or whose start was not observed, is
-// unknown.
+// In doubt the touch is a clamp, and stays one. Without a fitting class or an observed start it is unknown.
 class TouchKind {
  public:
   static constexpr double kBegins = 0.5;       // of a limit: rarely reached by errors; tracking starts here ...

@@ -65,7 +65,7 @@ void a_contact_falls_back_and_a_collision_does_not() {
   CHECK(s.step(1000, 0, 0).alarm == Alarm::none);
   for (int t = 1001; t < 1005; ++t) s.step(t, 0, 7);
   s.alarm.acknowledge();
-  for (int t = 1005; t < 1010; ++t) CHECK(s.step(t, 0, 7).alarm != Alarm::collision);  // its hold time begins anew
+  for (int t = 1005; t < 1010; ++t) CHECK(s.step(t, 0, 7).alarm != Alarm::collision);  // its hold time restarts
   CHECK(s.step(1010, 0, 7).alarm == Alarm::collision);
 }
 
@@ -126,8 +126,8 @@ void the_error_scale_multiplies_limits_and_not_the_doubt() {
   CHECK(s.limit_nm[0] == 37);
 }
 
-// Joint 1 is pushed while it is stuck (limits 20 and 8), and told at its usual limit; what the push leaves in its friction
-// is more than that limit, and no alarm until the joint slides.
+// Joint 1 is pushed while stuck (limits 20 and 8) and reported at its usual limit. The friction left by the push exceeds
+// that limit, but raises no alarm until the joint slides.
 void limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides() {
   Stage s(2);
   for (int t = 0; t < 20; ++t) s.step(t, 25, 0, true, 0);
@@ -148,7 +148,7 @@ void limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides() 
   s.step(571, 0, 0, true, 1.0);
   CHECK(s.limit_nm[0] == 10);
   s.step(572, 0, 0, true, 0);
-  CHECK(s.limit_nm[0] == 20);  // and stands again, its friction known
+  CHECK(s.limit_nm[0] == 20);  // at rest again, with modelled friction
 }
 
 void what_cannot_be_trusted_neither_raises_nor_ends_an_alarm() {

@@ -159,7 +159,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
-  // The same with a header that knows of it.
+  // The same with a header of the matching size and checksum.
   const std::uint64_t size = bytes.size() - 28;
   const std::uint32_t crc = crc32(std::span(bytes).subspan(28));
   std::memcpy(bytes.data() + 16, &size, sizeof size);
@@ -169,7 +169,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   refused("cannot be opened", [] { load_bundle(folder.file("none.tauext")); });
 }
 
-// Widths alone are no prior: they tell the region of a limit.
+// Widths alone are not a prior: they select the limit near stiction.
 void every_method_and_filter_is_kept_and_widths_go_with_them() {
   for (const ResidualMethod method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
     Bundle b = made::bundle(2, 0, 5, 10, 1);
@@ -278,7 +278,7 @@ void units_are_reported() {
   CHECK(told(b) == "N m|N|N m|N");
   b.observer.method = ResidualMethod::energy;
   CHECK(told(b) == "N m|N|W|W");
-  b.units.given = TorqueUnit::ampere;  // nobody knows what a product of amperes and speeds is
+  b.units.given = TorqueUnit::ampere;  // the product of amperes and speeds has no unit here
   CHECK(told(b) == "A|A|A|A");
 }
 

@@ -84,8 +84,8 @@ void pairs_detect_untrained_combinations_of_positions() {
   CHECK(is(evaluate(s, {{2, -2 + kTurn / 32, 0.25}, {}}), 1, Unseen::positions, 0, 1));
   CHECK(is(evaluate(s, {{-2, -2 + kTurn / 32, 0.25}, {}}), 0, Unseen::nothing, -1, -1));
   CHECK(is(evaluate(s, {{-2, -2 + 2 * kTurn / 32, 0.25}, {}}), 0.5, Unseen::positions, 0, 1));
-  CHECK(is(evaluate(s, {{-2, -2 + 2 * kTurn / 32, 9}, {}}), 1, Unseen::position, 2, -1));  // looked at first
-  s.reach[2] = 0;  // by itself it tells nothing
+  CHECK(is(evaluate(s, {{-2, -2 + 2 * kTurn / 32, 9}, {}}), 1, Unseen::position, 2, -1));  // first in order
+  s.reach[2] = 0;  // alone it is not checked
   CHECK(is(evaluate(s, {{-2, -2, 9}, {}}), 1, Unseen::positions, 0, 2));
 }
 

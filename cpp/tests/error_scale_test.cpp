@@ -49,7 +49,7 @@ void a_speed_step_follows_the_filters() {
       s.step(-v, 0, ns);
       const double expected = (1 - a) * kKa * v * b * (std::pow(a, k) - std::pow(b, k)) / (a - b);
       CHECK_CLOSE(s.scale[0], expected, 1e-12 * kKa);
-      CHECK_CLOSE(s.scale[1], expected, 1e-12 * kKa);  // that of the whole arm, told by another joint
+      CHECK_CLOSE(s.scale[1], expected, 1e-12 * kKa);  // the feature of the whole arm, from another joint
       CHECK_CLOSE(s.sigma[0], 100 * expected, 1e-9);
     }
   }
@@ -73,7 +73,7 @@ void a_ramp_of_the_speed_is_an_acceleration_without_jerk() {
 void standstill_is_remembered_and_fades() {
   Scale s({{MotionFeature::standstill}, {1, 1}, {9, 9}, {1, 1}, {1, 1}, {9, 9}});
   s.step(2.0, 0.0);
-  CHECK_CLOSE(s.scale[0], 1.0, 1e-12);  // nobody knows what was before
+  CHECK_CLOSE(s.scale[0], 1.0, 1e-12);  // the previous motion is unknown
   for (int k = 0; k < 5000; ++k) s.step(2.0, ErrorScale::kCreepRadS);
   CHECK_CLOSE(s.scale[0], 1e-4, 1e-6);
   CHECK_CLOSE(s.scale[1], 0.5, 1e-9);

@@ -1,4 +1,4 @@
-// A load that is expected: taken, told and set; pushes in the same window; nothing swallowed.
+// Expected loads: accepted, reported and set; pushes in the same window are not missed.
 #include "expected_load.hpp"
 
 #include <algorithm>
@@ -172,7 +172,7 @@ void a_load_is_taken_and_set() {
     CHECK(told.phase == LoadPhase::weighing);
     CHECK(told.found_s - kStep_s < lasts + 0.7);  // settled, and decided
   }
-  const Told untold = [] {  // the same load without the gripper's word: the test can fail
+  const Told untold = [] {  // the same load without the announcement: the test can fail
     Cell cell(pick(1e-3));
     Monitor monitor(arm());
     Told out;
@@ -204,7 +204,7 @@ void a_load_that_is_put_down_goes() {
     CHECK(told.alarm_s < 0);
     CHECK(told.held_s > kStep_s);
     CHECK(told.load.mass == 0);
-    CHECK(told.phase == LoadPhase::none);  // nothing is left to be weighed
+    CHECK(told.phase == LoadPhase::none);  // nothing left to estimate
   }
 }
 

@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::int64_t kMs = 1'000'000;
 
-// Sample k: every value tells the sample that it belongs to.
+// Sample k: every value identifies its sample.
 struct Source {
   double q[2], dq[2], tau[2];
   Estimate e;

@@ -130,8 +130,8 @@ void a_push_on_a_resting_arm_is_not_learned() {
   CHECK(!arm.learned());
 }
 
-// What nobody can tell from friction: a force at a constant lever on a joint that moves alone. No more of it is learned
-// than the share, and where it is larger nothing; that is told.
+// A force at a constant lever on a joint that moves alone is not distinguishable from friction. At most the share is
+// learned, and nothing of a larger force; the joint is then reported as saturated.
 void at_most_a_share_of_friction_like_force_is_learned() {
   const double friction = kCoulomb + 0.5 * kViscous;
   const auto against = [](double nm) {
@@ -144,7 +144,7 @@ void at_most_a_share_of_friction_like_force_is_learned() {
   CHECK(!much.learned() && much.tracker.saturated() == 1);
 }
 
-// Another joint that something pushes says that the arm is touched.
+// A push on another joint shows that the arm is touched.
 void nothing_is_learned_while_another_joint_shows_a_push() {
   const auto push = [](double t, int j, const double*) { return j == 1 ? 4.0 * std::sin(0.9 * t) : 0.0; };
   Arm arm;
@@ -191,7 +191,7 @@ void strokes_grow_old() {
   arm.move(FrictionFactors::kOld_s, 0.3, 0.3, {}, true, 0);
   arm.move(5, -0.3, -0.3);
   arm.move(4, -0.3, -0.3);
-  CHECK(arm.off(0) < 0);  // the old ones say nothing
+  CHECK(arm.off(0) < 0);  // old strokes are ignored
 }
 
 void a_restored_or_reset_tracker_goes_on_as_it_should() {

@@ -84,7 +84,7 @@ void without_a_temperature_friction_is_that_of_the_reference() {
   CHECK(one.prior == other.prior && one.tau_ext.back() == other.tau_ext.back());
 }
 
-// As a recording, sample by sample, and told beside the samples; and a saved state knows it.
+// As a recording, by sample, and set beside the samples; a saved state includes the temperature.
 void temperatures_in_bulk_by_sample_and_set_separately_agree() {
   const Bundle b = bundle();
   const Signals s = motion(1500);
@@ -105,7 +105,7 @@ void temperatures_in_bulk_by_sample_and_set_separately_agree() {
     }
     const Estimate& one = by_sample.step(warm.at(k));
     const Estimate& other = told.step(s.at(k));
-    const Estimate& third = k < 1000 ? other : restored.step(s.at(k));  // nobody tells it anew
+    const Estimate& third = k < 1000 ? other : restored.step(s.at(k));  // not set again
     for (std::size_t j = 0; j < 2; ++j) {
       CHECK(one.prior[j] == bulk.prior[2 * row + j] && other.prior[j] == one.prior[j]);
       if (k >= 1000 && k < 1100) CHECK(third.prior[j] == one.prior[j]);

@@ -257,7 +257,7 @@ void since_an_earlier_time_is_as_if_it_had_been_set_then() {
   }
 }
 
-// The hand takes one thing, gives it away for another and lays that down; all of it is told afterwards, out of order.
+// The gripper takes a load, exchanges it and releases it; all is set afterwards, out of order.
 void retroactive_loads_out_of_order_equal_loads_set_in_time() {
   Bundle b = bundle();
   b.drift = {};
@@ -279,7 +279,7 @@ void retroactive_loads_out_of_order_equal_loads_set_in_time() {
   }
 }
 
-// r begins anew after a gap, whoever carried what before it.
+// After a gap r restarts, whatever was carried before.
 void before_a_gap_is_the_gap() {
   Bundle b = bundle();
   b.drift = {};
@@ -474,7 +474,7 @@ void without_a_model_it_is_refused_with_the_reason() {
   b.prior.corrected_links.clear();
   std::erase_if(b.prior.terms, [](const Term& term) { return is_load(term); });
   b.prior.weights.assign(b.prior.terms.size() * kJoints, 0.1);
-  CHECK_THROWS((answer_reference(b), b.validate()), Error);  // it says that a load can be set
+  CHECK_THROWS((answer_reference(b), b.validate()), Error);  // it claims that a load can be set
   b.assume_load();
   b.validate();
   Monitor monitor(b);
@@ -511,7 +511,7 @@ void the_corrected_model_alone_can_carry_it() {
   CHECK(largest_difference(told.last(), later.last()) < 1e-2);
 }
 
-// Methods without a past carry it from now on, and say so.
+// Methods without stored samples carry the load from now on, and report that.
 void other_residuals_carry_it_from_now_on() {
   for (const auto method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
     Bundle b = bundle();

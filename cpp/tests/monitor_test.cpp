@@ -127,8 +127,7 @@ Estimate feed(Monitor& monitor, const Signals& s, std::int64_t from, std::int64_
 
 constexpr int kWarm = 700;  // samples after which observer and window are full
 
-// Whatever broke the chain: the monitor says fault, comes back by itself, and from there on says what a fresh one says
-// that saw only what came afterwards.
+// After any restart the monitor reports a fault, recovers, and then equals a new monitor.
 template <class Break>
 void comes_back(std::uint32_t cause, Break&& broken, std::int64_t resumes_at_ms, const Bundle* of = nullptr) {
   const Bundle bundle = of ? *of : made::bundle(2, 20, kSteps, kStride, 3);
@@ -178,7 +177,7 @@ void broken_signals_are_faults_and_the_monitor_comes_back() {
   comes_back(kGap, [](Monitor& m) { return m.no_sample((kWarm + 50) * kMs); }, kWarm + 60);
 }
 
-// That knows what its arm can do.
+// A bundle with ranges of possible signals.
 Bundle bounded() {
   Bundle b = made::bundle(2, 20, kSteps, kStride, 3);
   b.signals.torque_limit_nm = {150, 60};
@@ -390,7 +389,7 @@ void a_frozen_encoder_is_a_fault_and_a_resting_arm_is_not() {
   }
   Monitor driven(bundle);
   CHECK((feed(driven, s, 0, 3000).causes & kEncoderStill) != 0);
-  // A servo counts behind its gear: one that something blocks does not move, and its torque is what is to be told.
+  // A servo counts behind its gear: a blocked joint does not move, and its torque must be reported.
   Bundle servo = bundle;
   servo.servo = {TorqueFrom::duty, 8, servo.observer.sample_period_ns, 0, {{}, {}}};
   Monitor blocked(servo);
@@ -471,7 +470,7 @@ void drift_outlives_gaps_and_faults() {
   bundle.signals.torque_limit_nm = {150, 60};
   Monitor monitor(bundle);
   feed(monitor, regular(2, 3000), 0, 3000);
-  const Estimate before = feed(monitor, regular(2, 1, 3100), 0, 1);  // a gap: the filters began anew
+  const Estimate before = feed(monitor, regular(2, 1, 3100), 0, 1);  // a gap: the filters restarted
   CHECK(before.health == Health::warming_up && before.drift[0] == 0 && std::isnan(before.tau_ext[0]));
   monitor.no_sample(9'000 * kMs);
   CHECK(std::isnan(monitor.last().drift[0]));
@@ -479,7 +478,7 @@ void drift_outlives_gaps_and_faults() {
   const Signals after = regular(2, 500, 9'100);
   const Estimate learned = feed(monitor, after, 0, 500), none = feed(fresh, after, 0, 500);
   CHECK(none.drift[0] == 0 && std::fabs(learned.drift[0]) > 0.01);
-  // A drive at its limit gives another torque than it is told: tau_ext is judged, but teaches nothing.
+  // A saturated drive gives another torque than commanded: tau_ext is judged, but not learned from.
   Signals s = regular(2, 2000);
   for (std::size_t k = 0; k < 2000; ++k) s.tau[2 * k + 1] = -60;
   fresh.reset();
@@ -496,7 +495,7 @@ void a_left_out_advance_is_made_up_for() {
   for (std::int64_t k = 0; k < 1500; ++k) CHECK(same(stepping.step(s.at(k)), estimating.estimate(s.at(k))));
 }
 
-// Limits follow at the next sample, doubt apart; what the chain says beside them does not move by a bit.
+// Limits change at the next sample, apart from doubt; all other results stay equal to the bit.
 void limit_factors_scale_the_limits_and_nothing_else() {
   const Bundle bundle = tracking(made::bundle(2, 20, kSteps, kStride, 3));
   const Signals s = regular(2, 2000);
@@ -570,7 +569,7 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   StickyArm arm{Monitor(bundle)};
   CHECK(arm.go(1000, 0.02, 5) == Alarm::none && arm.monitor.last().doubt[0] < 1e-6);
   CHECK(arm.go(500, 0, 5) == Alarm::none);
-  // A push came and went: now 1 Nm holds the joint where it took 5, and nothing in its position says so.
+  // After a push, 1 Nm holds the joint where it took 5 before; its position does not show that.
   CHECK(arm.go(500, 0, 1) == Alarm::collision);
   CHECK_CLOSE(arm.monitor.last().tau_ext[0], 4, 1e-3);  // 10/K0 later
   arm.monitor.acknowledge();
@@ -591,7 +590,7 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
 }
 
-// Limits near stiction hold on for as long as the bundle says after a joint has begun to slide.
+// Limits near stiction persist for the bundle's time after a joint started to slide.
 void a_joint_that_breaks_away_keeps_its_limit_for_a_while() {
   Bundle bundle = StickyArm::bundle();
   bundle.limits.collision.near_stiction_nm = {7, 7};
@@ -636,7 +635,7 @@ void drift_is_not_learned_from_motion_that_training_never_saw() {
   CHECK(familiar.last().drift[0] != 0 && lost.last().drift[0] == 0 && lost.last().drift[1] == 0);
 }
 
-// The doubt after resume() stands in place of the factor after a contact, not on top of it.
+// The doubt after resume() replaces the factor after a contact; they do not multiply.
 void resume_ends_what_a_contact_raised() {
   Bundle bundle = StickyArm::bundle();
   bundle.limits.after_contact_factor = 3;

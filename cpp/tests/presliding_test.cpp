@@ -65,7 +65,7 @@ void a_triangle_motion_gives_the_closed_form() {
   }
 }
 
-// 2 w is the span that the joint has covered, not the length of its way: trembling within it tells nothing more.
+// 2 w is the covered span, not the path length: small oscillations within it add no information.
 void trembling_within_twice_the_width_leaves_the_state_undetermined() {
   const double width = std::ldexp(1.0, -7);
   Presliding bank(1, std::span(&width, 1));
@@ -275,7 +275,7 @@ void local_memory_follows_the_branch_and_leaves_the_bank_at_the_second_reversal(
   CHECK(local() == 1 && bank.memory_gap(0) == 0);
 }
 
-// One width has one slope, so that nothing tells the two kinds of memory apart.
+// One width has one slope: both kinds of memory are equal.
 void a_branch_of_one_width_is_the_bank_once_that_is_determined() {
   const double width = 3e-4;
   const double one[] = {1};

@@ -443,7 +443,7 @@ void a_restored_monitor_goes_on_with_prior_and_presliding_states() {
   }
 }
 
-// A network sees the presliding states, too; without a prior it has no doubt, and goes on with what it knows.
+// A network uses the presliding states, too; without a prior there is no doubt, and it continues.
 void resume_without_a_prior_is_an_acknowledgement() {
   Bundle bundle = with_everything(2, 20);
   bundle.prior.terms.clear();
@@ -524,8 +524,7 @@ void the_doubt_at_rest_has_its_closed_form() {
   }
 }
 
-// An arm that was seen to come to rest, and one that is first seen at rest and then creeps: what the second cannot know
-// lies within its doubt at every sample, and the doubt goes when the joint has travelled.
+// An arm seen coming to rest, and one first seen at rest that then creeps: the doubt covers the unknown start.
 void the_doubt_bounds_the_error_of_an_unknown_start() {
   const PriorSettings settings = of_two_widths({{TermKind::presliding, 0, 0, 0, 0, 0},
                                                 {TermKind::presliding, 0, 1, 0, 0, 0},

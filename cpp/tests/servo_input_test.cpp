@@ -42,7 +42,7 @@ void every_way_gives_the_torque_of_the_motor() {
     CHECK_CLOSE(torque(TorqueFrom::duty, w, {}, {}, d, v), tau, 1e-12);
     CHECK_CLOSE(torque(TorqueFrom::goal, w, goal, {}, {}, v), tau, 1e-12);
     const double drawn[] = {std::fabs(duty * ampere)};
-    if (std::fabs(duty) < 1e-3 || duty * ampere < 0) continue;  // it brakes: an unsigned current cannot tell
+    if (std::fabs(duty) < 1e-3 || duty * ampere < 0) continue;  // braking: an unsigned current has no direction
     CHECK_CLOSE(torque(TorqueFrom::supply_current, w, {}, drawn, d, v), tau, 1e-9);
     if (std::fabs(goal[0]) < 2 * kCount) continue;
     CHECK_CLOSE(torque(TorqueFrom::supply_current, w, goal, drawn, {}, v), tau, 1e-9);

@@ -1,5 +1,4 @@
-// A load that nobody told, weighed inside the loop: against the truth of the motion, and against the same sums made of a
-// whole recording.
+// Load estimation inside the loop: against the truth of the motion, and against the sums of a recording.
 #include "weighing.hpp"
 
 #include <algorithm>

@@ -23,7 +23,7 @@ std::array<double, 3> com_of(const LoadChange& change) noexcept {
 
 constexpr double kLeastPivot = 1e-300;
 
-// x of A x = b; A of so many rows is lost.
+// Solves A x = b; overwrites A, of this many rows.
 LoadChange solved(Matrix& a, LoadChange b, std::size_t size) noexcept {
   cholesky(std::span(a).first(size * size), size, kLeastPivot);
   substitute(std::span(a).first(size * size), size, std::span(b).first(size));

@@ -258,7 +258,7 @@ LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const
       out.coulomb.push_back(s.coulomb[j]);
     }
   }
-  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
   return out;
 }
 

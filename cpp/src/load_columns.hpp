@@ -26,7 +26,7 @@ struct LoadFrame {
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
   std::array<double, 3> translation{};                        // its origin in the link's frame, [m]
 
-  // Throws Error where the link does not exist or the rotation is none.
+  // Throws Error if the link does not exist or the rotation is none.
   void validate(int links) const;
 };
 inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.link, loads.rotation, loads.translation}; }
@@ -43,7 +43,7 @@ class LoadRegressor {
   using Columns = std::array<JointVector, kParameters>;
   using Forces = std::array<JointVector, 3>;
 
-  // Throws Error where the frame does not fit the tree.
+  // Throws Error if the frame does not fit the tree.
   LoadRegressor(const Tree& tree, const LoadFrame& frame);
 
   // One sample; q and dq hold one value a joint.
@@ -83,7 +83,7 @@ class LoadColumns {
     JointVector offset{}, coulomb{};
   };
 
-  // Throws Error where the frame or the shares do not fit the tree.
+  // Throws Error if the frame or the shares do not fit the tree.
   LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s);
 
   // Restarts at the next sample.
@@ -131,7 +131,7 @@ struct LoadRows {
   std::vector<double> offset, coulomb;            // (rows, joints)
 };
 
-// Throws Error where something does not fit, or `samples` do not rise.
+// Throws Error if something does not fit, or `samples` do not rise.
 LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
                    const RecordingView& recording, std::span<const std::int64_t> samples);
 

@@ -72,7 +72,7 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
 std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& settings, const SignalRanges& ranges,
                                                  const RecordingView& recording) {
   settings.validate_constants(recording.joints);
-  SampleClock(settings.sample_period_ns, settings.network_stride);  // throws where they make no sense
+  SampleClock(settings.sample_period_ns, settings.network_stride);  // throws for invalid settings
   SignalWatch watch(recording.joints, settings.sample_period_ns, settings.network_stride, ranges);
   const auto bridged_ns = static_cast<std::uint64_t>(
       settings.sample_period_ns * longest_bridged(settings.sample_period_ns, settings.network_stride));
@@ -141,7 +141,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     }
     next += wanted;
   }
-  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
   return out;
 }
 

@@ -30,7 +30,7 @@ struct Observation {
   int restarts = 0;            // stretches after the first
 };
 
-// Throws Error where times do not increase, a number is not finite or the joints differ.
+// Throws Error if times do not increase, a number is not finite or the joints differ.
 Observation observe(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                     const RecordingView& recording);
 
@@ -49,7 +49,7 @@ struct ImpossibleSample {
 };
 
 // Those that a monitor refuses whose bundle has these ranges, in their order. For training, whose recordings have finite
-// numbers and increasing times; settings: period, stride and torque constants. Throws Error where something does not fit.
+// numbers and increasing times; settings: period, stride and torque constants. Throws Error if something does not fit.
 std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& settings, const SignalRanges& ranges,
                                                  const RecordingView& recording);
 

@@ -240,7 +240,7 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
   const double seconds = static_cast<double>(rows.size()) * rows.period_s;
   if (seconds < kRefitLeastS)
     throw Error("a refit needs " + to_text(kRefitLeastS) + " s of motion that can be trusted, not " + to_text(seconds) +
-                " s: 30 to 60 s of the arm's ordinary motion");
+                " s: record 30 to 60 s of the arm's ordinary motion");
   return rows;
 }
 
@@ -606,15 +606,15 @@ void raise(Bundle& bundle, int joint, RefitJoint& out) {
 void expect_friction(const Bundle& bundle, int joint, const RefitFactor& factor) {
   if (factor.value >= kLeastFactor && factor.value <= kMostFactor) return;
   throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': its friction would be " +
-              to_text(factor.value) + " times the old one, and " + to_text(kLeastFactor) + " to " + to_text(kMostFactor) +
-              " can be; are these recordings of the bundle's arm, and tau in its unit? Else train anew");
+              to_text(factor.value) + " times the old one, but must be " + to_text(kLeastFactor) + " to " + to_text(kMostFactor) +
+              "; check that the recordings are of the bundle's arm and tau is in its unit, or train again");
 }
 
 void expect_explained(const Bundle& bundle, int joint, double error_ratio) {
   if (!(error_ratio > kMostLeft)) return;
-  throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': what no friction explains is " +
-              to_text(error_ratio) + " times the error that training left, and " + to_text(kMostLeft) +
-              " is the most; does the arm carry another load or tool, or was it touched throughout? Else train anew");
+  throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': the error that friction does not explain is " +
+              to_text(error_ratio) + " times the error that training left, at most " + to_text(kMostLeft) +
+              " is allowed; check for another load or tool and for long contacts, or train again");
 }
 
 }  // namespace

@@ -164,7 +164,7 @@ struct SlidingLstm::Windows {
     const float* weights = single.gates.get() + static_cast<std::ptrdiff_t>(single.inputs) * single.rows;
     add<L>(projection.get(), weights, single.rows, h.get(), single.padded, sums.get());
     const int P = single.padded;
-    for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; nobody reads what they give
+    for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; their results are not used
       V<L> i = load_anywhere<L>(sums.get() + u), f = load_anywhere<L>(sums.get() + P + u);
       V<L> g = load_anywhere<L>(sums.get() + 2 * P + u), o = load_anywhere<L>(sums.get() + 3 * P + u);
       V<L> cell, tanh_cell, new_h;

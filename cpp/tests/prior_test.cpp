@@ -233,7 +233,7 @@ void regressors_of_samples_that_do_not_rise_or_do_not_exist_are_refused() {
   for (const std::vector<std::int64_t>& samples :
        {std::vector<std::int64_t>{5, 3}, std::vector<std::int64_t>{5, 5}, std::vector<std::int64_t>{20},
         std::vector<std::int64_t>{-1, 4}})
-    refused("samples must rise", [&] { prior_regressors(tree, b.observer, prior, s.view(), samples); });
+    refused("samples must be ascending", [&] { prior_regressors(tree, b.observer, prior, s.view(), samples); });
   CHECK(prior_regressors(tree, b.observer, prior, s.view(), {}).empty());
   const Signals other = sampled(3, every_ms(20));
   refused("the model has 2 joints, the recording 3",

@@ -80,12 +80,12 @@ class DriftTracker {
 // filtered as r. If the true parts are (1 + x_c) and (1 + x_v) times these, tau_ext contains x . f. A stroke is sliding
 // in one direction. The normal equations of the last strokes are kept, with the prior term P = sigma^2 kMemory_s ((1,
 // 0; 0, 1) + (1, -1; -1, 1) / kApart^2): both parts change together.
-//  x = (sum f f' dt + P)^-1 sum f e dt,    e: tau_ext at x = 0
+//   x = (sum f f' dt + P)^-1 sum f e dt,    e: tau_ext at x = 0
 // The factors move to x, rate-limited, if
-//  - it fits: RMS(e - x f) <= kFits times the RMS standard error, or a tenth of RMS(x f);
-//  - the strokes of all other joints that moved recently fit too;
-//  - the change explains at least kFound times the standard error, RMS;
-//  - the change is plausible: RMS(x f) <= share RMS(f_c + f_v).
+//   - it fits: RMS(e - x f) <= kFits times the RMS standard error, or a tenth of RMS(x f);
+//   - the strokes of all other joints that moved recently fit too;
+//   - the change explains at least kFound times the standard error, RMS;
+//   - the change is plausible: RMS(x f) <= share RMS(f_c + f_v).
 // Forces that are constant, act in one direction or in some poses only, or oppose the tool's velocity do not fit. If a
 // joint moves alone, a force that opposes its motion both ways at a constant lever looks like friction. At most `share`
 // of the joint's friction is then learned, and nothing of a larger force.

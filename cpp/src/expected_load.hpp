@@ -25,8 +25,8 @@ struct Bundle;
 // While a load is expected, every sample's tau_ext is fitted by a load change (LoadColumns, weights 1/limit^2). A
 // sudden load and its columns pass the same filter, so the fit rises monotonically. The alarm uses the unexplained
 // rest. An alarm that tau_ext itself would raise is held back, and ends in one of two ways:
-//  - the load is set: over two stretches of kStretch_s the fits agree, and fit well;
-//  - the alarm is raised: the fit fell by a third, neither settled nor grew for kDecide_s, or exceeds kLongest_s.
+//   - the load is set: over two stretches of kStretch_s the fits agree, and fit well;
+//   - the alarm is raised: the fit fell by a third, neither settled nor grew for kDecide_s, or exceeds kLongest_s.
 // After the window nothing is held back. The estimate of a set load is refined for kWeigh_s, since a few poses do not
 // determine the centre of mass. Meanwhile limits are higher by kRaise standard errors of its torques.
 // After the first load was set, the window accepts more load (a table releases slowly). It accepts less only within the

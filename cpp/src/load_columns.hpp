@@ -20,7 +20,7 @@ namespace tauext {
 
 struct Bundle;
 
-// Where a load is fixed: a frame on a link of a tree, in the link's own frame.
+// Mounting of a load: a frame on a link of a tree, in the link's own frame.
 struct LoadFrame {
   int link = -1;  // index of the tree's links
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
@@ -34,9 +34,9 @@ inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.
 // Columns of p and beta of every joint, for a load with parameters phi in the frame's axes, about the frame's origin:
 //   phi = (m, h, I):  mass [kg], first moment h = m c [kg m], inertia xx, yy, zz, xy, xz, yz [kg m^2],
 //   p_load = sum_k P_k phi_k,    beta_load = sum_k B_k phi_k.
-// With S_i the frame's twist for a unit speed of joint i, V_i that of the joints before it, H_k momentum and W_k weight of
-// a unit parameter, all in the frame:  P_ik = S_i . H_k,  B_ik = -S_i . W_k - (V_i x S_i) . H_k.  One way down the chain
-// from the load to the base finds S and V; joints that do not carry the load have zeros.
+// All in the frame: S_i is its twist for a unit speed of joint i, V_i that of the joints before it. H_k and W_k are
+// momentum and weight of a unit parameter. P_ik = S_i . H_k,  B_ik = -S_i . W_k - (V_i x S_i) . H_k. One pass from the
+// load to the base gives S and V; other joints have zeros.
 class LoadRegressor {
  public:
   static constexpr int kParameters = 10;
@@ -46,7 +46,7 @@ class LoadRegressor {
   // Throws Error if the frame does not fit the tree.
   LoadRegressor(const Tree& tree, const LoadFrame& frame);
 
-  // One sample; q and dq hold one value a joint.
+  // Processes one sample; q and dq hold one value per joint.
   void compute(std::span<const double> q, std::span<const double> dq) noexcept;
 
   // Of the last sample: P, B, and the joint torques of a force of 1 N at the frame's origin, along the frame's axes and
@@ -68,7 +68,7 @@ class LoadRegressor {
 
 // All columns are passed through the observer's filter, in phase with tau_ext:
 //   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
-//   offset     what of the load's friction does not grow with phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
+//   offset     part of the load's friction that is constant in phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
 //   frame, base force   torque of 1 N at the load frame's origin along its own axes and along the base's
 //   coulomb    tanh(dq / v): friction that is not what training saw
 // with phi the load as known so far, which decides only on the side that the gear is loaded on.

@@ -18,13 +18,13 @@ struct Bundle;
 // S is the size of tau_ext in limits, |tau_ext / limit|, with the limits at the start. x is the arm's travel into the
 // contact, from work over S: dx/dt = -tau_ext . dq / S. dq is filtered as by the observer, so that both have the same
 // lag. A fixed spring has dS/dx = S/x for any stiffness, link and lever.
-//  impact   S fell to kFell of its peak within a bounce: r's response to a blow
-//  load     a weight at the load frame explains tau_ext up to its error
-//  otherwise, if the arm was driven into it (it moved before, against tau_ext until the alarm):
+//   impact   S fell to kFell of its peak within a bounce: r's response to a blow
+//   load     a weight at the load frame explains tau_ext up to its error
+//   otherwise, if the arm was driven into it (it moved before, against tau_ext until the alarm):
 //    push   the arm goes on, and S grows by less than against a spring
 //    clamp  else
-//  if the arm moved away from it by itself: push; a clamp stops the arm or presses on it at rest
-//  if the arm stood still:
+//   if the arm moved away from it by itself: push; a clamp stops the arm or presses on it at rest
+//   if the arm stood still:
 //    push   S stopped growing, and not because the arm yields more
 //    clamp  S keeps growing as since its start
 // In doubt the touch is a clamp, and stays one. Without a fitting class or an observed start it is unknown.

@@ -21,12 +21,12 @@ struct Bundle;
 //   impact   S fell to kFell of its peak within a bounce: r's response to a blow
 //   load     a weight at the load frame explains tau_ext up to its error
 //   otherwise, if the arm was driven into it (it moved before, against tau_ext until the alarm):
-//    push   the arm goes on, and S grows by less than against a spring
-//    clamp  else
+//     push   the arm goes on, and S grows by less than against a spring
+//     clamp  else
 //   if the arm moved away from it by itself: push; a clamp stops the arm or presses on it at rest
 //   if the arm stood still:
-//    push   S stopped growing, and not because the arm yields more
-//    clamp  S keeps growing as since its start
+//     push   S stopped growing, and not because the arm yields more
+//     clamp  S keeps growing as since its start
 // In doubt the touch is a clamp, and stays one. Without a fitting class or an observed start it is unknown.
 class TouchKind {
  public:

@@ -1,5 +1,4 @@
-// Time of every sample in the monitor, in its network alone, in a window computed anew and in a paced loop; one JSON
-// object on stdout.
+// Time per sample of the monitor, its network alone, a recomputed window and a paced loop; one JSON object on stdout.
 //   monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -]
 //   monitor_bench --dump FILE [joints 2] [bundle -]
 #include <algorithm>
@@ -72,8 +71,8 @@ std::string quoted(std::string_view text) {
   return out + '"';
 }
 
-// What the operating system grants. Pages are locked as they stand when called: with MCL_FUTURE a small limit would
-// make the next allocation fail instead.
+// Real-time settings that the operating system permits. Only existing pages are locked: with MCL_FUTURE and a small limit
+// the next allocation would fail.
 struct RealTime {
   int core = -1;
   bool locked = true, fifo = false;

@@ -184,7 +184,7 @@ class Feed {
   std::int64_t next_event_ = 0, event_until_ = 0, acknowledge_at_ = -1;
 };
 
-// What a monitor says of the last samples, and how often it said what of all.
+// Results of a monitor for the last samples, and counts over all samples.
 struct Answers {
   std::int64_t first;
   std::vector<double> residual, uncertainty;  // (kCompared, joints)

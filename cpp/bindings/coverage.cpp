@@ -16,7 +16,7 @@ std::size_t expect_joints(const CoverageSettings& settings, const Array<double, 
   return n;
 }
 
-ArrayDict look(const CoverageSettings& settings, const Array<double, 2>& q, const Array<double, 2>& dq) {
+ArrayDict evaluate(const CoverageSettings& settings, const Array<double, 2>& q, const Array<double, 2>& dq) {
   const std::size_t n = expect_joints(settings, q), N = q.shape(0);
   if (dq.shape(0) != N || dq.shape(1) != n)
     throw Error("dq must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
@@ -27,7 +27,7 @@ ArrayDict look(const CoverageSettings& settings, const Array<double, 2>& q, cons
     nb::gil_scoped_release released;
     const Coverage coverage(static_cast<int>(n), settings, 1.0);
     for (std::size_t k = 0; k < N; ++k) {
-      const Unfamiliar u = coverage.look({q.data() + k * n, n}, {dq.data() + k * n, n});
+      const Unfamiliar u = coverage.evaluate({q.data() + k * n, n}, {dq.data() + k * n, n});
       share[k] = u.share;
       what[k] = static_cast<std::uint8_t>(u.what);
       joint[k] = static_cast<std::int8_t>(u.joint);
@@ -75,7 +75,7 @@ void bind_coverage(nb::module_& m) {
            "Distance of each sample from the training motion: share (0 to 1), what (Unseen), joint, other (-1: none).");
   settings.attr("CELLS") = Coverage::kCells;
   settings.attr("PAIR_CELLS") = Coverage::kPairCells;
-  settings.attr("WORTH_TELLING") = Coverage::kWorthTelling;
+  settings.attr("WORTH_TELLING") = Coverage::kWorthReporting;
 }
 
 }  // namespace tauext::bindings

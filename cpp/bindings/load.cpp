@@ -31,7 +31,7 @@ void bind_load(nb::module_& m) {
         {
           nb::gil_scoped_release released;
           for (std::size_t k = 0; k < N; ++k) {
-            regressor.look({q.data() + k * n, n}, {dq.data() + k * n, n});
+            regressor.compute({q.data() + k * n, n}, {dq.data() + k * n, n});
             for (std::size_t j = 0; j < n; ++j)
               for (std::size_t c = 0; c < M; ++c) {
                 p.push_back(regressor.momentum()[c][j]);

@@ -42,8 +42,7 @@ void expect(bool ok, const char* what) {
   std::abort();
 }
 
-// What is accepted must run, whatever it says; sample by sample and in bulk it says the same, and no number that is none
-// while health is ok.
+// An accepted bundle must run, with equal results by sample and in bulk, and without NaN in a healthy estimate.
 void run(const tauext::Bundle& bundle) {
   constexpr std::int64_t samples = 20;
   tauext::Monitor monitor(bundle);

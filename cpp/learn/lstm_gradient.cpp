@@ -18,9 +18,9 @@ using namespace lanes;
 constexpr int kTimeBlock = 4;  // steps whose deltas and inputs stay in the first cache while the weight sums read them
 constexpr int kInputTile = 5;  // inputs of a weight-gradient tile, at up to 5 vectors of deltas: 25 accumulators
 
-// Sums over windows have one order for 8 and 16 lanes: windows whose place in the chunk is the same modulo kSumLanes add to
-// the same sum of the head, those of the same octet of them to the same weight sum, and these are added up at the end. So
-// AVX2 and AVX-512, which fuse products and sums alike, train the same network to the last bit. SSE2 fuses nothing.
+// Sums over windows have one order for 8 and 16 lanes. Windows with equal place modulo kSumLanes share a sum of the
+// head; those of one octet share a weight sum. So AVX2 and AVX-512, which fuse products and sums alike, train the same
+// network to the last bit. SSE2 does not fuse.
 constexpr int kSumLanes = 16, kOctet = 8, kOctets = kSumLanes / kOctet;
 
 // Sequences in a chunk follow from the batch alone, never from the threads: a small batch is cut finer.
@@ -166,9 +166,8 @@ TAUEXT_INLINE void hidden_backward(const Packed& w, const float* delta, float* d
   for (; k < w.padded; k += kUnits) hidden_backward_block<L, kUnits>(w, delta, k, d_hidden);
 }
 
-// Adds delta x input over the windows of an octet and `steps` steps to the octet's weight sums of N inputs from `k` on and M
-// vectors of deltas from `row` on; `lane`: the octet's first, `to` its sums. A tile's sum begins at zero, so that few numbers
-// are added one to the other: it rounds less.
+// Adds delta x input over an octet's windows and `steps` steps to its weight sums: N inputs from `k` on, M vectors of
+// deltas from `row` on. `lane`: the octet's first, `to`: its sums. Each tile's sum starts at zero, for less rounding.
 template <int L, int M, int N>
 TAUEXT_INLINE void add_weight_tile(int steps, const float* inputs, int k, int row, int lane, float* to,
                                    const Workspace<L>& m) noexcept {

@@ -37,7 +37,7 @@ void AlarmStage::reset() noexcept {
 void AlarmStage::acknowledge() noexcept {
   const State before = state_;
   state_ = {};
-  state_.pushed = before.pushed;  // the friction knows nothing of it
+  state_.pushed = before.pushed;  // the prior's friction does not model the push
   state_.touching = before.touching;
   state_.stuck_t_ns = before.stuck_t_ns;
   state_.collision_since_ns.fill(kNever);
@@ -47,7 +47,7 @@ void AlarmStage::acknowledge() noexcept {
 bool AlarmStage::set_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
   const auto bounded = [&](std::span<const double> factors) noexcept {
     return factors.size() == static_cast<std::size_t>(joints_) && std::ranges::all_of(factors, [](double factor) {
-             return factor >= LimitFactors::kLowest && factor <= LimitFactors::kHighest;  // NaN is neither
+             return factor >= LimitFactors::kLowest && factor <= LimitFactors::kHighest;  // false for NaN
            });
   };
   if (!bounded(collision) || !bounded(contact)) return false;
@@ -66,7 +66,7 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
   }
   const std::uint32_t raised = state_.touching ? 0 : state_.pushed;
   bool detection = false, touching = false;
-  // The joint that raises an alarm is the one furthest over its limit of those that have been over it long enough.
+  // The alarm's joint is the one furthest over its limit among those whose hold time has passed.
   int collision_joint = -1, contact_joint = -1;
   double collision_excess = 0, contact_excess = 0;
   for (int j = 0; j < joints_; ++j) {

@@ -91,7 +91,7 @@ void TorqueUnits::validate(int joints, bool constants) const {
   if (!unknown.empty()) expect_size("units.unknown", unknown.size(), static_cast<std::size_t>(joints));
   expect_each("units.unknown", unknown, [](int one) { return one <= 1; }, "0 or 1");
   if (!constants && (relative_to >= 0 || !unknown.empty()))
-    throw Error("units.relative_to and units.unknown speak of torque constants, and there are none");
+    throw Error("units.relative_to and units.unknown need torque constants, and there are none");
 }
 
 std::string Bundle::torque_unit(int joint) const {
@@ -131,7 +131,7 @@ std::string Bundle::too_few_in_newtons(const std::string& why) const {
 }
 
 std::vector<double> Bundle::most_units_per_nm() const {
-  constexpr double kBeyond = 1.2;  // most_load_nm is so many times the most that the arm weighed in training
+  constexpr double kBeyond = 1.2;  // most_load_nm: this multiple of the largest weight torque in training
   std::vector<double> most(links.size(), 0.0);
   for (std::size_t j = 0; j < links.size(); ++j) {
     if (in_newtons(static_cast<int>(j))) continue;
@@ -176,7 +176,7 @@ void Bundle::validate() const {
     expect_size("servo.joints", servo.joints.size(), links.size());
   }
   if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
-    throw Error("it says that a load can be set, and no model carries one");
+    throw Error("its loads can be set, but no model can carry one");
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
   expect_size("reference.q", reference.q.size(), samples * n);

@@ -60,8 +60,8 @@ static_assert(+TAUEXT_IMPOSSIBLE_VELOCITY == +tauext::kImpossibleVelocity);
 static_assert(+TAUEXT_IMPOSSIBLE_POSITION == +tauext::kImpossiblePosition);
 static_assert(TAUEXT_IMPOSSIBLE_POSITION == 1 << (tauext::kCauseCount - 1), "a cause has been added");
 
-// A caller built with a shorter tauext_estimate gets as much of it as it has room for, but never less than what says
-// whether the rest can be trusted.
+// A caller with a shorter tauext_estimate gets as many fields as fit, but at least those needed to judge whether the
+// rest is valid.
 constexpr std::size_t kLeastSize = offsetof(tauext_estimate, residual);
 
 bool has_room(const tauext_estimate* to) noexcept { return !to || to->size >= kLeastSize; }
@@ -123,7 +123,7 @@ tauext_load in_c(const tauext::Load& from) noexcept {
   return to;
 }
 
-// As kLeastSize: what says whether the rest can be believed.
+// See kLeastSize: the fields needed to judge whether the rest is valid.
 constexpr std::size_t kLeastFound = offsetof(tauext_load_found, load);
 
 constexpr std::size_t kLeastWrench = offsetof(tauext_wrench, force);

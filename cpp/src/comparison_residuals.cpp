@@ -64,7 +64,7 @@ void ComparisonResidual::start(const Tree& tree, std::span<const double> q) noex
   for (std::size_t i = 0; i < q.size(); ++i) inertia_[i] = mass[i * q.size() + i];
 }
 
-// What stands beside tau_m, a joint, and the kinetic energy where it counts.
+// Per joint, the model torque beside tau_m; also the kinetic energy if needed.
 double ComparisonResidual::model(const Tree& tree, std::span<const double> q, std::span<const double> dq,
                                  std::span<const double> momentum, std::span<const double> beta,
                                  JointVector& model) const noexcept {

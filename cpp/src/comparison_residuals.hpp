@@ -22,10 +22,10 @@ namespace tauext {
 // Sign: r is positive where the environment pushes the joint in its positive direction, a power where it feeds the arm.
 class ComparisonResidual {
  public:
-  // gain_per_s: K0, [1/s]. Throws Error where the method does not exist, or needs a model and has none (velocity).
+  // gain_per_s: K0, [1/s]. Throws Error if the method does not exist, or needs a model and has none (velocity).
   ComparisonResidual(const Tree& tree, ResidualMethod method, double gain_per_s, TorqueTiming timing);
 
-  // Forget everything: the next sample starts anew with r = 0.
+  // Clears all state: the next sample restarts with r = 0.
   void reset() noexcept { started_ = false; }
 
   // One sample, later than the last, with its p and beta of `tree`, that of the constructor; residual [N m or W] is
@@ -69,10 +69,10 @@ class ComparisonResidual {
 // which matters for that start alone: one noisy sample of r would else stay in y for 1/w.
 class ResidualFilter {
  public:
-  // Rates w [1/s]; 0: no such filter. Throws Error where one is negative or not finite.
+  // Rates w [1/s]; 0: no such filter. Throws Error if one is negative or not finite.
   ResidualFilter(int joints, double high_pass_per_s, double low_pass_per_s);
 
-  // The next sample starts both filters anew.
+  // The next sample restarts both filters.
   void reset() noexcept { started_ = warm_ = false; }
   // One sample, later than the last; residual is replaced. residual_warm: r without filters counts as warmed up.
   void step(std::int64_t t_ns, bool residual_warm, std::span<double> residual) noexcept {

@@ -9,22 +9,22 @@ namespace {
 
 constexpr int kCells = Coverage::kCells, kPairCells = Coverage::kPairCells;
 constexpr double kFarther = Coverage::kFartherCells;
-constexpr double kForgotten = 0.01;           // a share that has faded to this is none
+constexpr double kForgotten = 0.01;           // a share below this counts as 0
 
-// The fraction of a turn from -1/2 to 1/2, or the value itself. Adding 1.5 * 2^52 rounds to a whole number where the
-// processor has no instruction for it; what is too large for that has no fraction, and any cell is as good.
+// Fraction of a turn from -1/2 to 1/2, or the value itself. Adding 1.5 * 2^52 rounds without a rounding instruction.
+// Larger values have no fraction, and any cell is as good.
 double within_turn(double x, double turn) noexcept {
   constexpr double kRounds = 6755399441055744.0;
   return x - turn * ((x + kRounds) - kRounds);
 }
 
-// Some cell for whatever x is, infinite or NaN too.
+// A valid cell for any x, including infinity and NaN.
 int cell(double x, int cells) noexcept {
   return static_cast<int>(std::max(0.0, std::min(cells - 0.5, (x + 0.5) * cells)));
 }
 
-// How many cells each one is beyond the reach of the seen ones, rows or columns, whichever is more, cut at kFartherCells;
-// none where there is no reach. What is near grows by a cell in every direction, time after time.
+// Distance in cells beyond the reach of the trained ones, by rows or columns, whichever is larger, up to kFartherCells.
+// Zero within reach. Grows the region by one cell per pass.
 template <class Seen>
 void append_beyond(std::vector<std::uint8_t>& out, int rows, int columns, bool rows_turn, bool columns_turn, int reach,
                    Seen seen) {
@@ -88,8 +88,8 @@ Coverage::Coverage(int joints, const CoverageSettings& settings, double fades_pe
                     settings.reach_together, [&](int c, int d) { return words[c] >> d & 1; });
 }
 
-// One pass over everything that says no more than whether anything is unfamiliar: it hardly ever is.
-Unfamiliar Coverage::look(std::span<const double> q, std::span<const double> dq) const noexcept {
+// First pass: only whether anything is unfamiliar, which is rare.
+Unfamiliar Coverage::evaluate(std::span<const double> q, std::span<const double> dq) const noexcept {
   if (joints_ == 0) return {};
   Cells cells, pair_cells;
   double ratio = 0;
@@ -129,7 +129,7 @@ Unfamiliar Coverage::farthest(std::span<const double> dq, const Cells& cells, co
 }
 
 const Unfamiliar& Coverage::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept {
-  Unfamiliar now = look(q, dq);
+  Unfamiliar now = evaluate(q, dq);
   if (state_.last.share > 0) {
     const double left =
         state_.last.share * std::exp(-fades_per_s_ * 1e-9 * static_cast<double>(elapsed_ns(t_ns, state_.t_ns)));

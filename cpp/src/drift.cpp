@@ -80,7 +80,7 @@ void DriftTracker::follow(int j, double error, double dt) noexcept {
 
 namespace {
 
-constexpr double kMostDoubt = 0.5;  // of sigma: a prior that knows no better what friction is cannot tell its factor
+constexpr double kMostDoubt = 0.5;  // of sigma: with a larger doubt of the prior the factor is not observable
 
 double seconds(std::int64_t ns) noexcept { return 1e-9 * static_cast<double>(ns); }
 
@@ -154,7 +154,7 @@ void FrictionFactors::learn(std::span<const double> dq, std::span<const double> 
     joint.stuck_ns = near ? forget_ns_ : std::max<std::int64_t>(joint.stuck_ns - state_.step_ns, 0);
     const bool turned = joint.open.seconds > 0 && joint.open.travel * dq[j] < 0;
     if (near || turned) close(j);
-    // Comparisons with NaN are false: without an error scale nothing is learned.
+    // NaN compares false: without an error scale nothing is learned.
     if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j])
       add(joint, dq[j], tau_ext[j], sigma[j]);
   }
@@ -175,7 +175,7 @@ void FrictionFactors::add(Joint& joint, double dq, double tau_ext, double sigma)
   s.sigma2 += sigma * sigma * dt;
 }
 
-// The stroke of a joint is over.
+// Ends the stroke of a joint.
 void FrictionFactors::close(int j) noexcept {
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
   const Stroke ended = joint.open;
@@ -188,7 +188,7 @@ void FrictionFactors::close(int j) noexcept {
   conclude(j);
 }
 
-FrictionFactors::Evidence FrictionFactors::look(const Joint& joint) const noexcept {
+FrictionFactors::Evidence FrictionFactors::evidence(const Joint& joint) const noexcept {
   Evidence found;
   Stroke all;
   for (const Stroke& s : joint.strokes) {
@@ -208,7 +208,7 @@ FrictionFactors::Evidence FrictionFactors::look(const Joint& joint) const noexce
   found.sigma2 = all.sigma2 / all.seconds;
   const double known = found.sigma2 * kMemory_s, together = known / (kApart * kApart);
   const double cc = all.cc + known + together, vv = all.vv + known + together, cv = all.cv - together;
-  const double determinant = cc * vv - cv * cv;  // > 0: of a positive definite matrix
+  const double determinant = cc * vv - cv * cv;  // > 0: positive definite
   const double c = (vv * all.ce - cv * all.ve) / determinant, v = (cc * all.ve - cv * all.ce) / determinant;
   found.factors = {c, v};
   found.whole2 = square(all, c, v) / all.seconds;
@@ -222,10 +222,10 @@ FrictionFactors::Evidence FrictionFactors::look(const Joint& joint) const noexce
 void FrictionFactors::conclude(int j) noexcept {
   const std::uint32_t bit = std::uint32_t{1} << j;
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
-  const Evidence own = look(joint);
+  const Evidence own = evidence(joint);
   if (own.strokes < kLeast || own.forward == 0 || own.forward == own.strokes || !own.fits) return;
   for (int k = 0; k < joints_; ++k) {
-    const Evidence other = look(state_.joints[static_cast<std::size_t>(k)]);
+    const Evidence other = evidence(state_.joints[static_cast<std::size_t>(k)]);
     if (other.strokes > 0 && (other.strokes < kLeast || !other.fits)) return;
   }
   if (!(own.change2 >= kFound * kFound * own.sigma2)) return;

@@ -10,7 +10,7 @@
 namespace tauext {
 namespace {
 
-// Those of the whole arm stand in the first joint's place.
+// Features of the whole arm are stored at the first joint.
 bool of_arm(MotionFeature feature) noexcept { return feature >= MotionFeature::arm_speed; }
 
 }  // namespace
@@ -25,7 +25,7 @@ double ErrorScale::feature(int joint, int m) const noexcept {
   return state_.filtered[static_cast<std::size_t>(kind)][of_arm(kind) ? 0 : joint];
 }
 
-// Exponentials are taken anew only where the step is another one.
+// Exponentials are recomputed only if the step changed.
 void ErrorScale::take_step(std::int64_t t_ns) noexcept {
   State& s = state_;
   const auto step_ns = static_cast<std::int64_t>(elapsed_ns(t_ns, s.t_ns));
@@ -126,7 +126,7 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
                          std::span<double> into) noexcept {
   State& s = state_;
   const double dt = s.started ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, s.t_ns)) : 0.0;
-  if (dt != s.step_s) {  // an exponential is taken anew only where the step is another one
+  if (dt != s.step_s) {  // recomputed only if the step changed
     s.step_s = dt;
     s.kept = std::exp(-gain_per_s_ * dt);
   }

@@ -1,4 +1,4 @@
-// How wrong tau_ext may be just now, as the motion announces it: what limits and the standard error grow with.
+// Expected size of tau_ext's error from the motion; scales the limits and the standard error.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,18 +13,17 @@ namespace tauext {
 
 struct Bundle;
 
-// scale_j = min(sum_m w_jm F_m, largest_j), sigma_j likewise with weights and ceiling of its own, with F_m the features passed through the observer's filter,
+// scale_j = min(sum_m w_jm F_m, largest_j); sigma_j has its own weights and ceiling. F_m are filtered features:
 //   F <- F + (1 - exp(-K0 dt)) (feature - F),
-// so that they rise and fade with what they announce in r. From a restart on they stand at the first sample's values.
-// ddq and dddq come of first-order filters of a fixed rate Ka, whatever K0, so that noise does not grow with K0; steps
-// are as stamped. standstill decays with kMemoryS from the largest 1 / (1 + (dq_j / kCreepRadS)^2); it starts from 1, as
-// nobody knows what was before. The torque has no say: a push must not raise its own limit. (It moves the arm, and that
-// does, but not beyond `largest`.)
+// so that they rise and decay with the errors in r. A restart sets them to the first sample's values. ddq and dddq come
+// from first-order filters of fixed rate Ka, so that noise does not grow with K0. standstill decays with kMemoryS from
+// the largest 1 / (1 + (dq_j / kCreepRadS)^2) and starts at 1. The torque is not used: a push must not raise its own
+// limit. (It moves the arm, but the scale is at most `largest`.)
 class ErrorScale {
  public:
   static constexpr double kAccelerationPerS = 40;  // Ka, [1/s]
   static constexpr double kMemoryS = 0.15, kCreepRadS = 0.02;  // of standstill, [s] and [rad/s]
-  static constexpr double kLargestSpeed = 1e3;  // [rad/s]; what is beyond counts as this, so that sums stay finite
+  static constexpr double kLargestSpeed = 1e3;  // [rad/s]; larger speeds are clamped, so that sums stay finite
 
   struct State {
     bool started = false;
@@ -34,22 +33,22 @@ class ErrorScale {
     std::array<JointVector, kMotionFeatures> filtered{};
   };
 
-  // Throws Error where the settings do not fit.
+  // Throws Error if the settings do not fit.
   ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s);
 
   // After a gap or a fault.
   void restart() noexcept { state_.started = false; }
-  // As newly made.
+  // Back to the state after construction.
   void reset() noexcept { state_ = {}; }
-  // One sample of finite speeds, later than the last. Writes both of every joint; 1 and NaN where there are no features.
-  // near_stiction: a bit a joint, by which sigma has its weights.
+  // Processes one sample of finite speeds. Writes both scales of every joint; 1 and NaN without features.
+  // near_stiction: one bit per joint; selects the weights of sigma.
   void step(std::int64_t t_ns, std::span<const double> dq, std::uint32_t near_stiction, std::span<double> scale,
             std::span<double> sigma_nm) noexcept;
   bool on() const noexcept { return settings_.on(); }  // as the settings are
   // F_m of a joint at the last sample, m counted in the settings.
   double feature(int joint, int m) const noexcept;
 
-  // All that it remembers; restore() goes on from there, in another one of the same settings.
+  // Complete state; restore() continues from it in a scale of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 
@@ -82,7 +81,7 @@ class ContactErrors {
   // state relative to kBuildsUpRad, the travel over which friction builds up. Fitted to the demo's arms
   // (docs/results/contact-errors).
   static constexpr double kFineShare = 0.12, kCoarseShare = 1.15, kBuildsUpRad = 1e-3;
-  // Share of the gap where training found local memory, and where it found none or could not tell.
+  // Share of the gap if training found local memory, and if it found none or was undecided.
   static constexpr double kUnsureLocal = 0.05, kUnsureBank = 0.3;
   // Gear friction under a load, as a share of it, where training found none: 2 to 6 % (Bittencourt et al. 2010).
   static constexpr double kUsualRubbing = 0.04;

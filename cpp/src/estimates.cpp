@@ -6,7 +6,7 @@
 namespace tauext {
 namespace {
 
-// What ObserveStage said of every sample, as columns; residual, prior and doubt stand in the answer already.
+// Results of ObserveStage for every sample, as columns; residual, prior and doubt are already in the answer.
 struct Seen {
   struct Row {
     std::uint32_t causes, near_stiction;
@@ -18,8 +18,8 @@ struct Seen {
   };
   std::vector<Row> rows;                      // (samples)
   std::vector<float> features;                // (clock rows, columns)
-  std::vector<double> friction;               // (samples, Coulomb's and viscous, joints), where the bundle follows it
-  std::vector<double> memory_gap;             // (samples, joints), where the prior has branches
+  std::vector<double> friction;               // (samples, Coulomb and viscous, joints), if the drift tracker needs it
+  std::vector<double> memory_gap;             // (samples, joints), if the prior has branches
   std::vector<std::int64_t> judged_ends;      // clock rows of the samples that are judged
   std::int64_t clock_rows = 0;
 };
@@ -190,7 +190,7 @@ MotionErrors motion_errors(const Bundle& bundle, const MotionView& motion, std::
     out.scale.insert(out.scale.end(), scale.begin(), scale.end());
     out.sigma_nm.insert(out.sigma_nm.end(), sigma_nm.begin(), sigma_nm.end());
   }
-  if (next != rows.size()) throw Error("rows must rise and stand in the motion");
+  if (next != rows.size()) throw Error("rows must be ascending and within the motion");
   return out;
 }
 

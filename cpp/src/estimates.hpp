@@ -1,4 +1,4 @@
-// The chain on a whole recording: the control loop's answers, with the network's windows answered in bulk.
+// The chain on a whole recording: the control loop's results, with the network evaluated in bulk.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -9,7 +9,7 @@
 
 namespace tauext {
 
-// What a newly made Monitor says of a recording, one row a sample; fields as in Estimate.
+// Estimates of a new Monitor for a recording, one row per sample; fields as in Estimate.
 struct Estimates {
   std::vector<double> residual, prior, network, drift, tau_ext, doubt, limit_nm, contact_limit_nm;  // (samples, joints), [N m]
   std::vector<double> sigma_nm, contact_sigma_nm;    // (samples, joints), [N m]
@@ -24,29 +24,29 @@ struct Estimates {
   std::vector<std::uint8_t> detection;               // (samples)
   std::vector<std::uint8_t> alarm, held_alarm;       // (samples): of Alarm, latched and not
   std::vector<std::uint8_t> touch;                   // (samples): of Touch
-  std::vector<std::uint8_t> entered, restarted;      // (samples): the sample went on the chain; the chain began anew with it
+  std::vector<std::uint8_t> entered, restarted;      // (samples): the sample entered; the chain restarted at it
 };
 
-// Equal to Monitor::step() for sample after sample, to the last bit, whatever is wrong with them: times that go backwards,
-// numbers that are not finite, gaps, another rate. Throws Error where the joints differ.
+// Equal to Monitor::step() for every sample, to the last bit, for any faults: times that go backwards, non-finite
+// numbers, gaps, other rates. Throws Error if the number of joints differs.
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads);
 
-// A motion as the error scale sees it: dq and near_stiction (samples, joints), row-major; entered and restarted
-// (samples), as estimate() says them of a recording.
+// A motion as input of the error scale: dq and near_stiction (samples, joints), row-major; entered and restarted
+// (samples), as from estimate().
 struct MotionView {
   std::span<const std::int64_t> t_ns;
   std::span<const double> dq;
   std::span<const std::uint8_t> near_stiction, entered, restarted;
 };
 
-// What motion_errors() says, a row for each that was asked for.
+// Result of motion_errors(), one row for each requested row.
 struct MotionErrors {
   std::vector<double> features;         // (rows, joints, features): for the fit, weights do not count
   std::vector<double> scale, sigma_nm;  // (rows, joints): without what doubt and unfamiliar motion add
 };
 
-// What the bundle's error scale says of a motion at `rows`, which rise. The chain does not run: speeds are all it takes.
-// Throws Error where the bundle has no error scale, or sizes do not fit.
+// The bundle's error scale for a motion at ascending `rows`. Uses only speeds; the chain does not run. Throws Error if
+// the bundle has no error scale or sizes do not fit.
 MotionErrors motion_errors(const Bundle& bundle, const MotionView& motion, std::span<const std::int64_t> rows);
 
 }  // namespace tauext

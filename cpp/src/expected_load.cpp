@@ -17,7 +17,7 @@
 namespace tauext {
 namespace {
 
-constexpr double kForgotten = 3;  // times 1/K0: so long r still shows what was before
+constexpr double kForgotten = 3;  // times 1/K0: the memory of r
 
 std::int64_t to_ns(double seconds) noexcept { return std::llround(seconds * 1e9); }
 
@@ -54,7 +54,7 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
       columns_(bare_, bundle.prior, load_frame(bundle.load), gain_per_s_),
       usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
   std::ranges::copy(bundle.most_units_per_nm(), units_per_nm_.begin());
-  for (int j = 0; j < joints_; ++j) told_ += bundle.in_newtons(j);
+  for (int j = 0; j < joints_; ++j) newton_joints_ += bundle.in_newtons(j);
 }
 
 std::string ExpectedLoad::why_not(double seconds, double at_most_kg) const {
@@ -70,7 +70,7 @@ bool ExpectedLoad::start(double seconds, double at_most_kg, const Load& carried,
   if (!(seconds > 0 && seconds <= kLongestWindow_s) || !(at_most_kg >= 0 && at_most_kg <= settings_.largest_mass_kg))
     return false;
   const double high = std::max(at_most_kg - state_.carried.mass, 0.0);
-  if (state_.held != Alarm::none) {  // what is held back is decided, whatever is asked for meanwhile
+  if (state_.held != Alarm::none) {  // an alarm that is held back must be decided first
     state_.end_ns = state_.t_ns + to_ns(seconds);
     state_.bounds.high_kg = std::max(state_.bounds.low_kg, high);
     return true;
@@ -100,7 +100,7 @@ void ExpectedLoad::explain(const Sample& sample, const Observed& observed, std::
     s.block_end_ns = sample.t_ns + to_ns(kBlock_s);
     s.timed = true;
   }
-  if (!observed.judged && s.held != Alarm::none) {  // what cannot be seen has not gone
+  if (!observed.judged && s.held != Alarm::none) {  // the contact may persist unseen
     s.held_ns += sample.t_ns - s.t_ns;
     s.grown_ns += sample.t_ns - s.t_ns;
   }
@@ -123,17 +123,17 @@ void ExpectedLoad::explain(const Sample& sample, const Observed& observed, std::
   if (!observed.judged) return;
   std::ranges::copy(limit_nm, s.limit_nm.begin());
   fit(tau_ext, explained);
-  const bool over = s.t_ns >= s.end_ns && s.held == Alarm::none;  // the window, and nothing is to be decided any more
+  const bool over = s.t_ns >= s.end_ns && s.held == Alarm::none;  // the window is over and nothing is held back
   if (over || s.phase == LoadPhase::weighing) std::ranges::fill(explained, 0.0);
   for (std::size_t j = 0; j < n; ++j)
-    if (units_per_nm_[j] > 0) {  // nobody knows what the load shows there, but how much at most
+    if (units_per_nm_[j] > 0) {  // unknown load torque: only its bound is used
       raised[j] += units_per_nm_[j] * std::fabs(explained[j]);
       explained[j] = 0;
     }
   if (s.phase == LoadPhase::weighing) raise(raised);
 }
 
-// By what the torques of the load may be off.
+// Raises the limits by the uncertainty of the load's torques.
 void ExpectedLoad::raise(std::span<double> raised) const noexcept {
   const LoadRegressor::Columns& columns = columns_.state().load;
   for (std::size_t j = 0; j < raised.size(); ++j) {
@@ -144,27 +144,27 @@ void ExpectedLoad::raise(std::span<double> raised) const noexcept {
   }
 }
 
-// Samples that say no more than one: errors of r last for 1/K0.
+// Samples that count as one: errors of r are correlated over 1/K0.
 double ExpectedLoad::alike() const noexcept { return std::max(1.0, 1 / (gain_per_s_ * period_s_)); }
 
-// The change that this sample shows best, and what of tau_ext it is beyond the load that is set.
+// Fits the load change to this sample. explained: its torques beyond those of the load that is set.
 void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explained) noexcept {
   State& s = state_;
   const auto n = static_cast<std::size_t>(joints_);
   const LoadRegressor::Columns& columns = columns_.state().load;
-  const auto told = ten_of(s.set), before = ten_of(s.change);
+  const auto already = ten_of(s.set), before = ten_of(s.change);
   JointVector shown, inertia, sigma;
   for (std::size_t j = 0; j < n; ++j) {
     if (!(s.limit_nm[j] > 0)) return;
     sigma[j] = units_per_nm_[j] > 0 ? std::numeric_limits<double>::infinity() : kSigmaOfLimit * s.limit_nm[j];
-    shown[j] = tau_ext[j] + torque(columns, told, j);
+    shown[j] = tau_ext[j] + torque(columns, already, j);
     inertia[j] = torque(columns, before, j, 4);
   }
   ChangeSums one;
   one.add(columns, std::span(shown).first(n), inertia, sigma);
   s.change = one.solve(s.bounds, s.change);
   const auto now = ten_of(s.change);
-  for (std::size_t j = 0; j < n; ++j) explained[j] = torque(columns, now, j) - torque(columns, told, j);
+  for (std::size_t j = 0; j < n; ++j) explained[j] = torque(columns, now, j) - torque(columns, already, j);
   if (s.count == 0) {
     s.next = 0;
     s.count = 1;
@@ -256,14 +256,14 @@ ExpectedLoad::Decision ExpectedLoad::decide() noexcept {
 void ExpectedLoad::close_block() noexcept {
   State& s = state_;
   s.block_end_ns = s.t_ns + to_ns(kBlock_s);
-  if (s.count > 0 && block(0).samples == 0) return;  // nothing was judged
+  if (s.count > 0 && block(0).samples == 0) return;  // no judged sample
   if (s.count == kBlocks && s.has_set && s.blocks[s.next].begin_ns >= s.begin_ns) s.past.add(s.blocks[s.next].sums);
   s.blocks[s.next] = {};
   s.next = (s.next + 1) % kBlocks;
   s.count = std::min(s.count + 1, kBlocks);
 }
 
-// `count` blocks, the newest of them `from` blocks ago.
+// Sum of `count` blocks; the newest is `from` blocks back.
 ExpectedLoad::Stretch ExpectedLoad::last_blocks(std::size_t from, std::size_t count) const noexcept {
   Stretch out;
   for (std::size_t k = from; k < from + count && k < state_.count; ++k) {
@@ -274,8 +274,8 @@ ExpectedLoad::Stretch ExpectedLoad::last_blocks(std::size_t from, std::size_t co
   return out;
 }
 
-// The longest stretch up to now whose parts agree with what came after them; once the window is over, all since the load
-// was found.
+// The longest stretch up to now whose parts agree with later ones. After the window: everything since the load was
+// found.
 ExpectedLoad::Stretch ExpectedLoad::agreeing() const noexcept {
   const bool all = state_.phase == LoadPhase::weighing;
   Stretch whole = last_blocks(0, 2 * kStretchBlocks);
@@ -289,14 +289,14 @@ ExpectedLoad::Stretch ExpectedLoad::agreeing() const noexcept {
   }
   if (state_.past.rows > 0 && (all || agree(state_.past, whole.sums, state_.bounds, state_.change, alike()))) {
     whole.sums.add(state_.past);
-    whole.samples += state_.past.rows / told_;
+    whole.samples += state_.past.rows / newton_joints_;
     whole.begin_ns = state_.begin_ns;
   }
   if (all) whole.begin_ns = state_.begin_ns;
   return whole;
 }
 
-// Whether the torques of both are the same there: within a sigma, or a tenth.
+// Whether both loads have the same torques: within one sigma, or a tenth.
 bool ExpectedLoad::same(const Stretch& stretch, const LoadChange& one, const LoadChange& other) const noexcept {
   const double apart = stretch.sums.size(less(one, other));
   return apart < stretch.samples || apart < kSameShare * stretch.sums.size(other);
@@ -313,7 +313,7 @@ double ExpectedLoad::error_of(const Stretch& stretch, const LoadChange& change) 
   return std::sqrt(covariance_of(stretch, change)[0]);
 }
 
-// Whether their torques differ at the last sample by more than a share of some joint's limit.
+// Whether their torques at the last sample differ by more than a share of some joint's limit.
 bool ExpectedLoad::shows(const LoadChange& one, const LoadChange& other, double share) const noexcept {
   const auto from = ten_of(one), to = ten_of(other);
   for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) {
@@ -330,7 +330,7 @@ ExpectedLoad::Decision ExpectedLoad::decide_held() noexcept {
   if (recent.samples > 0) {
     const LoadChange now = recent.sums.solve(s.bounds, s.change);
     const double size = recent.sums.size(less(now, s.set)) / recent.samples;
-    // Limits that rise hide growth in the one, poses in the other.
+    // The first is insensitive to growth because of raised limits, the second to poses.
     const bool heavier = std::fabs(now[0] - s.set[0]) > std::sqrt(kGrowth) * std::fabs(s.most[0] - s.set[0]) + kHeavier_kg;
     if (size > kGrowth * s.most_size || heavier) {
       s.most_size = std::max(s.most_size, size);
@@ -355,7 +355,7 @@ ExpectedLoad::Decision ExpectedLoad::decide_held() noexcept {
   return {};
 }
 
-// A better estimate of the load that is set.
+// Updates the load with a better estimate.
 ExpectedLoad::Decision ExpectedLoad::refine() noexcept {
   State& s = state_;
   s.refine_ns = s.t_ns + to_ns(kStretch_s);
@@ -366,7 +366,7 @@ ExpectedLoad::Decision ExpectedLoad::refine() noexcept {
   return take(whole, change);
 }
 
-// The window is over and nothing is held back: what is known of the load by now, or of one too light for an alarm.
+// After the window, with nothing held back: the final estimate, also of loads too light for an alarm.
 ExpectedLoad::Decision ExpectedLoad::finish() noexcept {
   State& s = state_;
   const Stretch whole = agreeing();
@@ -387,7 +387,7 @@ ExpectedLoad::Decision ExpectedLoad::take(const Stretch& stretch, LoadChange cha
   State& s = state_;
   const double error = error_of(stretch, change);
   bool ends = false;
-  if (change[0] < 0) {  // nothing left, where that explains as much
+  if (change[0] < 0) {  // removed completely, if that explains the data as well
     const Load& c = s.carried;
     const LoadChange all = {-c.mass, -c.mass * c.com[0], -c.mass * c.com[1], -c.mass * c.com[2]};
     ends = c.mass + change[0] < std::min(kSure * error, kRest * c.mass) || same(stretch, change, all);
@@ -395,7 +395,7 @@ ExpectedLoad::Decision ExpectedLoad::take(const Stretch& stretch, LoadChange cha
   }
   Load load = changed(s.carried, change);
   const double far = std::hypot(load.com[0], load.com[1], load.com[2]);
-  if (far > settings_.largest_reach_m)  // the little that is left after most has gone may seem to be anywhere
+  if (far > settings_.largest_reach_m)  // after most of the load was removed, the rest is poorly located
     for (double& c : load.com) c *= 0.99 * settings_.largest_reach_m / far;
   if (settings_.fault(load) != LoadFault::none) return s.held != Alarm::none ? give_alarm() : Decision{};
   s.set = s.change = change;
@@ -419,11 +419,11 @@ ExpectedLoad::Decision ExpectedLoad::take(const Stretch& stretch, LoadChange cha
   return decision;
 }
 
-// It was none.
+// Decides that the contact was not a load.
 ExpectedLoad::Decision ExpectedLoad::give_alarm() noexcept {
   State& s = state_;
   Decision decision;
-  decision.alarm = s.fails ? Alarm::none : s.held;  // what no load explains has raised its own
+  decision.alarm = s.fails ? Alarm::none : s.held;  // the unexplained torque already raised its own alarm
   decision.joint = s.joint;
   s.fails = false;
   s.held = Alarm::none;
@@ -434,8 +434,7 @@ ExpectedLoad::Decision ExpectedLoad::give_alarm() noexcept {
   return decision;
 }
 
-// Two stretches after the alarm, r shows what is there: a load that was set in this window goes again where nothing at
-// all explains more than it does.
+// Two stretches after the alarm: removes a load set in this window if no load at all explains the torques better.
 ExpectedLoad::Decision ExpectedLoad::take_back() noexcept {
   State& s = state_;
   Decision decision;

@@ -50,7 +50,7 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
   ++ring.count;
 
-  // An alarm that was acknowledged and rose again at the next sample never seemed to be gone.
+  // An alarm that was acknowledged and returned at the next sample counts as a new event.
   const bool again = e.alarm == alarm_ && e.alarm_t_ns != alarm_t_ns_;
   const bool rises = (e.alarm > alarm_ || again) && (e.alarm == Alarm::collision || (e.alarm == Alarm::contact && contacts_));
   const bool breaks = e.health == Health::fault && health_ != Health::fault;
@@ -59,7 +59,7 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   health_ = e.health;
   if (rises || breaks) {
     events_.fetch_add(1, std::memory_order_relaxed);
-    if (ring.event < 0) {  // otherwise it stands in the flight of the event before it
+    if (ring.event < 0) {  // otherwise it belongs to the previous event's flight
       ring.event = ring.count;
       ring.estimate = e;
     }
@@ -74,8 +74,8 @@ bool FlightRecorder::finish() noexcept {
   return true;
 }
 
-// A flight that nobody has taken yet keeps its ring; the new one then waits in the active ring for as long as that has
-// room, and is given up when its event would be overwritten.
+// A flight not yet fetched keeps its ring. The new flight waits in the active ring and is dropped when its event would
+// be overwritten.
 void FlightRecorder::hand_over() noexcept {
   Ring& ring = rings_[active_];
   if (handed_.load(std::memory_order_acquire) >= 0) {
@@ -98,7 +98,7 @@ bool FlightRecorder::take(Flight& flight) {
   const Ring& ring = rings_[full];
   const auto n = static_cast<std::size_t>(joints_);
   const std::int64_t rows = std::min(ring.count, capacity_);
-  const std::int64_t oldest = ring.count - rows;  // counted from the ring's first row
+  const std::int64_t oldest = ring.count - rows;  // relative to the ring's first row
   flight = {};
   flight.event_row = ring.event - 1 - oldest;
   flight.event = ring.estimate;

@@ -9,7 +9,7 @@
 namespace tauext {
 namespace {
 
-// The prior may be off by any part of its doubt, either way: that is a standard error of doubt / sqrt(3) of its own.
+// The prior's error is uniform within +-doubt: its standard error is doubt / sqrt(3).
 double with_doubt(double sigma_nm, double doubt_nm) noexcept {
   return doubt_nm > 0 ? std::hypot(sigma_nm, doubt_nm / std::sqrt(3.0)) : sigma_nm;
 }
@@ -129,12 +129,12 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
     if (drift_.on()) drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
     if (factors_.on()) factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
     judge(o, sample, network, expected);
-  } else {  // the alarm stands as it did
+  } else {  // the alarm stays unchanged
     e.detection = false;
     e.held_alarm = Alarm::none;
     if (o.passage == Passage::refused) {
       blank(true);
-      tell({});
+      report_unfamiliar({});
     }
   }
   if (expected) {
@@ -145,23 +145,23 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
   return e;
 }
 
-// What the motion alone says of the limits: the torque has no say.
+// Scales the limits by the motion alone; the torque has no influence.
 void JudgeStage::scale_limits(const Observed& o, const Sample& sample) noexcept {
   Estimate& e = estimate_;
   scale_.step(o.t_ns, sample.dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
   if (!coverage_.on()) return;
-  tell(coverage_.step(o.t_ns, sample.q, sample.dq));
+  report_unfamiliar(coverage_.step(o.t_ns, sample.q, sample.dq));
   for (int j = 0; j < e.joints; ++j) e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
 }
 
-void JudgeStage::tell(const Unfamiliar& unfamiliar) noexcept {
+void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
   estimate_.unfamiliar = unfamiliar.share;
   estimate_.unseen = unfamiliar.what;
   estimate_.unseen_joint = unfamiliar.joint;
   estimate_.unseen_other = unfamiliar.other;
 }
 
-// tau_ext against its limits.
+// Checks tau_ext against its limits.
 void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network,
                        ExpectedLoad* expected) noexcept {
   Estimate& e = estimate_;
@@ -178,7 +178,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   } else {
     blank(o.overflowed);
   }
-  JointVector raised;  // as far as there are joints
+  JointVector raised;  // only the first `joints` entries are set
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
@@ -195,9 +195,9 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
     std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
     contact_errors_.skip();
   }
-  // Where training never was, the error is the prior's and no drift.
-  const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
-  // Nor is it where the unit of a load is not known: such a joint learns as little as one that stands.
+  // In motion outside the training data, the error comes from the prior and is not drift.
+  const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthReporting && !drift_held_;
+  // With a load, joints in unknown units learn nothing either, like joints near stiction.
   const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
   if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
   if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches);
@@ -207,7 +207,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   waits_ = true;
 }
 
-// The alarm of what no load explains; limits are higher by the share that a load's torques are usually wrong by.
+// Checks the torque that the load does not explain. Limits rise by the load model's usual relative error.
 void JudgeStage::hold_alarm(const Observed& o, const Sample& sample, const JointVector& raised,
                             ExpectedLoad& expected) noexcept {
   Estimate& e = estimate_;

@@ -7,8 +7,8 @@
 namespace tauext {
 namespace {
 
-constexpr double kLargest = 1e6;           // of a mass [kg] or a length [m]: whatever weighs more is no load of an arm
-constexpr double kInertiaTolerance = 0.01;  // of the trace: people round the inertia of flat and thin bodies to two digits
+constexpr double kLargest = 1e6;           // largest mass [kg] or length [m] of a load
+constexpr double kInertiaTolerance = 0.01;  // of the trace: published inertias are often rounded to two digits
 
 using Vec3 = std::array<double, 3>;
 
@@ -23,8 +23,8 @@ bool all_finite(std::span<const double> values) noexcept {
   return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
 }
 
-// A body's second moments, half its trace less the inertia, are positive semidefinite: that is both rules in one. By
-// Cholesky of them and a little more.
+// The second moments of a body (half the trace less the inertia) must be positive semidefinite. Checked by a Cholesky
+// factorisation with a small tolerance.
 bool is_of_a_body(const std::array<double, 6>& inertia) noexcept {
   const double trace = inertia[0] + inertia[1] + inertia[2];
   if (trace == 0) return std::ranges::all_of(inertia, [](double value) { return value == 0; });

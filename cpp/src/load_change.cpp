@@ -23,7 +23,7 @@ std::array<double, 3> com_of(const LoadChange& change) noexcept {
 
 constexpr double kLeastPivot = 1e-300;
 
-// x of A x = b; A of so many rows is lost.
+// Solves A x = b; overwrites A, of this many rows.
 LoadChange solved(Matrix& a, LoadChange b, std::size_t size) noexcept {
   cholesky(std::span(a).first(size * size), size, kLeastPivot);
   substitute(std::span(a).first(size * size), size, std::span(b).first(size));
@@ -164,7 +164,7 @@ Load changed(const Load& before, const LoadChange& change) noexcept {
   if (!(mass > 0)) return load;
   if (change[0] > 0) {
     load = together(before, ball(change[0], com_of(change)));
-  } else {  // what is left of a body: nobody knows how it is spread, and as before is possible
+  } else {  // rest of a partly removed load: its centre is unknown, so the old one stays possible
     load = before;
     load.mass = mass;
     for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;

@@ -10,7 +10,7 @@
 
 namespace tauext {
 
-// m [kg] and h = m c [kg m] in the load frame; of a change where a load is known already, and then m may be below 0.
+// m [kg] and h = m c [kg m] in the load frame. For a change of a known load, m may be below 0.
 using LoadChange = std::array<double, 4>;
 
 // What a change must be within: low <= m <= high, |h| <= |m| reach.
@@ -25,8 +25,8 @@ struct ChangeSums {
   double squares = 0;               // sum of y^2 / sigma^2
   double rows = 0;                  // samples times joints that count
 
-  // One sample of every joint. load: columns of a unit (LoadColumns); inertia: torques of the load's own inertia, which
-  // are taken off; sigma_nm > 0, infinite where the joint does not count.
+  // One sample of every joint. load: columns of a unit (LoadColumns); inertia: torques of the load's own inertia, which are
+  // subtracted; sigma_nm > 0, infinite for joints that do not count.
   void add(const LoadRegressor::Columns& load, std::span<const double> torque, std::span<const double> inertia,
            std::span<const double> sigma_nm) noexcept;
   void add(const ChangeSums& other) noexcept;
@@ -50,7 +50,7 @@ bool agree(const ChangeSums& one, const ChangeSums& other, const LoadBounds& bou
 // All ten parameters of a change: its inertia is a ball's of aluminium about its own centre, little beside m c^2.
 std::array<double, 10> ten_of(const LoadChange& change) noexcept;
 
-// The load before and a change of it as one; mass 0 where nothing is left.
+// Sum of the previous load and a change; mass 0 if nothing is left.
 Load changed(const Load& before, const LoadChange& change) noexcept;
 
 }  // namespace tauext

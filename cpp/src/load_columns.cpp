@@ -67,7 +67,7 @@ LoadRegressor::LoadRegressor(const Tree& tree, const LoadFrame& frame)
   for (int at = frame.link; at >= 0; at = links_[static_cast<std::size_t>(at)].parent) chain_.push_back(at);
 }
 
-void LoadRegressor::look(std::span<const double> q, std::span<const double> dq) noexcept {
+void LoadRegressor::compute(std::span<const double> q, std::span<const double> dq) noexcept {
   std::array<Screw, kMaxJoints> twist;  // of the chain, for a unit speed
   LinkSeen seen(frame_.rotation, frame_.translation);
   const Turn& axes = seen.axes;
@@ -177,7 +177,7 @@ void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<c
                        std::span<const double> beta, std::span<const double> phi) noexcept {
   constexpr JointVector zero{};
   const auto n = static_cast<std::size_t>(joints_);
-  regressor_.look(q, dq);
+  regressor_.compute(q, dq);
   JointVector corrected_momentum, corrected_beta, rubbing{}, offset{}, coulomb{};
   if (corrected_) {
     corrected_->momentum(q, dq, std::span(corrected_momentum).first(n), std::span(corrected_beta).first(n));
@@ -258,7 +258,7 @@ LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const
       out.coulomb.push_back(s.coulomb[j]);
     }
   }
-  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
   return out;
 }
 

@@ -1,4 +1,4 @@
-// What a load that nobody told shows in tau_ext, per unit of its parameters; and what else could show there.
+// Contribution of an unknown load to tau_ext per unit of its parameters, and of other possible causes.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -20,13 +20,13 @@ namespace tauext {
 
 struct Bundle;
 
-// Where a load is fixed: a frame on a link of a tree, in the link's own frame.
+// Mounting of a load: a frame on a link of a tree, in the link's own frame.
 struct LoadFrame {
   int link = -1;  // index of the tree's links
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
   std::array<double, 3> translation{};                        // its origin in the link's frame, [m]
 
-  // Throws Error where the link does not exist or the rotation is none.
+  // Throws Error if the link does not exist or the rotation is none.
   void validate(int links) const;
 };
 inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.link, loads.rotation, loads.translation}; }
@@ -34,20 +34,20 @@ inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.
 // Columns of p and beta of every joint, for a load with parameters phi in the frame's axes, about the frame's origin:
 //   phi = (m, h, I):  mass [kg], first moment h = m c [kg m], inertia xx, yy, zz, xy, xz, yz [kg m^2],
 //   p_load = sum_k P_k phi_k,    beta_load = sum_k B_k phi_k.
-// With S_i the frame's twist for a unit speed of joint i, V_i that of the joints before it, H_k momentum and W_k weight of
-// a unit parameter, all in the frame:  P_ik = S_i . H_k,  B_ik = -S_i . W_k - (V_i x S_i) . H_k.  One way down the chain
-// from the load to the base finds S and V; joints that do not carry the load have zeros.
+// All in the frame: S_i is its twist for a unit speed of joint i, V_i that of the joints before it. H_k and W_k are
+// momentum and weight of a unit parameter. P_ik = S_i . H_k,  B_ik = -S_i . W_k - (V_i x S_i) . H_k. One pass from the
+// load to the base gives S and V; other joints have zeros.
 class LoadRegressor {
  public:
   static constexpr int kParameters = 10;
   using Columns = std::array<JointVector, kParameters>;
   using Forces = std::array<JointVector, 3>;
 
-  // Throws Error where the frame does not fit the tree.
+  // Throws Error if the frame does not fit the tree.
   LoadRegressor(const Tree& tree, const LoadFrame& frame);
 
-  // One sample; q and dq hold one value a joint.
-  void look(std::span<const double> q, std::span<const double> dq) noexcept;
+  // Processes one sample; q and dq hold one value per joint.
+  void compute(std::span<const double> q, std::span<const double> dq) noexcept;
 
   // Of the last sample: P, B, and the joint torques of a force of 1 N at the frame's origin, along the frame's axes and
   // along the base's.
@@ -66,9 +66,9 @@ class LoadRegressor {
   Forces frame_forces_{}, base_forces_{};
 };
 
-// All of it passed through the observer's own filter, so that it stands beside tau_ext:
+// All columns are passed through the observer's filter, in phase with tau_ext:
 //   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
-//   offset     what of the load's friction does not grow with phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
+//   offset     part of the load's friction that is constant in phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
 //   frame, base force   torque of 1 N at the load frame's origin along its own axes and along the base's
 //   coulomb    tanh(dq / v): friction that is not what training saw
 // with phi the load as known so far, which decides only on the side that the gear is loaded on.
@@ -83,15 +83,15 @@ class LoadColumns {
     JointVector offset{}, coulomb{};
   };
 
-  // Throws Error where the frame or the shares do not fit the tree.
+  // Throws Error if the frame or the shares do not fit the tree.
   LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s);
 
-  // The next sample starts anew.
+  // Restarts at the next sample.
   void reset() noexcept;
   // One sample, with beta of the estimated model; phi: (kParameters), of the load.
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
             std::span<const double> phi) noexcept;
-  // The first sample, where r has been running: the filters stand as if the arm had been so for long.
+  // First sample while r is already running: filters start in steady state.
   void begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
              std::span<const double> phi) noexcept;
   bool started() const noexcept { return state_.filters.front().started(); }
@@ -121,7 +121,7 @@ class LoadColumns {
   std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
   std::vector<double> shares_;
   State state_;
-  bool settled_ = false;  // filters stand at what goes into them
+  bool settled_ = false;  // filters are in steady state
 };
 
 // The columns at `samples` of a recording, which rise; row-major.
@@ -131,7 +131,7 @@ struct LoadRows {
   std::vector<double> offset, coulomb;            // (rows, joints)
 };
 
-// Throws Error where something does not fit, or `samples` do not rise.
+// Throws Error if something does not fit, or `samples` do not rise.
 LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
                    const RecordingView& recording, std::span<const std::int64_t> samples);
 

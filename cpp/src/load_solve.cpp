@@ -93,8 +93,8 @@ double LoadSums::block_square(int joint, const Row& theta) const noexcept {
 namespace {
 
 constexpr std::size_t kMost = 4;  // coefficients that all joints share
-// Of a mass before any motion, standard deviation: what no joint shows has it still, not none. No arm carries so much.
-constexpr double kUntoldKg = 1000;
+// Standard deviation of a mass before any motion: above any payload, so unobserved masses stay undetermined.
+constexpr double kUnseenMassKg = 1000;
 
 struct Shared {
   std::size_t first, size;
@@ -110,7 +110,7 @@ Shared shared_by(LoadCause cause) noexcept {
   return {0, 0};
 }
 
-// What is to be explained, as a sum of columns.
+// Sum of columns to be explained.
 LoadSums::Row target(const LoadParameters& phi) noexcept {
   LoadSums::Row theta{};
   theta[LoadSums::kTauExt] = 1;
@@ -119,7 +119,7 @@ LoadSums::Row target(const LoadParameters& phi) noexcept {
   return theta;
 }
 
-// What a fit leaves of a joint, likewise.
+// The fit's residual of a joint, as a sum of columns.
 LoadSums::Row left(const LoadSums::Row& whole, const Shared& shared, const LoadFit& fit, std::size_t joint) noexcept {
   LoadSums::Row theta = whole;
   for (std::size_t k = 0; k < shared.size; ++k) theta[shared.first + k] -= fit.values[k];
@@ -128,7 +128,7 @@ LoadSums::Row left(const LoadSums::Row& whole, const Shared& shared, const LoadF
   return theta;
 }
 
-// Of a joint: its own two unknowns as a function of the shared ones.
+// A joint's own two unknowns as a function of the shared ones.
 struct Own {
   std::array<std::array<double, kMost>, 2> per_shared;
   std::array<double, 2> constant;
@@ -172,7 +172,7 @@ Own eliminate(const LoadSums& sums, int joint, const Shared& shared, const LoadS
   return out;
 }
 
-// Pseudo-inverse of a symmetric matrix (size, size): directions that nothing tells are left at 0.
+// Pseudo-inverse of a symmetric matrix (size, size): unobserved directions stay at 0.
 std::array<double, kMost * kMost> inverted(const std::array<double, kMost * kMost>& matrix, std::size_t size) noexcept {
   std::array<double, kMost * kMost> out{};
   if (size == 0) return out;
@@ -188,8 +188,8 @@ std::array<double, kMost * kMost> inverted(const std::array<double, kMost * kMos
   return out;
 }
 
-void tell_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& whole, const LoadBefore& before,
-               LoadFit& fit) noexcept {
+void report_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& whole, const LoadBefore& before,
+                 LoadFit& fit) noexcept {
   double total = 0, worth = 0, independent = 0;
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);
@@ -201,7 +201,7 @@ void tell_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& 
                 fit.coulomb_nm[j] * fit.coulomb_nm[j] * information_of(before.coulomb_nm[j]);
   }
   fit.cost += independent / fit.noise.correlation;
-  if (shared.size == 4) fit.cost += fit.values[0] * fit.values[0] * information_of(kUntoldKg);
+  if (shared.size == 4) fit.cost += fit.values[0] * fit.values[0] * information_of(kUnseenMassKg);
   if (shared.size == 4 && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) fit.cost += fit.values[k] * fit.values[k] * information_of(before.moment_kg_m);
   fit.misfit = total / std::max(worth, 1e-9);
@@ -223,7 +223,7 @@ LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& 
   std::array<double, kMost * kMost> information{};
   std::array<double, kMost> moment{};
   std::array<Own, kMaxJoints> own;
-  if (cause == LoadCause::load) information[0] = information_of(kUntoldKg);
+  if (cause == LoadCause::load) information[0] = information_of(kUnseenMassKg);
   if (cause == LoadCause::load && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) information[k * 4 + k] = information_of(before.moment_kg_m);
   for (int joint = 0; joint < sums.joints(); ++joint) {
@@ -245,7 +245,7 @@ LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& 
       fit.coulomb_nm[j] -= own[j].per_shared[1][k] * fit.values[k];
     }
   }
-  tell_left(sums, shared, whole, before, fit);
+  report_left(sums, shared, whole, before, fit);
   return fit;
 }
 
@@ -275,7 +275,7 @@ LoadFit fit_load(const LoadSums& sums, LoadCause cause, const LoadParameters& ph
   return fit;
 }
 
-// By Jacobi's rotations.
+// Jacobi eigenvalue iteration.
 SymmetricAxes symmetric_axes(std::span<const double> matrix, int size) noexcept {
   const auto n = static_cast<std::size_t>(size);
   std::array<std::array<double, kMost>, kMost> a{};
@@ -325,25 +325,25 @@ SymmetricAxes symmetric_axes(std::span<const double> matrix, int size) noexcept 
 
 namespace {
 
-// Aluminium: a load's inertia about its own centre is taken to be that of a ball of it, little beside m c^2.
+// Aluminium: a load's inertia about its own centre is approximated by a ball, small beside m c^2.
 constexpr double kDensity = 2700.0;      // [kg/m^3]
-constexpr double kLeastMass = 0.1;       // [kg], whose first moment is believed at least
-constexpr double kUsualMass = 2;         // [kg]: what arms of this size are given to carry
+constexpr double kLeastMass = 0.1;       // [kg]: least mass for the first moment
+constexpr double kUsualMass = 2;         // [kg]: usual payload of arms of this size
 constexpr double kShows = 3.0;           // standard errors between a mass and 0
-// By which another explanation must be cheaper: odds of 90 to 1 and more, in a comparison of independent errors; and by a
-// share, since errors of the model are not independent, and cost each explanation something else.
+// Another explanation must be cheaper by these. The difference: odds of 90 to 1, for independent errors. The ratio:
+// model errors are correlated and affect each explanation differently.
 constexpr double kBetter = 9.0, kByHowMuch = 1.3;
 constexpr double kDown = 0.95;           // cosine of the angle to gravity, 18 degrees, within which a force is a weight
-// Squared standard errors a row that a load may leave: twice the usual error. Some arms are off by that; a wrench that
-// moves about on the arm leaves more, and then a load must explain this share of what shows.
+// Squared standard errors per row that a load may leave: twice the usual error, as for some arms. A wrench that moves
+// along the arm leaves more; then a load must explain this share of the torque.
 constexpr double kPoor = 4.0, kExplains = 0.5;
-// Errors are compared as the bundle knows them where the load leaves more: else a contact would be taken for a large error.
+// If the load leaves more, errors are taken from the bundle: otherwise a contact would count as a large error.
 constexpr double kMostScale = 1.5;
-// A direction of the centre of mass is not seen where its standard error is more than half of what was assumed before.
+// A direction of the centre of mass is unobserved if its standard error exceeds half the assumed one.
 constexpr double kUnseenShare = 0.5;
-constexpr double kMassUnseen = 0.25, kMassSeen_kg = 0.05;  // a mass is not told whose standard error is a quarter of it
+constexpr double kMassUnseen = 0.25, kMassSeen_kg = 0.05;  // larger standard errors: the mass is not reported
 constexpr double kUsualLever_m = 0.5;    // as Load::kUsualError has it
-constexpr double kErrorsOfLoad = 2.0;    // standard errors of its torques: nineteen of twenty loads are within
+constexpr double kErrorsOfLoad = 2.0;    // standard errors of its torques: 95 % of loads are within
 
 using Vec3 = std::array<double, 3>;
 
@@ -355,13 +355,13 @@ std::array<double, 6> about_origin(double m, const Vec3& c) noexcept {
           -m * c[0] * c[1],                -m * c[0] * c[2],                -m * c[1] * c[2]};
 }
 
-// Drawn to the origin as far as the reach asks.
+// Scaled towards the origin to satisfy the reach.
 Vec3 within(const Vec3& com, double reach_m) noexcept {
   const double share = std::min(1.0, reach_m / std::max(length(com), 1e-12));
   return {share * com[0], share * com[1], share * com[2]};
 }
 
-// What the arm carries in all where another load is set than it carries.
+// The total carried load, if another load is set.
 Load corrected(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept {
   const double mass = set.mass + found[0];
   if (!(mass > 0)) return {};
@@ -376,7 +376,7 @@ Load corrected(const std::array<double, 4>& found, const Load& set, double reach
   return whole;
 }
 
-// Whether a force along the base's axes pulls down (or, where a load is set, up): where nothing speeds up, that is a load.
+// Whether a force in base axes points down (or, with a set load, up): without acceleration that is a load.
 bool along(const LoadFit& force, const Vec3& gravity, bool either_way) noexcept {
   const Vec3 f{force.values[0], force.values[1], force.values[2]};
   const double dot = f[0] * gravity[0] + f[1] * gravity[1] + f[2] * gravity[2];
@@ -400,8 +400,8 @@ LoadVerdict verdict(const LoadFound& found, double mass_kg, const Load& set, con
   return shows ? LoadVerdict::load : LoadVerdict::nothing;
 }
 
-// Mass, centre of mass, their errors and what is not seen.
-void tell(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFound& out) noexcept {
+// Mass, centre of mass, their errors and the unobserved parts.
+void report(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFound& out) noexcept {
   out.phi = phi;
   out.covariance = fit.covariance;
   out.mass_kg = phi[0];
@@ -429,8 +429,8 @@ void tell(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFou
   out.mass_seen = out.mass_error_kg <= std::max(kMassUnseen * std::fabs(out.mass_kg), kMassSeen_kg);
 }
 
-// Of the torques of a load in poses that this motion did not show: of its weight at a usual lever and of its first moment
-// in any direction.
+// Error of the load's torques in poses outside this motion: of its weight at a usual lever and its first moment in any
+// direction.
 double error_share(const LoadFound& found, double mass_kg) noexcept {
   if (!(mass_kg > 0)) return Load::kUsualError;
   const double lever2 = kUsualLever_m * kUsualLever_m;
@@ -483,7 +483,7 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
   LoadBefore last;
   for (int round = 0; round < rounds; ++round) {
     about = now;
-    // Where nothing is known a light load's short levers would hold a heavy one down, for good.
+    // Start from the usual mass: a light load's prior would limit a heavy one's levers in all later rounds.
     fit = fit_load(sums, LoadCause::load, about, before(about[0] == 0 ? kUsualMass : about[0]));
     last = before(fit.values[0]);
     fit = fit_load(sums, LoadCause::load, about, last);
@@ -493,7 +493,7 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
   for (double& scale : noise.scale) scale = std::min(scale, kMostScale);
   for (int cause = 0; cause < kLoadCauses; ++cause)
     out.fits[static_cast<std::size_t>(cause)] = solve_load(sums, static_cast<LoadCause>(cause), about, last, noise);
-  tell(fit, now, settings.reach_m, out);
+  report(fit, now, settings.reach_m, out);
   out.misfit = fit_of(out, LoadCause::load).misfit;
   LoadParameters whole = parameters_of(set);
   for (std::size_t k = 0; k < whole.size(); ++k) whole[k] += now[k];

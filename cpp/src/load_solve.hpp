@@ -1,4 +1,4 @@
-// What the sums say: mass and centre of mass, how sure they are, and whether it is a load at all.
+// Solves the sums for mass and centre of mass, with errors, and decides whether a load is there.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -11,42 +11,42 @@
 
 namespace tauext {
 
-// Of each joint, over rows z a network period apart, the sums of worth z z^T / sigma^2; and the same of sums over blocks
-// of kBlockRows rows, which tell for how long errors of tau_ext go on in one direction.
+// Per joint, over rows z one network period apart: sums of worth z z^T / sigma^2, and the same of sums over blocks of
+// kBlockRows rows. The blocks show how long errors of tau_ext persist.
 class LoadSums {
  public:
-  // Columns of a row: what a unit of it shows in tau_ext (load_columns.hpp), and tau_ext itself, [N m].
+  // Columns of a row: contribution per unit to tau_ext (load_columns.hpp), and tau_ext itself, [N m].
   static constexpr std::size_t kLoad = 0,  // m, h, I: 10
       kOffset = 10,                        // an offset of the joint's own
-      kCoulomb = 11,                       // friction of another size than training saw
+      kCoulomb = 11,                       // deviation of friction from training
       kBase = 12, kFrame = 15,             // forces along the base's and the frame's axes: 3 each
-      kGear = 18,                          // what of the load's friction does not grow with it
+      kGear = 18,                          // the constant part of the load's friction
       kTauExt = 19, kColumns = 20;
   static constexpr int kBlockRows = 100;   // a second
   using Row = std::array<double, kColumns>;
 
-  // Symmetric: what stands in the upper triangle counts.
+  // Symmetric: only the upper triangle is used.
   using Square = std::array<double, kColumns * kColumns>;
   struct Joint {
     Square whole{}, blocks{};
-    Row open{};        // of the block that is not full yet
-    double worth = 0;  // rows, each by what it is worth
+    Row open{};        // of the current block
+    double worth = 0;  // sum of the rows' worth
   };
 
   // Allocates; nothing else here does.
   explicit LoadSums(int joints) : joints_(static_cast<std::size_t>(joints)) {}
 
-  // As newly made.
+  // Back to the state after construction.
   void clear() noexcept;
-  // One row, a Row, a sigma > 0 and a worth 0 to 1 a joint.
+  // Adds one row; per joint a Row, a sigma > 0 and a worth of 0 to 1.
   void add(std::span<const Row> rows, std::span<const double> sigma, std::span<const double> worth) noexcept;
-  // The next row does not follow the last one: it begins a block.
+  // The next row does not follow the last one; starts a block.
   void end_block() noexcept;
-  // All that was added counts only so much (0 to 1) any more.
+  // Scales all previous rows by this factor (0 to 1).
   void fade(double share) noexcept;
 
   int joints() const noexcept { return static_cast<int>(joints_.size()); }
-  double rows() const noexcept { return rows_; }  // added; faded ones by what they count
+  double rows() const noexcept { return rows_; }  // faded rows count partially
   const Joint& joint(int j) const noexcept { return joints_[static_cast<std::size_t>(j)]; }
   // Sum over b of whole_ab theta_b.
   double product(int joint, std::size_t a, const Row& theta) const noexcept;
@@ -60,10 +60,10 @@ class LoadSums {
   int open_rows_ = 0;
 };
 
-// What is known beforehand.
+// Prior knowledge.
 struct LoadBefore {
   JointVector offset_nm{}, coulomb_nm{};  // a joint: standard deviation of its own two unknowns, [N m]
-  double moment_kg_m = 0;                 // of each component of h about 0; 0: nothing is known of it
+  double moment_kg_m = 0;                 // standard deviation of each component of h; 0: none given
 };
 
 // Least squares of tau_ext - gear - X_I phi_I = X values + offset_j + coulomb_j tanh(dq_j / v) + error over all rows: each
@@ -71,15 +71,15 @@ struct LoadBefore {
 // phi_I is taken off.
 LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before,
                    const LoadNoise& noise) noexcept;
-// Size and correlation of the errors that a fit leaves: sums over blocks grow with how long errors last.
+// Size and correlation of a fit's residuals: sums over blocks grow with the correlation time.
 LoadNoise noise_left(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadFit& fit) noexcept;
-// Both in turns, kLoadPasses times.
+// Alternates both, kLoadPasses times.
 inline constexpr int kLoadPasses = 4;
 LoadFit fit_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before) noexcept;
 
-inline constexpr double kLeastNoiseScale = 0.5;  // beside the bundle's sigma: a few seconds may happen to be easy
-// Rows: errors of friction go with the direction of a move, and last for a good part of one, 0.3 s at least. A fit takes
-// some of them up, so that what it leaves shows less.
+inline constexpr double kLeastNoiseScale = 0.5;  // relative to the bundle's sigma: a few seconds may have small errors
+// Rows: friction errors depend on the direction of motion and last for a good part of a move, at least 0.3 s. The fit
+// absorbs some of them, so its residuals underestimate them.
 inline constexpr double kLeastCorrelation = 30;
 
 // Eigenvalues (rising) and unit vectors (rows) of a symmetric matrix (size, size) of size 1 to 4.
@@ -89,37 +89,36 @@ struct SymmetricAxes {
 };
 SymmetricAxes symmetric_axes(std::span<const double> matrix, int size) noexcept;
 
-// What is set of a load beside its columns.
+// Load settings beside the columns.
 struct WeighSettings {
-  JointVector offset_nm{}, coulomb_nm{};     // as LoadBefore
+  JointVector offset_nm{}, coulomb_nm{};     // see LoadBefore
   std::array<double, 3> gravity{};           // in the base frame, [m/s^2]
   double row_s = 0.01;                       // between rows
-  double reach_m = kUsualReach_m;            // the centre of mass is within it of the frame's origin
+  double reach_m = kUsualReach_m;            // largest distance of the centre of mass from the frame's origin
 };
 
-inline constexpr double kSigmaOfLimit = 0.2;  // where there is no error scale, whose limits are some five of it
+inline constexpr double kSigmaOfLimit = 0.2;  // without an error scale; limits are about five of its sigmas
 
-// In rounds, the inertia following from the load found in the round before.
-//   set: what the arm is taken to carry, which tau_ext is without
-//   phi: what is known so far of what there is beside it, all 0 where that is nothing
+// Iterates; each round uses the inertia of the load found before.
+//  set: the load already subtracted from tau_ext
+//  phi: current estimate of the additional load, all 0 if none
 inline constexpr int kLoadRounds = 3;
 LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load& set, const LoadParameters& phi,
                 int rounds = kLoadRounds) noexcept;
 
-// What is known of (m, h) of a load of so much mass before any motion: each of h within m reach / 2 of 0.
+// Prior of (m, h) for a load of this mass: each component of h within m reach / 2 of 0.
 LoadBefore before_weighing(const WeighSettings& settings, double mass_kg) noexcept;
-// All parameters that follow from (m, h) found beside a load that is set: with it, the mass is at least 0 and its centre
-// within the reach. The inertia of what came is that of a ball about its centre; where something was taken off, what is
-// left keeps its radii of gyration.
+// All parameters, given (m, h) found beside a set load. In total, the mass is at least 0 and the centre within reach.
+// The added part has the inertia of a ball about its centre; after a removal, the rest keeps its radii of gyration.
 LoadParameters beside(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept;
 
 // About the frame's origin.
 LoadParameters parameters_of(const Load& load) noexcept;
-// Of such parameters, mass above 0; else no load.
+// Load of these parameters if the mass is above 0; else none.
 Load load_of(const LoadParameters& phi, double error_share) noexcept;
-// A body of this mass above 0 as a ball of aluminium: its inertia is little beside m c^2. It has no error.
+// An aluminium ball of this mass > 0, without error; its inertia is small beside m c^2.
 Load ball(double mass, const std::array<double, 3>& com) noexcept;
-// Two bodies as one; the error share is that of their torques where they pull alike.
+// Combines two loads; the error share is that of aligned torques.
 Load together(const Load& a, const Load& b) noexcept;
 
 }  // namespace tauext

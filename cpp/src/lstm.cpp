@@ -21,7 +21,7 @@ void LstmShape::validate() const {
     throw Error("an LSTM has 1 to " + std::to_string(kMaxJoints) + " outputs, not " + std::to_string(outputs));
 }
 
-// A gate adds b + W_x x + W_h h with |h| <= 1, the head b + W h: each magnitude is bounded by the sum of the magnitudes.
+// A gate sums b + W_x x + W_h h with |h| <= 1, the head b + W h; the sum of the magnitudes bounds both.
 float largest_lstm_input(const LstmShape& shape, std::span<const float> parameters) {
   constexpr double kLargestSum = 1e37;  // a float holds 3.4e38
   const auto F = static_cast<std::size_t>(shape.inputs), H = static_cast<std::size_t>(shape.hidden),
@@ -106,7 +106,7 @@ struct Kernels {
   const char* name;
   int lanes;
 };
-// Of this architecture, the narrowest first.
+// For this architecture, the narrowest first.
 #if defined(__x86_64__)
 constexpr Kernels kKernels[] = {{"sse2", 4}, {"avx2", 8}, {"avx512", 16}};
 int usable_kernels() noexcept { return 1 + static_cast<int>(widest_simd()); }
@@ -115,8 +115,8 @@ constexpr Kernels kKernels[] = {{"neon", 4}};
 int usable_kernels() noexcept { return 1; }
 #endif
 
-// A narrower set than the widest is for comparing machines and for finding faults; a wider one would be an illegal
-// instruction in the middle of a computation, hence is refused here.
+// A narrower set is for comparing machines and for debugging. A wider one than the machine's is refused here: it would
+// cause an illegal instruction later.
 int chosen_lanes() {
   const int usable = usable_kernels();
   const char* asked = std::getenv("TAUEXT_SIMD");
@@ -161,7 +161,7 @@ struct Forward {
   std::span<float> out;
 };
 
-// b + W_x x of the rows first .. last, into out (padded, 4) lines of `rows` values each.
+// b + W_x x of rows first .. last, into out: (padded, 4) lines of `rows` values.
 template <int L>
 TAUEXT_INLINE void project(const Packed& w, const WindowRows& windows, std::int64_t first, std::int64_t last, float* in,
                            float* out, std::ptrdiff_t rows) noexcept {
@@ -188,7 +188,7 @@ TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   const int F = w.inputs, P = w.padded, O = w.outputs;
   const auto first = static_cast<std::size_t>(chunk) * kWindowsPerChunk;
   const std::size_t last = std::min(first + kWindowsPerChunk, job.ends.size());
-  // Worth it where the windows together have more steps than there are rows under them.
+  // Worth it if the windows have more steps than there are rows under them.
   const std::int64_t windows_here = static_cast<std::int64_t>(last - first);
   bool consecutive = (windows_here - 1) * windows.length >= static_cast<std::int64_t>(windows.length - 1) * windows.stride;
   for (std::size_t k = first + 1; k < last; ++k) consecutive = consecutive && job.ends[k] == job.ends[k - 1] + 1;
@@ -197,7 +197,7 @@ TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   Buffer h = make_buffer(static_cast<std::size_t>(P) * L), next_h = make_buffer(static_cast<std::size_t>(P) * L);
   const std::int64_t back = static_cast<std::int64_t>(windows.length - 1) * windows.stride;
   const std::int64_t first_row = job.ends[first] - back;
-  // Lines end on a whole vector, with one to spare for the lanes past the last window.
+  // Lines are padded to whole vectors, plus one for the lanes past the last window.
   const std::ptrdiff_t rows = (job.ends[last - 1] - first_row + 1 + 2 * L - 1) / L * L;
   Buffer projected;
   if (consecutive) {

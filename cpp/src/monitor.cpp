@@ -20,7 +20,7 @@ namespace {
 
 constexpr std::uint32_t kStateVersion = 1;
 
-// What a saved state begins with.
+// Header of a saved state.
 struct StateHead {
   std::uint32_t version, fingerprint;
   std::uint64_t bytes;
@@ -31,17 +31,17 @@ std::span<const char> as_chars(std::span<const std::byte> bytes) noexcept {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
 }
 
-// Validates the bundle, too, before anything is made of it.
+// Also validates the bundle before anything is built from it.
 std::uint32_t fingerprint_of(const Bundle& bundle, NetworkRate rate) {
   const char how = static_cast<char>(rate);
   const std::vector<char> bytes = to_bytes(bundle);
   return crc32(std::span(&how, 1), crc32(bytes));
 }
 
-// Motion that is kept for a refit, in memory that is there before the loop begins.
+// Motion stored for a refit, in memory allocated before the loop starts.
 class RefitMotion {
  public:
-  // Allocates; what was kept is lost.
+  // Allocates; discards the stored samples.
   void reserve(int joints, std::int64_t samples) {
     *this = {};
     joints_ = joints;
@@ -60,7 +60,7 @@ class RefitMotion {
     running_ = true;
   }
   void stop() noexcept { running_ = false; }
-  // A sample of as many joints; once it is full, and unless it runs, none is kept.
+  // Stores one sample; nothing is stored when full or not running.
   void push(const Sample& sample) noexcept {
     if (!running_ || full()) return;
     t_ns_[static_cast<std::size_t>(samples_)] = sample.t_ns;
@@ -86,15 +86,15 @@ struct Monitor::Chain {
   std::vector<std::string> joint_names, torque_units, estimate_units;
   std::int64_t sample_period_ns;
   LoadSettings load_settings;
-  std::uint32_t fingerprint;  // CRC-32 of the bundle and of what else a state depends on
+  std::uint32_t fingerprint;  // CRC-32 of the bundle and of all else that determines a state's layout
   ObserveStage observe;
   std::optional<SlidingLstm> network;
   std::vector<float> network_out;
   JudgeStage judge;
-  std::vector<FrictionLine> friction;  // a joint
+  std::vector<FrictionLine> friction;  // per joint
   RefitMotion refit_motion;
-  std::optional<ExpectedLoad> expected;  // where loads can be
-  std::optional<Weighing> weighing;      // where it is possible
+  std::optional<ExpectedLoad> expected;  // if loads are enabled
+  std::optional<Weighing> weighing;      // if supported
   WrenchModel wrench;
 
   Chain(const Bundle& bundle, NetworkRate rate);
@@ -172,7 +172,7 @@ void Monitor::stop_weighing() noexcept {
   chain_->judge.hold_drift(false);
 }
 
-// And nothing was found.
+// Evaluation ended, and no load was found.
 void Monitor::Chain::end_weighing() noexcept {
   if (weighing) weighing->reset();
   judge.hold_drift(false);
@@ -215,7 +215,7 @@ RecordingView Monitor::finish_refit() noexcept {
 
 void Monitor::resume() noexcept {
   chain_->observe.forget_friction(last().near_stiction);
-  if (chain_->observe.tells_friction()) chain_->judge.forget_pushes();  // the doubt stands for them
+  if (chain_->observe.models_friction()) chain_->judge.forget_pushes();  // the doubt covers them
   acknowledge();
 }
 
@@ -244,11 +244,11 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
     chain_->refit_motion.push(sample);
   }
   const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load());
-  if (weighing()) chain_->weighing->look(sample, observed, answer);
+  if (weighing()) chain_->weighing->take(sample, observed, answer);
   return answer;
 }
 
-// The network's answer for the window that ends at this sample, in network_out; what stood there while none is full.
+// Writes the network's output for the window ending at this sample to network_out; unchanged while no window is full.
 void Monitor::Chain::predict(const Observed& observed) noexcept {
   if (observed.restarted) network->restart();
   network->push(observe.features(), observed.ticks);
@@ -264,7 +264,7 @@ void Monitor::advance() noexcept {
   if (chain_->expected && chain_->expected->on()) chain_->follow_expected();
 }
 
-// What the last sample decided about a load that is expected.
+// Applies what the last sample decided about an expected load.
 void Monitor::Chain::follow_expected() noexcept {
   const ExpectedLoad::Decision decision = expected->decide();
   if (decision.alarm != Alarm::none) judge.raise(decision.alarm, decision.joint);
@@ -336,7 +336,7 @@ std::uint64_t Monitor::samples() const noexcept { return chain_->observe.progres
 std::uint64_t Monitor::bridged_ticks() const noexcept { return chain_->observe.progress().bridged; }
 std::uint64_t Monitor::restarts() const noexcept { return chain_->observe.progress().restarts; }
 
-// What a state holds, in this order; all of it plain bytes.
+// Parts of a saved state, in this order; all trivially copyable.
 std::size_t Monitor::state_bytes() const noexcept {
   return sizeof(StateHead) + sizeof(ObserveStage::State) + sizeof(JudgeStage::State) +
          (chain_->expected ? chain_->expected->state_bytes() : 0) + (chain_->network ? chain_->network->state_bytes() : 0);
@@ -370,7 +370,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (head.version != kStateVersion || head.fingerprint != chain_->fingerprint || head.bytes != state.size() ||
       head.crc != crc32(as_chars(left)))
     return false;
-  const auto take = [&](auto part) noexcept {  // a copy of what stands there gives it its type
+  const auto take = [&](auto part) noexcept {  // a copy of the current part gives it its type
     std::memcpy(&part, left.data(), sizeof part);
     left = left.subspan(sizeof part);
     return part;

@@ -11,7 +11,7 @@ constexpr std::int64_t kLongestPeriodNs = 10'000'000'000, kBridgedNs = 30'000'00
 }
 
 int longest_bridged(std::int64_t sample_period_ns, int network_stride) noexcept {
-  if (sample_period_ns < 1) return network_stride;  // SampleClock refuses it
+  if (sample_period_ns < 1) return network_stride;  // rejected by SampleClock
   return std::max(network_stride, static_cast<int>(std::min<std::int64_t>(kMostBridged, kBridgedNs / sample_period_ns)));
 }
 
@@ -82,7 +82,7 @@ Presliding::Presliding(int joints, std::span<const double> widths, std::span<con
   }
 }
 
-// Along the branch, segment by segment; a joint that slides stays where it is.
+// Along the branch, segment by segment; a sliding joint stays at its end.
 void Presliding::bend_local(int joint, double moved) noexcept {
   double& state = state_.local[static_cast<std::size_t>(joint)];
   const double direction = moved > 0 ? 1.0 : -1.0;

@@ -72,7 +72,7 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
 std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& settings, const SignalRanges& ranges,
                                                  const RecordingView& recording) {
   settings.validate_constants(recording.joints);
-  SampleClock(settings.sample_period_ns, settings.network_stride);  // throws where they make no sense
+  SampleClock(settings.sample_period_ns, settings.network_stride);  // throws for invalid settings
   SignalWatch watch(recording.joints, settings.sample_period_ns, settings.network_stride, ranges);
   const auto bridged_ns = static_cast<std::uint64_t>(
       settings.sample_period_ns * longest_bridged(settings.sample_period_ns, settings.network_stride));
@@ -86,7 +86,7 @@ std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& setting
       tau[j] = settings.nm_per_unit.empty() ? s.tau[j] : s.tau[j] * settings.nm_per_unit[j];
     const std::span<const double> torque(tau.data(), n);
     const bool near = k > 0 && elapsed_ns(s.t_ns, recording.t_ns[k - 1]) <= bridged_ns;
-    const Impossible found = watch.look(s.t_ns, s.q, s.dq, torque, follows && near);
+    const Impossible found = watch.check(s.t_ns, s.q, s.dq, torque, follows && near);
     follows = found.cause == 0;
     if (follows)
       watch.step(s.t_ns, 1, s.q, s.dq, torque);
@@ -129,7 +129,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     const Sample sample = recording.at(k);
     if (motion.step(sample.t_ns, sample.q, sample.dq).kind == SampleClock::Kind::restart)
       for (MomentumObserver& filter : filters) filter.reset();
-    terms.look(sample.q, sample.dq, motion.presliding(), motion.beta());
+    terms.compute(sample.q, sample.dq, motion.presliding(), motion.beta());
     const bool wanted = samples[next] == k;
     for (std::size_t f = 0; f < filters.size(); ++f) {
       const std::size_t first = f * kMaxJoints, count = std::min<std::size_t>(kMaxJoints, M - first);
@@ -141,7 +141,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     }
     next += wanted;
   }
-  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
   return out;
 }
 

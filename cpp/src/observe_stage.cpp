@@ -10,7 +10,7 @@
 namespace tauext {
 namespace {
 
-bool too_large(double value) noexcept { return !(std::fabs(value) <= ObserveStage::kLargest); }  // NaN is
+bool too_large(double value) noexcept { return !(std::fabs(value) <= ObserveStage::kLargest); }  // true for NaN
 
 }  // namespace
 
@@ -60,7 +60,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
   watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals,
                  bundle.servo.on());
   limits_ = bundle.limits;
-  tells_parts_ = bundle.drift.follows_factors();
+  reports_friction_parts_ = bundle.drift.follows_factors();
   near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);
   if (!bundle.has_network()) return;
   input_factors_ = bundle.input_factors;
@@ -98,7 +98,7 @@ const Observed& ObserveStage::step(const Sample& s) noexcept {
     find_overflow(findings);
     conclude(findings);
   }
-  tell();
+  record_health();
   return observed_;
 }
 
@@ -110,11 +110,11 @@ const Observed& ObserveStage::no_sample(std::int64_t now_ns) noexcept {
     hold(now_ns, kMissingSample);
   else
     refuse(now_ns, kGap, -1);
-  tell();
+  record_health();
   return observed_;
 }
 
-// Whether the sample can enter the chain; else it was held or refused. Fills tau_.
+// Whether the sample can enter the chain; otherwise it was held or refused. Fills tau_.
 bool ObserveStage::usable(const Sample& s) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
   const bool temperatures = s.temperature.empty() || s.temperature.size() == n;
@@ -138,13 +138,13 @@ bool ObserveStage::usable(const Sample& s) noexcept {
   return false;
 }
 
-// What of the sample cannot be true; tau_ext is no part of it.
+// Why the sample is impossible, if it is; tau_ext is not used.
 Impossible ObserveStage::impossible(const Sample& s) const noexcept {
   const Progress& p = progress_;
   if (watch_) {
     const bool follows = p.started && !p.restart_next && s.t_ns > p.t_ns &&
                          elapsed_ns(s.t_ns, p.t_ns) <= static_cast<std::uint64_t>(bridged_ns_);
-    return watch_->look(s.t_ns, s.q, s.dq, tau(), follows);
+    return watch_->check(s.t_ns, s.q, s.dq, tau(), follows);
   }
   for (std::size_t j = 0; j < s.q.size(); ++j)
     if (!std::isfinite(s.q[j]) || !std::isfinite(s.dq[j]) || !std::isfinite(tau_[j])) return {kNotFinite, static_cast<int>(j)};
@@ -164,7 +164,7 @@ void ObserveStage::enter(const Sample& s) noexcept {
   o.residual = residual;
   o.prior = prior;
   o.doubt = doubt;
-  if (tells_parts_) {
+  if (reports_friction_parts_) {
     const std::span coulomb = std::span(coulomb_nm_).first(n), viscous = std::span(viscous_nm_).first(n);
     residual_.friction(coulomb, viscous);
     o.coulomb = coulomb;
@@ -197,11 +197,11 @@ void ObserveStage::enter(const Sample& s) noexcept {
   o.ticks = tick.advance;
   o.warm = residual_.warm();
   if (!row_.empty()) write_features(s);
-  tell_region(s, step_ns);
+  update_region(s, step_ns);
 }
 
-// Which of its limits holds for each joint; step_ns since the last sample, 0 where the chain began anew.
-void ObserveStage::tell_region(const Sample& s, std::int64_t step_ns) noexcept {
+// Selects the limit that applies to each joint. step_ns: since the last sample, 0 after a restart.
+void ObserveStage::update_region(const Sample& s, std::int64_t step_ns) noexcept {
   observed_.near_stiction = 0;
   for (int j = 0; limits_ && j < joints_; ++j) {
     const auto at = static_cast<std::size_t>(j);
@@ -218,7 +218,7 @@ void ObserveStage::write_features(const Sample& s) noexcept {
   tauext::write_features(s.q, s.dq, states_, input_factors_, row_);
 }
 
-// What is wrong with the signals themselves.
+// Checks the signals themselves.
 void ObserveStage::watch(const Sample& s, Findings& findings) noexcept {
   if (!watch_) return;
   Progress& p = progress_;
@@ -235,13 +235,13 @@ void ObserveStage::watch(const Sample& s, Findings& findings) noexcept {
   if (p.saturated && since_s * slowest_per_s_ >= 10.0) p.saturated = false;
 }
 
-// Numbers that were finite when they came, and are not any more, or would not be in the network or in tau_ext.
+// Finds overflow inside the chain: not finite, or too large for the network or for tau_ext.
 void ObserveStage::find_overflow(Findings& findings) noexcept {
   Observed& o = observed_;
   o.overflowed = false;
   for (int j = 0; j < joints_ && !o.overflowed; ++j)
     if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j]) ||
-        (tells_parts_ && (too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])))) {
+        (reports_friction_parts_ && (too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])))) {
       findings.add(kNotFinite, j);
       o.overflowed = true;
     }
@@ -255,8 +255,8 @@ void ObserveStage::find_overflow(Findings& findings) noexcept {
   if (o.overflowed) findings.trusted = false;
 }
 
-// Health follows from what was found; why the chain broke stays named until it is healthy again. A saturated drive makes
-// tau_ext doubtful, but a collision is what saturates drives: it is judged all the same, and teaches nothing.
+// Derives the health. The causes of a restart stay reported until the health is ok. A saturated drive makes tau_ext
+// uncertain, but collisions saturate drives: the sample is judged and not learned from.
 void ObserveStage::conclude(const Findings& findings) noexcept {
   Progress& p = progress_;
   Observed& o = observed_;
@@ -279,7 +279,7 @@ void ObserveStage::conclude(const Findings& findings) noexcept {
   o.cause_joint = p.cause_joint;
 }
 
-// A sample that does not enter the chain, which begins anew with the next good one.
+// Skips a sample as a fault; the chain restarts at the next good one.
 void ObserveStage::refuse(std::int64_t t_ns, std::uint32_t cause, int joint) noexcept {
   observed_.t_ns = t_ns;
   observed_.passage = Passage::refused;
@@ -289,21 +289,21 @@ void ObserveStage::refuse(std::int64_t t_ns, std::uint32_t cause, int joint) noe
   progress_.restart_next = true;
 }
 
-// No new sample: the last estimate is held, and stale if there was one; a fault or warm-up goes on.
+// No new sample: an existing estimate is held as stale; a fault or warm-up continues.
 void ObserveStage::hold(std::int64_t t_ns, std::uint32_t cause) noexcept {
   const Progress& p = progress_;
-  const bool had_one = p.told == Health::ok || p.told == Health::stale;
+  const bool had_one = p.reported == Health::ok || p.reported == Health::stale;
   observed_.t_ns = t_ns;
   observed_.passage = Passage::held;
-  observed_.health = had_one ? Health::stale : p.told;
-  observed_.causes = had_one ? cause : p.told_causes | cause;
-  observed_.cause_joint = had_one ? -1 : p.told_joint;
+  observed_.health = had_one ? Health::stale : p.reported;
+  observed_.causes = had_one ? cause : p.reported_causes | cause;
+  observed_.cause_joint = had_one ? -1 : p.reported_joint;
 }
 
-void ObserveStage::tell() noexcept {
-  progress_.told = observed_.health;
-  progress_.told_causes = observed_.causes;
-  progress_.told_joint = observed_.cause_joint;
+void ObserveStage::record_health() noexcept {
+  progress_.reported = observed_.health;
+  progress_.reported_causes = observed_.causes;
+  progress_.reported_joint = observed_.cause_joint;
 }
 
 }  // namespace tauext

@@ -1,4 +1,4 @@
-// A sample before the network has spoken: whether it can be used, residual and prior, health.
+// First half of the chain, before the network: input checks, residual, prior, health.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -17,55 +17,54 @@ namespace tauext {
 
 struct Bundle;
 
-// What became of a sample.
+// How a sample was handled.
 enum class Passage : std::uint8_t {
-  entered,  // it went through the chain
-  held,     // left out; what was said before it stands
-  refused,  // left out as a fault; nothing that was said before it stands
+  entered,  // processed by the chain
+  held,     // skipped; the previous estimate stays valid
+  refused,  // skipped as a fault; the previous estimate is void
 };
 
-// What is known of one sample before the network has spoken. Where it did not enter, only its time, passage, health and
-// causes hold.
+// Result for one sample, before the network. If the sample did not enter, only time, passage, health and causes are
+// valid.
 struct Observed {
   std::int64_t t_ns = 0;            // stamp of the sample
-  Passage passage = Passage::refused;  // what became of it
-  Health health = Health::warming_up;  // nothing later changes it
+  Passage passage = Passage::refused;  // how it was handled
+  Health health = Health::warming_up;  // final: no later stage changes it
   std::uint32_t causes = 0;         // bits of Cause
-  int cause_joint = -1;             // the first joint that a cause concerns
-  bool restarted = false;           // the chain began anew with this sample
-  std::int64_t ticks = 0;           // since the last one that entered; 0 where restarted
-  bool warm = false;                // the residual is
-  bool overflowed = false;          // a number of the chain did: there is no residual either
-  bool judged = false;              // tau_ext exists, and is held against its limits
-  bool teaches = false;             // and the drift tracker may learn from it
-  std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
-  std::span<const double> residual, prior, doubt;  // a joint, [N m]; of whoever made this, until its next sample
-  std::span<const double> coulomb, viscous;  // what of the prior is friction, before its filter; empty where nobody asks
-  std::span<const double> memory_gap;  // Presliding::memory_gap of each joint; empty where the prior has no branches
+  int cause_joint = -1;             // the first joint concerned by a cause
+  bool restarted = false;           // the chain restarted at this sample
+  std::int64_t ticks = 0;           // since the last entered sample; 0 if restarted
+  bool warm = false;                // the residual is warmed up
+  bool overflowed = false;          // some number overflowed: no residual either
+  bool judged = false;              // tau_ext exists and is checked against its limits
+  bool teaches = false;             // the drift tracker may learn from it
+  std::uint32_t near_stiction = 0;  // one bit per joint: which limit applies
+  std::span<const double> residual, prior, doubt;  // per joint, [N m]; valid until the stage's next sample
+  std::span<const double> coulomb, viscous;  // friction in the prior, before its filter; empty unless requested
+  std::span<const double> memory_gap;  // Presliding::memory_gap of each joint; empty if the prior has no branches
 };
 
-// Everything of the chain that does not depend on what the network says, one sample at a time: checks, clock, dynamics,
-// residual, prior, signal watch, health. Nothing here ever depends on the network, since every number that enters it is
-// kept small enough for its answer to be finite (largest_lstm_input): so a whole recording can be observed first and its
-// windows answered in bulk afterwards, and the answers are the control loop's.
+// All parts of the chain that do not depend on the network: checks, clock, dynamics, residual, prior, signal watch,
+// health. Inputs are bounded so that the network's output is finite (largest_lstm_input). So a whole recording can be
+// observed first and its windows evaluated in bulk, with the same results as in the control loop.
 class ObserveStage {
  public:
-  static constexpr double kLargest = 1e306;  // a torque beyond it counts as not finite: sums of a few would overflow
+  static constexpr double kLargest = 1e306;  // a larger torque counts as not finite: sums of a few would overflow
 
-  // Of training: nothing is watched but that numbers are finite and times increase; impossible_samples() have been left
-  // out before. Throws Error as ResidualStage.
+  // For training: checks only finite values and increasing times; impossible_samples() were removed before. Throws
+  // Error as ResidualStage.
   ObserveStage(const Tree& tree, const ObserverSettings& observer, const PriorSettings& prior);
-  // Of a bundle that holds together. answer_every: rows between two answers of its network.
+  // The bundle must be valid. answer_every: rows between two outputs of its network.
   ObserveStage(const Bundle& bundle, int answer_every);
 
-  // Nothing is skipped: a fault is told, and the chain begins anew with the next good sample.
+  // Reports a fault; the chain then restarts at the next good sample.
   const Observed& step(const Sample& sample) noexcept;
-  // The loop ran and no sample came: held for as long as samples are bridged, then a fault.
+  // For a loop cycle without a sample: held while the clock bridges gaps, then a fault.
   const Observed& no_sample(std::int64_t now_ns) noexcept;
-  // As ResidualStage's calls of these names; a bit a joint.
+  // See ResidualStage; joints: one bit per joint.
   void forget_friction(std::uint32_t joints) noexcept;
-  bool tells_friction() const noexcept { return residual_.tells_friction(); }
-  // Loads as ResidualStage: allowed once, before the first sample; keep() once a sample, before the next one.
+  bool models_friction() const noexcept { return residual_.models_friction(); }
+  // See ResidualStage: enable loads before the first sample; call keep() once per sample, before the next.
   void allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm = {}) {
     residual_.allow_loads(settings, units_per_nm);
   }
@@ -76,31 +75,31 @@ class ObserveStage {
   void keep() noexcept { residual_.keep(); }
   std::span<const double> q() const noexcept { return residual_.q(); }  // as ResidualStage
   std::span<const double> dq() const noexcept { return residual_.dq(); }
-  // As Prior.
+  // See Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { residual_.follow_temperature(celsius); }
-  // As newly made.
+  // Back to the state after construction.
   void reset() noexcept;
 
-  // Of the last sample that entered: the network's features, q, dq and presliding states times their factors; none where
-  // the bundle has no network.
+  // Network features of the last entered sample: q, dq and presliding states times their factors. Empty without a
+  // network.
   std::span<const float> features() const noexcept { return row_; }
-  const Presliding& presliding() const noexcept { return residual_.presliding(); }  // after it
+  const Presliding& presliding() const noexcept { return residual_.presliding(); }  // after that sample
 
-  // Plain bytes, so that a monitor's state can be saved.
+  // Trivially copyable, so that a monitor's state can be saved.
   struct Progress {
     std::uint64_t samples = 0, bridged = 0, restarts = 0;
-    bool started = false;           // a stretch is running or is to be continued
+    bool started = false;           // a stretch is running or may be continued
     bool restart_next = false;      // a fault broke the chain
-    std::uint32_t causes = 0;       // of the warm-up that is running
+    std::uint32_t causes = 0;       // of the current warm-up
     int cause_joint = -1;
-    std::int64_t t_ns = 0;          // of the last sample that entered
-    std::int64_t row = 0;           // where it stands in its stretch, in ticks
-    std::int64_t saturated_ns = 0;  // last sample with a drive at its limit
-    bool saturated = false;         // and the observer has not forgotten it
-    std::array<std::int64_t, kMaxJoints> near_ns{};  // left of limits.near_memory_s, a joint
-    Health told = Health::warming_up;  // of the last sample, entered or not
-    std::uint32_t told_causes = 0;
-    int told_joint = -1;
+    std::int64_t t_ns = 0;          // of the last entered sample
+    std::int64_t row = 0;           // its position in the stretch, in ticks
+    std::int64_t saturated_ns = 0;  // last sample with a saturated drive
+    bool saturated = false;         // the observer's memory still contains it
+    std::array<std::int64_t, kMaxJoints> near_ns{};  // remaining limits.near_memory_s per joint
+    Health reported = Health::warming_up;  // of the last sample, entered or not
+    std::uint32_t reported_causes = 0;
+    int reported_joint = -1;
   };
   const Progress& progress() const noexcept { return progress_; }
   struct State {
@@ -108,12 +107,12 @@ class ObserveStage {
     ResidualStage::State residual;
     SignalWatch::State watch;
   };
-  // All that it remembers; restore() goes on from there, in a stage of the same settings.
+  // Complete state; restore() continues from it in a stage of the same settings.
   State state() const noexcept { return {progress_, residual_.state(), watch_ ? watch_->state() : SignalWatch::State{}}; }
   void restore(const State& state) noexcept;
 
  private:
-  // What was found wrong at one sample, and whether tau_ext can be judged.
+  // Causes found at one sample, and whether tau_ext can be judged.
   struct Findings {
     std::uint32_t causes = 0;
     int joint = -1;  // the first one concerned
@@ -132,13 +131,13 @@ class ObserveStage {
   void conclude(const Findings& findings) noexcept;
   void refuse(std::int64_t t_ns, std::uint32_t cause, int joint) noexcept;
   void hold(std::int64_t t_ns, std::uint32_t cause) noexcept;
-  void tell() noexcept;
+  void record_health() noexcept;
   void write_features(const Sample& sample) noexcept;
-  void tell_region(const Sample& sample, std::int64_t step_ns) noexcept;
+  void update_region(const Sample& sample, std::int64_t step_ns) noexcept;
   std::span<const double> tau() const noexcept { return {tau_.data(), static_cast<std::size_t>(joints_)}; }
 
   int joints_;
-  std::int64_t bridged_ns_;  // longest time without a sample that is no gap
+  std::int64_t bridged_ns_;  // longest time without a sample that is not a gap
   double slowest_per_s_;
   std::vector<double> nm_per_unit_;
   ResidualStage residual_;
@@ -148,17 +147,17 @@ class ObserveStage {
   std::vector<float> input_factors_, row_;
   std::vector<double> states_;
   float largest_input_ = 0;
-  std::int64_t reach_ = 0;  // rows that a window reaches back from its end; 0 without a network
+  std::int64_t reach_ = 0;  // rows from the end of a window to its start; 0 without a network
   std::int64_t answer_every_ = 1;
   Progress progress_;
   Observed observed_;
-  JointVector residual_nm_{}, prior_nm_{}, doubt_nm_{};  // that observed_ shows
+  JointVector residual_nm_{}, prior_nm_{}, doubt_nm_{};  // viewed by observed_
   JointVector coulomb_nm_{}, viscous_nm_{}, memory_gap_{};
-  bool tells_parts_ = false;  // of the friction
+  bool reports_friction_parts_ = false;  // fill Observed::coulomb and viscous
   JointVector tau_{};  // of the sample, in the unit of the answers
 };
 
-// Features of a network from one sample: q, dq and presliding states, each times its factor, in float.
+// Network features of one sample: q, dq and presliding states, each times its factor, as float.
 void write_features(std::span<const double> q, std::span<const double> dq, std::span<const double> presliding,
                     std::span<const float> factors, std::span<float> row) noexcept;
 

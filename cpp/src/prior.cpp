@@ -30,8 +30,8 @@ PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
 }
 
-void PriorTerms::look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-                      std::span<const double> beta) noexcept {
+void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                         std::span<const double> beta) noexcept {
   q_ = q;
   dq_ = dq;
   beta_ = beta;
@@ -121,7 +121,7 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
   const auto n = static_cast<std::size_t>(joints_);
   auto& [p, v, unknown] = sums;
   for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = unknown[i] = 0.0;
-  terms_.look(q, dq, presliding, beta);
+  terms_.compute(q, dq, presliding, beta);
   if (terms_.corrects_model())
     for (std::size_t i = 0; i < n; ++i) {
       p[i] = momentum[i] - terms_.corrected_momentum()[i];
@@ -146,7 +146,7 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
   }
 }
 
-// The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
+// The filter is linear and preserves signs: a filtered bound is a bound of the filtered value.
 void Prior::filter(std::int64_t t_ns, const Sums& sums, bool raise, std::span<double> prior,
                    std::span<double> doubt) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
@@ -207,7 +207,7 @@ void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<cons
 
 namespace {
 
-// Of a joint that slides at this speed: its presliding states are 1.
+// For a joint sliding at this speed, with presliding states of 1.
 double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) {
   double sum = 0;
   for (std::size_t m = 0; m < prior.terms.size(); ++m) {
@@ -223,7 +223,7 @@ double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) 
 
 }  // namespace
 
-// Through the friction at a slow and at a usual speed.
+// Line through the friction at a slow and at a usual speed.
 FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
   constexpr double slow = 0.15, usual = 0.5;  // [rad/s]: where Coulomb terms have levelled off
   const double at_slow = friction_nm(prior, joint, slow), at_usual = friction_nm(prior, joint, usual);

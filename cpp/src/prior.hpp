@@ -1,5 +1,5 @@
-// What r is in free motion as far as physics can say it: friction, load, gravity and errors of the model, linear in
-// coefficients that minutes of data determine.
+// Physical model of r in free motion: friction, load, gravity and model errors. Linear in coefficients that minutes of
+// data determine.
 #pragma once
 #include <cstdint>
 #include <optional>
@@ -14,66 +14,65 @@
 
 namespace tauext {
 
-// What kind of term it is: of the load on the gear, of presliding states, of generalised momentum.
+// Kind of a term: load on the gear, presliding state, or generalised momentum.
 inline bool is_load(const Term& term) noexcept {
   return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
 }
 inline bool is_presliding(const Term& term) noexcept {
   return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
 }
-// It follows a presliding state, whatever that tells of.
+// Whether the term depends on a presliding state.
 inline bool has_width(const Term& term) noexcept { return is_presliding(term) || term.kind == TermKind::backlash; }
-// Friction that grows with the force on a contact, whatever the speed.
+// Load-dependent friction, at any speed.
 inline bool is_coulomb(const Term& term) noexcept {
   return term.kind == TermKind::coulomb || term.kind == TermKind::local_memory || is_load(term) || is_presliding(term);
 }
 inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
 
-// Share of what weighs on a gear by which it adds to the friction of a joint, as the prior found it for the arm's own weight:
-// the sum of its load terms' weights, turned, within 0 and kMostLoadFriction. A joint without load terms has the mean of the
-// others: it weighs too little for its own to show. (joints)
-inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
+// Per joint: increase of gear friction by load, as a share of the load. It is the sum of the load terms' weights, with
+// opposite sign, clamped to 0 to kMostLoadFriction. Joints without load terms get the mean of the others.
+inline constexpr double kMostLoadFriction = 0.15;  // strain-wave gears: 0.02 to 0.1
 std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
-inline constexpr double kSignSpeed = 0.05;  // of what they are shares of, [rad/s], as in drift: what is slower has no direction
+inline constexpr double kSignSpeed = 0.05;  // [rad/s], as in drift: slower motion has no direction
 
-// Friction that a prior expects of a sliding joint, as a line: at_rest + per_speed |dq|, [N m] and [N m s/rad].
+// Friction of a sliding joint in the prior, as a line: at_rest + per_speed |dq|, [N m] and [N m s/rad].
 struct FrictionLine {
   double at_rest_nm = 0, per_speed = 0;
 };
 FrictionLine friction_line(const PriorSettings& prior, std::size_t joint);
 
-// Terms of a prior at one sample after the other.
+// Evaluates the terms of a prior, sample by sample.
 class PriorTerms {
  public:
-  // Of settings that fit.
+  // The settings must be valid.
   PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity);
 
-  // One sample, with beta of the estimated model. All of it must stay where it is until the next one.
-  void look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-            std::span<const double> beta) noexcept;
-  // Value of a term; those of momentum give their momentum.
+  // Processes one sample; beta is of the estimated model. The arguments must stay alive until the next call.
+  void compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+               std::span<const double> beta) noexcept;
+  // Value of a term; for momentum terms their momentum.
   double value(std::size_t term) const noexcept;
-  // How far from that the term may be while its presliding state is not determined.
+  // Largest deviation from it while its presliding state is undetermined.
   double doubt(std::size_t term) const noexcept;
 
-  // The corrected model, where there is one.
+  // The corrected model, if any.
   const std::optional<Tree>& corrected() const noexcept { return corrected_; }
-  // The corrected model carries this from now on (Tree::carry); look() again for its p and beta.
+  // Sets the load of the corrected model (Tree::carry); call compute() to update p and beta.
   void carry(int link, const Carried& what) noexcept {
     if (corrected_) corrected_->carry(link, what);
   }
 
-  std::size_t size() const noexcept { return terms_.size(); }  // how many
+  std::size_t size() const noexcept { return terms_.size(); }  // number of terms
   const Term& operator[](std::size_t term) const noexcept { return terms_[term]; }
   bool corrects_model() const noexcept { return corrected_.has_value(); }
-  // What of |beta| of a joint is beyond the most that its load terms were fitted to, [N m]; 0 without such a bound.
+  // Excess of a joint's |beta| over the range in which its load terms were fitted, [N m]; 0 without a bound.
   double beyond_nm(std::size_t joint) const noexcept;
-  // p and beta of the corrected model, where there is one.
+  // p and beta of the corrected model, if any.
   std::span<const double> corrected_momentum() const noexcept { return {corrected_momentum_.data(), q_.size()}; }
   std::span<const double> corrected_beta() const noexcept { return {corrected_beta_.data(), q_.size()}; }
 
  private:
-  // beta of the model that a term asks for; its size, within the bound of load terms.
+  // beta of the model that a term uses, and its magnitude within the bound of the load terms.
   double weight_nm(const Term& term) const noexcept;
   double load_nm(const Term& term) const noexcept;
 
@@ -86,62 +85,62 @@ class PriorTerms {
   const Presliding* presliding_ = nullptr;
 };
 
-// Evaluates terms and passes their weighted sum through the observer's own filter, so that it stands beside r:
+// Evaluates the terms and passes their weighted sum through the observer's filter, in phase with r:
 //   d_k = (P_k - P_{k-1})/dt + mean over the step of v,  a = exp(-K0 dt),  prior_k = a prior_{k-1} + (1 - a) d_k
-// with v the sum of the terms that act as torque and P of those that act as momentum; to both the corrected model adds
-// what the estimated one has too much: p - p_corrected and beta - beta_corrected.
+// v is the sum of the torque terms, P that of the momentum terms. Both include the error of the estimated model: p -
+// p_corrected and beta - beta_corrected.
 class Prior {
  public:
   struct State {
     MomentumObserver filter, doubt_filter;
-    bool forgotten = false;  // presliding states were, since the last sample
-    bool raised = false;     // the doubt was at the last sample, as they had been forgotten before it
-    JointVector warmth{};    // the temperature over its reference, [10 K]
+    bool forgotten = false;  // presliding states were forgotten since the last sample
+    bool raised = false;     // the doubt was raised for this at the last sample
+    JointVector warmth{};    // (temperature - reference) / 10 K
   };
-  // A sample's part of the sums that the filters see, a joint.
+  // One sample's contribution to the filtered sums, per joint.
   struct Sums {
     JointVector p, v, unknown;
   };
 
-  // Throws Error where the settings do not fit.
+  // Throws Error if the settings do not fit.
   Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s);
 
-  // The next sample starts anew, with a prior of 0.
+  // Restarts at the next sample with a prior of 0.
   void reset() noexcept {
     state_.filter.reset();
     state_.doubt_filter.reset();
     state_.forgotten = state_.raised = false;
   }
-  bool has_presliding() const noexcept { return has_presliding_; }  // some term follows from presliding states
-  // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
-  // its filter has come to, since what it covers has been there before.
+  bool has_presliding() const noexcept { return has_presliding_; }  // some term depends on presliding states
+  // Call after presliding states were forgotten. At the next sample the doubt is set to its value after a long rest,
+  // skipping its filter: the uncertainty existed before.
   void forget() noexcept { state_.forgotten = true; }
-  // Temperatures of the joints, [degC], from the next sample on; of those that are NaN what was known holds.
+  // Joint temperatures, [degC], from the next sample on; a NaN keeps the joint's previous value.
   void follow_temperature(std::span<const double> celsius) noexcept;
-  // None is known any more.
+  // Clears the temperatures.
   void forget_temperature() noexcept { state_.warmth = {}; }
-  // One sample: momentum and beta are those of the estimated model. Writes the prior of every joint, and how far the
-  // truth may lie from it because of presliding states that are not determined yet, both [N m].
+  // Processes one sample; momentum and beta are of the estimated model. Writes each joint's prior and its possible
+  // error due to undetermined presliding states, both [N m].
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
             std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
             std::span<double> doubt) noexcept;
-  // What of the last step's prior is friction of each joint's own motion, before the filter, [N m]: Coulomb's with what
-  // load and presliding states add to it, and the viscous one.
+  // Friction of each joint's own motion in the last prior, before the filter, [N m]: Coulomb friction (with load and
+  // presliding) and viscous friction.
   void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept;
 
-  // The model changed, and maybe the last sample is an earlier one: the filters stand there as they did (prior, doubt),
-  // and go on with p and beta by the new model. `momentum` and `beta` as in step().
+  // Goes back to a sample, with a changed model: sets the filters to prior and doubt, then continues with the new p and
+  // beta. `momentum` and `beta` as in step().
   void go_back(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
                std::span<const double> momentum, std::span<const double> beta, std::span<const double> prior,
                std::span<const double> doubt) noexcept;
-  // A step over a sample that has been seen before, by the new model.
+  // Repeats the step over an earlier sample, with the new model.
   void step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                   const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
                   bool raised) noexcept;
-  // To carry a load.
+  // For setting a load.
   PriorTerms& terms() noexcept { return terms_; }
 
-  // All that it remembers; restore() goes on from there, in another one of the same settings.
+  // Complete state; restore() continues from it in a prior of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 
@@ -155,14 +154,14 @@ class Prior {
   PriorTerms terms_;
   std::vector<double> weights_;
   std::vector<double> values_;  // of the terms at the last step
-  std::vector<double> shares_;  // load_friction_shares(); empty: no bound of load terms
-  JointVector beyond_nm_{};     // friction at the last step of what is beyond that bound
+  std::vector<double> shares_;  // load_friction_shares(); empty: load terms have no bound
+  JointVector beyond_nm_{};     // friction at the last step from load beyond that bound
   struct Friction {
     double weight;
     std::uint32_t term, joint;
     bool viscous;
   };
-  std::vector<Friction> friction_;  // the terms that are friction of a joint's own motion
+  std::vector<Friction> friction_;  // terms that model friction of a joint's own motion
   FrictionTemperature temperature_;
   bool has_presliding_;
   State state_;

@@ -15,53 +15,53 @@
 #include "observation.hpp"
 
 namespace tauext {
-// A network period apart, of all sources one after the other. Columns of a joint stand in one row each, (rows).
+// Rows one network period apart, of all sources in sequence. Each joint's columns are (rows).
 struct RefitRows {
   struct Joint {
     std::vector<double> error;           // residual - prior - network
-    std::vector<double> sigma;           // as the motion announces it, or a quarter of the limit where nobody knows
-    std::vector<double> limit;           // collision limit as it follows the motion, without doubt
+    std::vector<double> sigma;           // expected from the motion, or a quarter of the limit without an error scale
+    std::vector<double> limit;           // collision limit for the motion, without doubt
     std::vector<double> doubt;
     std::vector<std::uint8_t> near_stiction;
-    std::vector<std::uint8_t> shows;     // friction: it moved within the last kStoodS
-    std::vector<double> network;         // what it says; empty: there is none
+    std::vector<std::uint8_t> shows;     // observable friction: it moved within the last kStoodS
+    std::vector<double> network;         // network output; empty without a network
     double moved_s = 0;
   };
   std::vector<std::int64_t> t_ns;
   std::vector<int> source;
   std::vector<Joint> joints;
-  std::vector<Term> terms;               // own terms of all joints, of kinds that may change ...
-  std::vector<std::size_t> places;       // ... and where they stand in the prior
+  std::vector<Term> terms;               // own terms of all joints, of variable kinds ...
+  std::vector<std::size_t> places;       // ... and their indices in the prior
   std::vector<double> values;            // (rows, terms)
   double period_s = 0;
-  bool knows_sigma = false;
+  bool has_sigma = false;
 
   std::size_t size() const noexcept { return t_ns.size(); }
 };
 
-// Terms of a joint alone that friction is made of, or that may change with it.
+// Terms of a single joint that model friction or may change with it.
 bool may_change(const Term& term) noexcept;
-// Throws Error where sources do not fit or hold too little.
+// Throws Error if sources do not fit or hold too little data.
 RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources, int threads);
 
-// First and end of one of so many stretches of rows, as long as each other.
+// First and end row of one of equally long stretches.
 inline std::pair<std::size_t, std::size_t> block_of(std::size_t rows, int block, int blocks) noexcept {
   const auto at = [&](int b) { return rows * static_cast<std::size_t>(b) / static_cast<std::size_t>(blocks); };
   return {at(block), at(block + 1)};
 }
 
 // minimise |u|^2 + k sum_r t_r (y_r - a_r.u)^2 / s^2 over the unknowns u of RefitSettings, with y = error / sigma,
-// a = terms' values by sigma times what a unit of u changes their weights by (of the trend: by that row's time), t Tukey's weights, s the spread of what is
-// left and k the share of rows that are independent.
+// a = terms' values by sigma, times the change of their weights per unit of u (of the trend: times the row's time). t:
+// Tukey's weights; s: spread of the residual; k: share of independent rows.
 class JointFit {
  public:
   JointFit(const Bundle& bundle, const RefitRows& rows, int joint, const RefitSettings& settings);
 
   // Factors and constant.
-  void tell(RefitJoint& out) const;
+  void report(RefitJoint& out) const;
   // The joint's weights, and its network's scale.
   void put(Bundle& bundle) const;
-  // Error of every row after a fit without its block, [N m].
+  // Error of every row, fitted without its block, [N m].
   std::vector<double> left_out(int blocks) const;
   double memory_s() const noexcept { return memory_s_; }
 
@@ -78,7 +78,7 @@ class JointFit {
   void build(const RefitSettings& settings);
   void iterate();
   double spread_of(std::span<const double> rest) const;
-  // Unknowns by the rows outside [first, end), and their covariance where it is asked for.
+  // Unknowns from the rows outside [first, end); their covariance on request.
   std::vector<double> solve(std::size_t first, std::size_t end, std::vector<double>* covariance) const;
   std::vector<double> left(std::span<const double> unknowns) const;
   double size_of(Group group) const;
@@ -90,8 +90,8 @@ class JointFit {
   std::size_t joint_;
   std::vector<Column> columns_;
   std::size_t unknowns_ = 0;
-  double expected_ = 1;              // factor of friction before today's motion is seen
-  double unseen_error_ = 0;          // of a factor of which today's motion says nothing
+  double expected_ = 1;              // factor of friction expected before the motion is used
+  double unseen_error_ = 0;          // of a factor that the motion does not determine
   std::vector<double> effect_;       // (columns, unknowns): change of a weight by a unit of an unknown
   std::vector<double> standard_;     // (rows, unknowns): a
   std::vector<double> given_;        // (rows): error / sigma beside what is expected
@@ -103,12 +103,12 @@ class JointFit {
 namespace {
 
 constexpr double kLimitOverSigma = 4;  // limits of hours are 4 to 16 times it
-// Pauses of a routine are shorter, and how the joint came to rest says what holds it; later its load has crept elsewhere.
+// Pauses within a routine are shorter: the stop direction determines the friction. In longer ones the load creeps.
 constexpr double kStoodS = 5;
-// In one direction, faster than near stiction: 2 mrad at least, which is a gear's presliding, and no noise of a velocity.
+// Motion in one direction, faster than near stiction, over at least 2 mrad: more than presliding and velocity noise.
 constexpr double kMovesS = 0.1;
 
-// A recording's samples that a monitor would take, as a recording of their own: what it refuses would stay in the filters.
+// The samples that a monitor would accept, as a recording; rejected ones would stay in the filters.
 struct Entered {
   std::vector<std::int64_t> t_ns, from;
   std::vector<double> q, dq, tau;
@@ -147,7 +147,7 @@ void add_row(RefitRows& rows, const Bundle& bundle, const Estimates& said, const
     const double limit = bundle.limits.limit_nm(bundle.limits.collision, static_cast<int>(j), said.near_stiction[cell]) *
                          said.limit_scale[cell];
     joint.error.push_back(said.residual[cell] - said.prior[cell] - said.network[cell]);
-    joint.sigma.push_back(rows.knows_sigma ? said.sigma_nm[cell] : limit / kLimitOverSigma);
+    joint.sigma.push_back(rows.has_sigma ? said.sigma_nm[cell] : limit / kLimitOverSigma);
     joint.limit.push_back(limit);
     joint.doubt.push_back(said.doubt[cell]);
     joint.near_stiction.push_back(said.near_stiction[cell]);
@@ -159,9 +159,9 @@ void add_row(RefitRows& rows, const Bundle& bundle, const Estimates& said, const
 constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
 constexpr auto kStoodNs = static_cast<std::int64_t>(1e9 * kStoodS), kMovesNs = static_cast<std::int64_t>(1e9 * kMovesS);
 
-// When a joint last moved, as far as it has been told.
+// When a joint last moved.
 struct LastMotion {
-  std::int64_t since_ns = kNever, moved_ns = kNever;  // begin of what may be one, and its last sample that was one
+  std::int64_t since_ns = kNever, moved_ns = kNever;  // start of a possible motion, and last sample of an actual one
   double direction = 0;
 
   void take(std::int64_t t_ns, double speed, double least) noexcept {
@@ -193,7 +193,7 @@ bool may_change(const Term& term) noexcept {
 RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources, int threads) {
   RefitRows rows;
   rows.joints.resize(bundle.links.size());
-  rows.knows_sigma = bundle.error_scale.on();
+  rows.has_sigma = bundle.error_scale.on();
   rows.period_s = 1e-9 * static_cast<double>(bundle.observer.sample_period_ns) * bundle.observer.network_stride;
   for (std::size_t m = 0; m < bundle.prior.terms.size(); ++m)
     if (may_change(bundle.prior.terms[m])) {
@@ -203,7 +203,7 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
   if (rows.terms.empty())
     throw Error("the bundle has no prior whose friction could be brought up to date; train one with recipe tauext or prior");
   Bundle plain = bundle;
-  plain.drift = {};  // what it would take off is to be learned
+  plain.drift = {};  // its correction is to be learned
   const PriorSettings prior = changeable(bundle, rows.terms);
   const Tree tree(bundle.links, bundle.gravity);
   const auto stride = static_cast<std::size_t>(bundle.observer.network_stride);
@@ -225,7 +225,7 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
         motion[j].take(kept.t_ns[k], r.dq[from * motion.size() + j], bundle.limits.near_stiction_rad_s);
       const bool used = source.use.empty() || source.use[from];
       if (!used || said.health[from] != static_cast<std::uint8_t>(Health::ok) ||
-          said.unfamiliar[from] >= Coverage::kWorthTelling)
+          said.unfamiliar[from] >= Coverage::kWorthReporting)
         continue;
       at.push_back(static_cast<std::int64_t>(k));
       rows.t_ns.push_back(kept.t_ns[k]);
@@ -240,18 +240,18 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
   const double seconds = static_cast<double>(rows.size()) * rows.period_s;
   if (seconds < kRefitLeastS)
     throw Error("a refit needs " + to_text(kRefitLeastS) + " s of motion that can be trusted, not " + to_text(seconds) +
-                " s: 30 to 60 s of the arm's ordinary motion");
+                " s: record 30 to 60 s of the arm's ordinary motion");
   return rows;
 }
 
 namespace {
 
-constexpr double kHuber = 1.345, kTukey = 4.0;  // times the spread: from there on a row counts less, and not at all
-constexpr int kConvexRounds = 5, kRounds = 15;  // Huber's weights first: a start that no push leads astray
-constexpr double kLeastSpread = 0.5;            // of sigma: no minute is known to be twice as quiet as training
+constexpr double kHuber = 1.345, kTukey = 4.0;  // times the spread: from there weights fall, and are 0
+constexpr int kConvexRounds = 5, kRounds = 15;  // Huber's weights first: a robust starting point
+constexpr double kLeastSpread = 0.5;            // of sigma: errors are not assumed below half of training's
 constexpr double kFirstMemoryS = 0.3, kLongestMemoryS = 2;
-constexpr double kCorrelated = 0.05;            // correlation below it is none
-constexpr double kUnexcited = 1e-6;             // a term whose values stay below it was not seen
+constexpr double kCorrelated = 0.05;            // smaller correlations count as 0
+constexpr double kUnexcited = 1e-6;             // a term with smaller values is not excited
 constexpr double kMedianOfNormal = 0.6745;
 constexpr double kLongestTrendMin = 2;
 constexpr std::size_t kTrend = 3, kShared = 4;  // unknowns before those of single terms
@@ -271,12 +271,12 @@ double median_size(std::vector<double> values) {
   return *middle;
 }
 
-// Of motion, not of stamps, which tell nothing from one recording to the next; further back nothing is a line.
+// By motion, not by time stamps, which are unrelated between recordings; without a trend over longer motion.
 double minutes_before_end(const RefitRows& rows, std::size_t row) {
   return std::min(rows.period_s * static_cast<double>(rows.size() - 1 - row) / 60, kLongestTrendMin);
 }
 
-// Rows for which what is left stays what it is: 1 + twice the sum of its correlations.
+// Correlation length of the residual in rows: 1 + twice the sum of its correlations.
 double memory_rows(std::span<const double> left, std::size_t most) {
   double variance = 0;
   for (double one : left) variance += one * one;
@@ -316,7 +316,7 @@ void JointFit::find_columns() {
     columns_.push_back({Group::network, 0, 1.0, of.network});
 }
 
-// RMS of what these terms say together, where the joint shows friction.
+// RMS of the sum of these terms, over rows with observable friction.
 double JointFit::size_of(Group group) const {
   std::vector<double> sum(rows_.size());
   for (const Column& column : columns_)
@@ -399,7 +399,7 @@ std::vector<double> JointFit::solve(std::size_t first, std::size_t end, std::vec
   return moment;
 }
 
-// Of the rows that show friction; as training left it where none does.
+// Over rows with observable friction; training's value if there are none.
 double JointFit::spread_of(std::span<const double> rest) const {
   std::vector<double> shown;
   for (std::size_t r = 0; r < rest.size(); ++r)
@@ -449,7 +449,7 @@ std::vector<double> JointFit::left_out(int blocks) const {
   return out;
 }
 
-// Of today's sum of a group's terms by the old one, over today's motion: f = (x.w_old)(x.w) / (x.w_old)^2 summed over it.
+// Factor of a group of terms over this motion: f = (x.w_old)(x.w) / (x.w_old)^2, summed over the motion.
 RefitFactor JointFit::factor(Group group) const {
   std::vector<double> old(rows_.size());
   for (const Column& column : columns_)
@@ -472,7 +472,7 @@ RefitFactor JointFit::factor(Group group) const {
   return {value, std::sqrt(std::max(variance, 0.0))};
 }
 
-void JointFit::tell(RefitJoint& out) const {
+void JointFit::report(RefitJoint& out) const {
   out.coulomb = factor(Group::friction);
   out.viscous = factor(Group::viscous);
   out.moved_s = rows_.joints[joint_].moved_s;
@@ -497,15 +497,15 @@ void JointFit::put(Bundle& bundle) const {
 namespace {
 
 constexpr double kOneSigma = 0.6827;        // share of errors within one standard error: sigma was scaled to it
-constexpr int kBlocks = 6;                  // left out one after the other: 10 s of a minute each
-// Normal noise, whose tail is the thinnest that errors have, reaches in the worst of 20 minutes 0.74 times what it reaches
-// in 112 h (a fourteenth of 8 h): one minute's largest error above that speaks against the limit.
+constexpr int kBlocks = 6;                  // left out in turn: 10 s of a minute each
+// For normal noise, the thinnest possible tail, the largest error in one minute is 0.74 times that in 112 h (worst of
+// 20; a fourteenth of 8 h). A larger one contradicts the limit.
 constexpr double kMinuteReaches = 0.75;
-constexpr double kApartS = 0.5;             // touches nearer than this are one
-constexpr int kMostTouches = 3;             // of a joint: what comes more often is its error
-constexpr double kMostTouched = 0.1;        // of the motion: likewise
+constexpr double kApartS = 0.5;             // touches closer than this count as one
+constexpr int kMostTouches = 3;             // per joint: more frequent ones are errors
+constexpr double kMostTouched = 0.1;        // of the motion: a larger share is error
 constexpr double kLeastFactor = 0.2, kMostFactor = 5;
-constexpr double kMostLeft = 5;             // times sigma: what stays so large is no friction, and no limit worth having
+constexpr double kMostLeft = 5;             // times sigma: larger residuals are not friction and give no useful limit
 
 double quantile(std::vector<double> values, double share) {
   if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
@@ -514,7 +514,7 @@ double quantile(std::vector<double> values, double share) {
   return values[static_cast<std::size_t>(at)];
 }
 
-// |error| beyond the doubt by the collision limit, the least of the hold time before each row.
+// |error| beyond the doubt over the collision limit; minimum over the hold time before each row.
 std::vector<double> held_shares(const Bundle& bundle, const RefitRows& rows, int joint, std::span<const double> left) {
   const RefitRows::Joint& of = rows.joints[static_cast<std::size_t>(joint)];
   std::vector<double> share(left.size()), held(left.size());
@@ -528,7 +528,7 @@ std::vector<double> held_shares(const Bundle& bundle, const RefitRows& rows, int
   return held;
 }
 
-// Runs of rows over the limit, those nearer than kApartS as one.
+// Runs of rows over the limit; gaps below kApartS are closed.
 std::vector<RefitTouch> touches_of(const RefitRows& rows, int joint, std::span<const double> share) {
   std::vector<RefitTouch> found;
   const auto apart_ns = static_cast<std::int64_t>(1e9 * kApartS);
@@ -547,7 +547,7 @@ std::vector<RefitTouch> touches_of(const RefitRows& rows, int joint, std::span<c
   return found;
 }
 
-// Rows that no touch is at or near, whichever joint shows it.
+// Rows without a touch on any joint, with a margin.
 std::vector<std::uint8_t> free_rows(const RefitRows& rows, std::span<const RefitTouch> touches) {
   std::vector<std::uint8_t> free(rows.size(), 1);
   const auto near_ns = static_cast<std::int64_t>(1e9 * kApartS);
@@ -560,8 +560,8 @@ std::vector<std::uint8_t> free_rows(const RefitRows& rows, std::span<const Refit
   return free;
 }
 
-void tell_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
-                RefitJoint& out) {
+void report_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
+                  RefitJoint& out) {
   const RefitRows::Joint& of = rows.joints[static_cast<std::size_t>(joint)];
   std::vector<double> all, of_blocks;
   for (int block = 0; block < kBlocks; ++block) {
@@ -573,7 +573,7 @@ void tell_error(const RefitRows& rows, int joint, std::span<const double> left, 
     if (!ratios.empty()) of_blocks.push_back(quantile(std::move(ratios), kOneSigma));
   }
   out.error_ratio = out.error_ratio_upper = std::numeric_limits<double>::quiet_NaN();
-  if (!rows.knows_sigma || of_blocks.size() < 2) return;
+  if (!rows.has_sigma || of_blocks.size() < 2) return;
   const double mean = std::accumulate(of_blocks.begin(), of_blocks.end(), 0.0) / static_cast<double>(of_blocks.size());
   double squares = 0;
   for (double one : of_blocks) squares += (one - mean) * (one - mean);
@@ -582,7 +582,7 @@ void tell_error(const RefitRows& rows, int joint, std::span<const double> left, 
   out.error_ratio_upper = out.error_ratio + std::sqrt(squares / (count * (count - 1)));
 }
 
-// Limits grow with the friction, since what a prior leaves of it is a share of it; with the error; and with the largest.
+// Limits scale with the friction (prior errors are proportional to it), the error and the largest error.
 void raise(Bundle& bundle, int joint, RefitJoint& out) {
   const auto j = static_cast<std::size_t>(joint);
   const double friction = out.coulomb.value + out.coulomb.error;
@@ -606,15 +606,15 @@ void raise(Bundle& bundle, int joint, RefitJoint& out) {
 void expect_friction(const Bundle& bundle, int joint, const RefitFactor& factor) {
   if (factor.value >= kLeastFactor && factor.value <= kMostFactor) return;
   throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': its friction would be " +
-              to_text(factor.value) + " times the old one, and " + to_text(kLeastFactor) + " to " + to_text(kMostFactor) +
-              " can be; are these recordings of the bundle's arm, and tau in its unit? Else train anew");
+              to_text(factor.value) + " times the old one, but must be " + to_text(kLeastFactor) + " to " + to_text(kMostFactor) +
+              "; check that the recordings are of the bundle's arm and tau is in its unit, or train again");
 }
 
 void expect_explained(const Bundle& bundle, int joint, double error_ratio) {
   if (!(error_ratio > kMostLeft)) return;
-  throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': what no friction explains is " +
-              to_text(error_ratio) + " times the error that training left, and " + to_text(kMostLeft) +
-              " is the most; does the arm carry another load or tool, or was it touched throughout? Else train anew");
+  throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': the error that friction does not explain is " +
+              to_text(error_ratio) + " times the error that training left, at most " + to_text(kMostLeft) +
+              " is allowed; check for another load or tool and for long contacts, or train again");
 }
 
 }  // namespace
@@ -645,7 +645,7 @@ Refit refit(const Bundle& bundle, std::span<const RefitSource> sources, const Re
   for (int j = 0; j < n; ++j) {
     const JointFit fit(bundle, rows, j, settings);
     RefitJoint& joint = out.joints.emplace_back();
-    fit.tell(joint);
+    fit.report(joint);
     expect_friction(bundle, j, joint.coulomb);
     fit.put(out.bundle);
     out.memory_s = std::max(out.memory_s, fit.memory_s());
@@ -664,7 +664,7 @@ Refit refit(const Bundle& bundle, std::span<const RefitSource> sources, const Re
     const auto at = static_cast<std::size_t>(j);
     for (std::size_t k = 0; k < rows.size(); ++k)
       if (free[k]) out.joints[at].largest_share = std::max(out.joints[at].largest_share, shares[at][k]);
-    tell_error(rows, j, left[at], free, out.joints[at]);
+    report_error(rows, j, left[at], free, out.joints[at]);
     expect_explained(bundle, j, out.joints[at].error_ratio);
     raise(out.bundle, j, out.joints[at]);
   }

@@ -33,7 +33,7 @@ void ResidualStage::restore(const State& state) noexcept {
   past_.clear();
   carry(carrying_.load);
   if (!loads_ || !carrying_.seen) return;
-  look_again();
+  recompute();
   if (carrying_.kept && can_go_back()) push_past();
 }
 
@@ -91,8 +91,8 @@ void ResidualStage::allow_loads(const LoadSettings& settings, std::span<const do
   past_presliding_ = presliding();
 }
 
-// The corrected model stands beside the estimated one in the prior: it carries what that carries. Where the estimated
-// model has no mass it stays so, and the prior alone knows of the load.
+// Sets the load in the prior's corrected model. The estimated model carries the load only if it has masses; otherwise
+// the prior alone includes it.
 void ResidualStage::carry(const Load& load) noexcept {
   if (!loads_) return;
   const Carried what = load.mass > 0 ? loads_->in_link(load) : Carried{};
@@ -100,10 +100,10 @@ void ResidualStage::carry(const Load& load) noexcept {
   prior_.terms().carry(loads_->link, what);
 }
 
-// p and beta of the last sample by the models as they are now.
-void ResidualStage::look_again() noexcept {
-  motion_.look(q(), dq());
-  if (has_prior_) prior_.terms().look(q(), dq(), presliding(), motion_.beta());
+// Recomputes p and beta of the last sample with the current models.
+void ResidualStage::recompute() noexcept {
+  motion_.compute(q(), dq());
+  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), motion_.beta());
 }
 
 void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
@@ -111,7 +111,7 @@ void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
   keep();
   carrying_.load = load.mass > 0 ? load : Load{};
   carry(carrying_.load);
-  if (load.mass > 0) {  // else what r still shows of the one before goes on to fade
+  if (load.mass > 0) {  // else the previous load's share of r continues to decay
     carrying_.error_share = load.error_share;
     carrying_.follows = load.error_share > 0 || other_units_;
     if (!carrying_.follows) forget_load_torques();
@@ -121,7 +121,7 @@ void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
     go_back(since_ns == kFromNow ? past_.size() - 1 : past_.at_or_before(since_ns));
     return;
   }
-  look_again();
+  recompute();
   if (method_ == ResidualMethod::momentum)
     observer_.carry_on(motion_.momentum(), motion_.beta());
   else
@@ -129,14 +129,14 @@ void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
   if (carrying_.follows) begin_load_torques(carrying_.t_ns, q(), dq(), carrying_.torques.residual());
 }
 
-// From this of the samples kept on, as the models are now: what r, prior and doubt were there stays.
+// Recomputes r, prior and doubt from the stored sample `first` on, with the current models.
 void ResidualStage::go_back(std::size_t first) noexcept {
   JointVector residual;
   for (std::size_t k = first; k < past_.size(); ++k) {
     const std::int64_t t_ns = past_.t_ns(k);
     const PastSamples::Row row = past_[k];
     past_presliding_->read_ends(row.low, row.high);
-    motion_.look(row.q, row.dq);
+    motion_.compute(row.q, row.dq);
     const std::span<const double> momentum = motion_.momentum(), beta = motion_.beta();
     if (k == first) {
       observer_.go_back(t_ns, momentum, beta, row.tau, row.residual);
@@ -152,7 +152,7 @@ void ResidualStage::go_back(std::size_t first) noexcept {
     std::ranges::copy(prior_.state().doubt_filter.residual(), row.doubt.begin());
     std::ranges::copy(carrying_.torques.residual(), row.load.begin());
   }
-  if (has_prior_) prior_.terms().look(q(), dq(), presliding(), motion_.beta());
+  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), motion_.beta());
 }
 
 void ResidualStage::keep() noexcept {
@@ -179,7 +179,7 @@ void ResidualStage::push_past() noexcept {
   presliding().write_ends(row.low, row.high);
 }
 
-// p and beta of the load alone at the state that the models have just looked at.
+// p and beta of the load alone, at the state for which the models were last computed.
 void ResidualStage::load_torques(std::span<const double> q, std::span<const double> dq, JointVector& p,
                                  JointVector& beta) noexcept {
   p.fill(0.0);
@@ -195,8 +195,8 @@ void ResidualStage::load_torques(std::span<const double> q, std::span<const doub
   }
 }
 
-// What a load weighs shows at once in the limits, though r shows it with a delay: nobody knows for how long it has been
-// there. `least`: what shows of the load before it.
+// A new load's weight raises the limits at once, although r follows with a delay: the load may have been there before.
+// `least`: remaining torques of the previous load.
 void ResidualStage::begin_load_torques(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                                        std::span<const double> least) noexcept {
   const std::size_t n = joints();

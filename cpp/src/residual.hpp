@@ -1,4 +1,4 @@
-// First half of the chain: sample -> residual, presliding states and prior, at the sample rate.
+// First half of the chain at the sample rate: residual, presliding states and prior.
 #pragma once
 #include <algorithm>
 #include <cstdint>
@@ -17,12 +17,12 @@
 
 namespace tauext {
 
-// A ring; nothing is allocated once it is made.
+// Ring buffer; allocates only in the constructor.
 class PastSamples {
  public:
   struct Row {
-    // A value a joint: the sample, where r, prior, doubt and the load's share stood after it; ends of the presliding
-    // states, a value a joint and width.
+    // Per joint: the sample, and r, prior, doubt and load torque after it. Ends of the presliding states: per joint and
+    // width.
     std::span<double> q, dq, tau, residual, prior, doubt, load, low, high;
   };
 
@@ -38,7 +38,7 @@ class PastSamples {
   std::size_t size() const noexcept { return count_; }
   std::size_t capacity() const noexcept { return t_ns_.size(); }
 
-  // Room for one more sample, later than those before; the oldest makes way. raised: see Prior::State.
+  // Adds a sample, later than all before; replaces the oldest if full. raised: see Prior::State.
   Row push(std::int64_t t_ns, bool raised) noexcept {
     const std::size_t at = next_;
     t_ns_[at] = t_ns;
@@ -48,11 +48,11 @@ class PastSamples {
     return row(at);
   }
 
-  // 0 is the oldest.
+  // Index 0 is the oldest.
   Row operator[](std::size_t k) noexcept { return row(place(k)); }
   std::int64_t t_ns(std::size_t k) const noexcept { return t_ns_[place(k)]; }
   bool raised(std::size_t k) const noexcept { return raised_[place(k)] != 0; }
-  // The last one that is not later than t_ns; the oldest where all are. There must be one.
+  // Index of the last sample not later than t_ns, else of the oldest. Must not be empty.
   std::size_t at_or_before(std::int64_t t) const noexcept {
     std::size_t low = 0, high = count_;
     while (high - low > 1) {
@@ -79,68 +79,67 @@ class PastSamples {
   std::size_t next_ = 0, count_ = 0;
 };
 
-// Motion, residual with its filters, and prior together, one sample at a time; torques in the unit of the answers.
+// Motion, filtered residual and prior, one sample at a time. Torques in the unit of the answers.
 class ResidualStage {
  public:
-  // 10/K0 of samples, what r remembers, but no more than these: so long finding r anew takes at most.
+  // Samples kept for recomputing r: 10/K0 of them, the memory of r, but no more than these.
   static constexpr std::size_t kMostPast = 8192;
 
-  // Throws Error where the settings do not fit, or a prior stands beside a residual that is not filtered like it.
+  // Throws Error if the settings do not fit, or if prior and residual are filtered differently.
   ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior);
 
-  // residual, prior and the prior's doubt [N m; the energy observer's in W] are written; where the tick says restart,
-  // all began anew with this sample.
+  // Writes residual, prior and the prior's doubt [N m; the energy observer's in W]. If the tick is a restart, all
+  // filters restarted at this sample.
   SampleClock::Tick step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                          std::span<const double> tau, std::span<double> residual, std::span<double> prior,
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
-  std::span<const double> beta() const noexcept { return motion_.beta(); }  // of the estimated model, likewise
-  bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
-  // Of the last sample; zeros before the first one.
+  std::span<const double> beta() const noexcept { return motion_.beta(); }  // of the estimated model
+  bool warm() const noexcept { return filter_.warm(); }  // the start of r has decayed
+  // Of the last sample; zeros before the first.
   std::span<const double> q() const noexcept { return {carrying_.q.data(), joints()}; }
   std::span<const double> dq() const noexcept { return {carrying_.dq.data(), joints()}; }
-  // As Prior.
+  // See Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { prior_.follow_temperature(celsius); }
   void forget_temperature() noexcept { prior_.forget_temperature(); }
-  // As Prior; of the last step.
+  // See Prior; of the last step.
   void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
     prior_.friction(coulomb, viscous);
   }
-  // Whether the prior follows from static friction, so that forgetting it raises a doubt.
-  bool tells_friction() const noexcept { return prior_.has_presliding(); }
-  // What the motion of a joint told of its static friction holds no longer. Nothing happens where no prior follows from
-  // it: there would be no doubt to raise the limits.
+  // Whether the prior models static friction, so that forgetting it raises the doubt.
+  bool models_friction() const noexcept { return prior_.has_presliding(); }
+  // Discards the presliding state of a joint. No effect if the prior does not model static friction: no doubt would
+  // then raise the limits.
   void forget_friction(int joint) noexcept {
-    if (!tells_friction()) return;
-    keep();  // as it was
+    if (!models_friction()) return;
+    keep();  // the state before
     motion_.forget_friction(joint);
     prior_.forget();
   }
-  // The next sample starts anew, whenever it comes.
+  // Restarts at the next sample, whatever its time.
   void reset() noexcept;
 
-  // Loads may be set from here on. Allocates; before the first sample.
-  // units_per_nm: Bundle::most_units_per_nm(); the doubt of a joint rises by so much of a load's torque. None: all in N m.
+  // Enables set_load(). Allocates; call before the first sample.
+  // units_per_nm: Bundle::most_units_per_nm(); adds this share of a load's torque to the doubt. Empty: all in N m.
   void allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm = {});
-  // Whether a load can be set from an earlier time on: r of the momentum observer without filters can be found anew.
+  // Whether a load can be set retroactively: only for the unfiltered momentum observer.
   bool can_go_back() const noexcept { return past_.capacity() > 0; }
-  // A load that the settings take, in the place of the one before; a mass of 0 takes it off. From the next step on r and
-  // prior follow the arm with it, and go on from where they would be had it been carried since `since_ns`: since the
-  // oldest sample kept where that is earlier.
+  // Replaces the load; a mass of 0 removes it. From the next step on, r and prior are as if the load had been carried
+  // since since_ns, or since the oldest kept sample if that is later.
   void set_load(const Load& load, std::int64_t since_ns) noexcept;
   const Load& load() const noexcept { return carrying_.load; }
-  // Keeps the last sample, for set_load; once is enough. step() needs the sample before to be kept.
+  // Stores the last sample for set_load(); needed once per sample, before the next step().
   void keep() noexcept;
 
-  // What the arm carries, and the last sample with it.
+  // Load and last sample.
   struct Carrying {
     Load load;
-    bool seen = false, kept = true;  // there is a last sample; it is among those kept
-    bool follows = false;  // torques of the load where it may be wrong, or of one that was taken off and still shows in r
-    double error_share = 0;          // of them, by which limits rise
+    bool seen = false, kept = true;  // a last sample exists; it is stored in past_
+    bool follows = false;  // load torques are tracked: uncertain load, or a removed one still in r
+    double error_share = 0;          // relative error of these torques; raises the limits
     std::int64_t t_ns = 0;
     JointVector q{}, dq{};
-    MomentumObserver torques;  // of the load as r shows them
+    MomentumObserver torques;  // of the load, filtered as r
     explicit Carrying(const MomentumObserver& none) noexcept : torques(none) {}
   };
   struct State {
@@ -151,7 +150,7 @@ class ResidualStage {
     Prior::State prior;
     Carrying carrying;
   };
-  // All that it remembers; restore() goes on from there, in a stage of the same settings.
+  // Complete state; restore() continues from it in a stage of the same settings.
   State state() const noexcept {
     return {motion_.state(), observer_, comparison_, filter_, prior_.state(), carrying_};
   }
@@ -161,15 +160,15 @@ class ResidualStage {
   MotionStage motion_;
   ResidualMethod method_;
   MomentumObserver observer_;
-  ComparisonResidual comparison_;  // unless the method is momentum
+  ComparisonResidual comparison_;  // used unless the method is momentum
   ResidualFilter filter_;
   Prior prior_;
   bool has_prior_;
 
-  static constexpr double kFadedNm = 1e-6;  // of a load taken off: less than any torque is known to
+  static constexpr double kFadedNm = 1e-6;  // below this a removed load has decayed: far below the torque error
 
   void carry(const Load& load) noexcept;
-  void look_again() noexcept;
+  void recompute() noexcept;
   void go_back(std::size_t first) noexcept;
   void push_past() noexcept;
   void load_torques(std::span<const double> q, std::span<const double> dq, JointVector& p, JointVector& beta) noexcept;
@@ -183,7 +182,7 @@ class ResidualStage {
   std::int64_t sample_period_ns_;
   bool unfiltered_;
   std::optional<LoadSettings> loads_;
-  std::optional<Tree> bare_;  // without the load, of the model that carries it
+  std::optional<Tree> bare_;  // the model without the load
   JointVector units_per_nm_{};
   bool model_carries_ = false, other_units_ = false;
   PastSamples past_;

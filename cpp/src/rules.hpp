@@ -1,4 +1,4 @@
-// Rules that settings keep: what breaks one is named in an Error.
+// Validation rules for settings; each Error names the value.
 #pragma once
 #include <cmath>
 #include <cstddef>

@@ -71,7 +71,7 @@ constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 constexpr double kSignCounts = 2;      // of the encoder, over which the sign of goal - position changes
 constexpr double kLeastOff = 1e-9;     // [rad], where nothing is known of the encoder: 0 has no sign
 constexpr double kLeastDuty = 1e-3;    // a count of the registers of duty
-constexpr double kGapPeriods = 2.5;    // a longer pause starts the velocity's window anew
+constexpr double kGapPeriods = 2.5;    // a longer pause restarts the velocity window
 
 // The sign of a value, -1 to 1, that changes over +-width instead of at once.
 double gentle_sign(double value, double width) noexcept { return value / std::max(std::fabs(value), width); }

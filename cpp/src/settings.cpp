@@ -1,4 +1,4 @@
-// The rules of settings.hpp.
+// Validation of settings.hpp.
 #include "tauext/settings.hpp"
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 namespace tauext {
 namespace {
 
-constexpr double kLargestWeight = 1e200;  // times a feature of the largest speed, and summed, it stays finite
+constexpr double kLargestWeight = 1e200;  // its product with the largest features, summed, stays finite
 
 auto within(double least, double most) noexcept {
   return [=](double value) { return value >= least && value <= most; };

@@ -24,10 +24,10 @@ SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_
   }
 }
 
-Impossible SignalWatch::look(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                             std::span<const double> tau, bool follows) const noexcept {
+Impossible SignalWatch::check(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                              std::span<const double> tau, bool follows) const noexcept {
   follows = follows && state_.started;
-  // How long a position that changes with every sample went on; of the others explain() knows.
+  // Counts how long a position changed with every sample; explain() covers the other cases.
   const double since_s = follows ? 1e-9 * (static_cast<double>(elapsed_ns(t_ns, state_.t_ns)) + sample_period_ns_)
                                  : std::numeric_limits<double>::infinity();
   const auto within = [](double value, double most) { return static_cast<unsigned>(std::fabs(value) <= most); };
@@ -56,7 +56,7 @@ Impossible SignalWatch::explain(std::int64_t t_ns, std::span<const double> q, st
   return {};
 }
 
-// The step since the last sample, [ns]; enters the mean.
+// Returns the step since the last sample, [ns], and updates the mean step.
 double SignalWatch::take_step(std::int64_t t_ns, std::int64_t ticks) noexcept {
   if (!state_.started) return sample_period_ns_;
   const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));

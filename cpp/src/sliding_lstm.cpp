@@ -16,8 +16,8 @@ namespace {
 constexpr std::size_t round_up(std::size_t n, std::size_t to) noexcept { return (n + to - 1) / to * to; }
 constexpr int kWidest = 16;
 
-// Weights for one window at a time, hidden units and outputs side by side in the lanes. Row `r` of the gates is
-// gate * padded + unit; the additions of a row stand in the same order as in lanes::step.
+// Weights for one window at a time, with hidden units and outputs in the lanes. Row `r` of the gates is gate * padded +
+// unit; sums have the same order as in lanes::step.
 struct SingleWeights {
   int inputs, padded, outputs, rows, head_rows;
   Buffer gates;  // [inputs + padded + 1][rows]: the last line is the bias
@@ -79,14 +79,14 @@ TAUEXT_INLINE void add(const float* start, const float* weights, int rows, const
 }  // namespace
 
 struct SlidingLstm::Windows {
-  // Everything that moves and is no buffer.
+  // All state outside the buffers.
   struct Position {
     std::int64_t row = -1;           // last row of the stretch, -1 before the first
-    std::int64_t advanced = -1;      // last row that the filling windows have taken in
-    std::int64_t due = -1;           // row whose window stands ready in due_h and due_c
-    std::int64_t answered = -1;      // row whose answer stands in `last`
-    std::int64_t projected = -1;     // row whose projection stands in `projection`
-    std::int32_t ring_at = 0;        // where in the ring the last row stands
+    std::int64_t advanced = -1;      // last row processed by the filling windows
+    std::int64_t due = -1;           // row whose finished window is in due_h and due_c
+    std::int64_t answered = -1;      // row whose answer is in `last`
+    std::int64_t projected = -1;     // row whose projection is in `projection`
+    std::int32_t ring_at = 0;        // ring index of the last row
     std::int32_t unused = 0;
   };
   static_assert(std::is_trivially_copyable_v<Position>);
@@ -106,7 +106,7 @@ struct SlidingLstm::Windows {
     groups = static_cast<int>(round_up(static_cast<std::size_t>(length - 1), static_cast<std::size_t>(lane_width))) / lane_width;
     phase_floats = static_cast<std::size_t>(groups) * 2 * P * static_cast<std::size_t>(lane_width);
     const std::size_t states = phase_floats * static_cast<std::size_t>(every_sample ? stride : 1);
-    // Rows that were pushed at once, and those that the first of them looks back to.
+    // Rows pushed at once, and the earlier rows that the first of them needs.
     ring_rows = static_cast<std::int64_t>(largest_lag) * stride + std::max(stride, kMostBridged) + 2;
     const std::size_t ring_floats = static_cast<std::size_t>(ring_rows) * static_cast<std::size_t>(columns);
     if ((states + ring_floats) * sizeof(float) > kMaxSlidingBytes)
@@ -135,8 +135,8 @@ struct SlidingLstm::Windows {
   std::int64_t first_row_of(std::int64_t end) const noexcept {
     return end - static_cast<std::int64_t>(length - 1) * stride;
   }
-  // The lane in which the window that ends at this row keeps its h; its c stands `padded` lines further. The window that
-  // begins at the row takes the same one.
+  // The lane that stores h of the window ending at this row; c is `padded` lines further. The window that starts at the
+  // row uses the same lane.
   float* lane_of(std::int64_t row) noexcept {
     const std::int64_t slot = row / stride % (length - 1);
     const std::int64_t phase = every_sample ? row % stride : 0;
@@ -164,7 +164,7 @@ struct SlidingLstm::Windows {
     const float* weights = single.gates.get() + static_cast<std::ptrdiff_t>(single.inputs) * single.rows;
     add<L>(projection.get(), weights, single.rows, h.get(), single.padded, sums.get());
     const int P = single.padded;
-    for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; nobody reads what they give
+    for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; their results are not used
       V<L> i = load_anywhere<L>(sums.get() + u), f = load_anywhere<L>(sums.get() + P + u);
       V<L> g = load_anywhere<L>(sums.get() + 2 * P + u), o = load_anywhere<L>(sums.get() + 3 * P + u);
       V<L> cell, tanh_cell, new_h;
@@ -174,10 +174,10 @@ struct SlidingLstm::Windows {
     }
   }
 
-  // h and c of the window that ends at `end`, as it stands after the rows that were advanced.
+  // h and c of the window ending at `end`, after the rows advanced so far.
   TAUEXT_INLINE void read_window(std::int64_t end, float* to_h, float* to_c) noexcept {
     const int P = single.padded;
-    if (first_row_of(end) > position.advanced) {  // it has not begun
+    if (first_row_of(end) > position.advanced) {  // it has not started
       std::memset(to_h, 0, sizeof(float) * P);
       std::memset(to_c, 0, sizeof(float) * P);
       return;
@@ -196,7 +196,7 @@ struct SlidingLstm::Windows {
       std::memcpy(h.get(), due_h, sizeof(float) * P);
       std::memcpy(c.get(), due_c, sizeof(float) * P);
     } else {
-      // After a gap bridged rows of the same phase may not have been taken in yet.
+      // After a gap, bridged rows of the same phase may not have been processed yet.
       read_window(end, h.get(), c.get());
       const std::int64_t from = std::max(position.advanced + 1, first_row_of(end));
       for (std::int64_t row = end - (end - from) / stride * stride; row < end; row += stride) single_step<L>(row);
@@ -212,7 +212,7 @@ struct SlidingLstm::Windows {
     const int P = single.padded;
     for (std::int64_t row = position.advanced + 1; row <= position.row; ++row) {
       if (!every_sample && row % stride != 0) continue;
-      if (row < static_cast<std::int64_t>(largest_lag) * stride) continue;  // no window that is ever answered begins here
+      if (row < static_cast<std::int64_t>(largest_lag) * stride) continue;  // no window that is answered starts here
       if (position.projected != row) project<L>(row);
       float* lane = lane_of(row);
       for (int u = 0; u < 2 * P; ++u) lane[u * lane_width] = 0.0f;
@@ -261,7 +261,7 @@ struct SlidingLstm::Windows {
   Position position;
   Buffer state;  // filling windows [phase][group][h, c][padded][lane] | due_h | due_c | last | ring
   float *due_h = nullptr, *due_c = nullptr, *last = nullptr, *ring = nullptr;
-  Buffer projection, sums, x, h, c, next_h;  // nothing here outlives a call but the projection
+  Buffer projection, sums, x, h, c, next_h;  // valid within one call, except for the projection
 };
 
 SlidingLstm::SlidingLstm(const LstmShape& shape, std::span<const float> parameters, std::span<const LstmInput> inputs,
@@ -281,7 +281,7 @@ SlidingLstm::~SlidingLstm() = default;
 SlidingLstm::SlidingLstm(SlidingLstm&&) noexcept = default;
 SlidingLstm& SlidingLstm::operator=(SlidingLstm&&) noexcept = default;
 
-// What filling windows and ring held stays: no window that begins after this reads it.
+// Filling windows and ring keep stale values: later windows do not read them.
 void SlidingLstm::restart() noexcept { windows_->position = {}; }
 
 void SlidingLstm::push(std::span<const float> row, std::int64_t ticks) noexcept {
@@ -302,7 +302,7 @@ bool SlidingLstm::answer(std::span<float> out) noexcept {
   const std::int64_t row = w.position.row, end = w.every_sample ? row : row - row % w.stride;
   if (row < 0 || end < w.reach()) return false;
   if (w.position.answered != end) {
-    if (end <= w.position.advanced) return false;  // its window has made room for the next
+    if (end <= w.position.advanced) return false;  // its slot belongs to the next window
     w.answer_any(end);
   }
   std::memcpy(out.data(), w.last, sizeof(float) * static_cast<std::size_t>(w.single.outputs));
@@ -313,7 +313,7 @@ void SlidingLstm::advance() noexcept {
   Windows& w = *windows_;
   if (w.position.advanced == w.position.row) return;
   if (w.length == 1) {
-    w.position.advanced = w.position.row;  // a window that begins with the row that ends it leaves nothing to fill
+    w.position.advanced = w.position.row;  // a window of a single row leaves nothing to fill
     return;
   }
   w.advance_any();

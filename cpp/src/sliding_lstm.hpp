@@ -28,7 +28,7 @@ class SlidingLstm {
   SlidingLstm(SlidingLstm&&) noexcept;
   SlidingLstm& operator=(SlidingLstm&&) noexcept;
 
-  // The next row begins a new stretch: nothing looks back beyond it.
+  // The next row begins a new stretch without history.
   void restart() noexcept;
   // A new row, `ticks` (1 to stride + 1) after the last; the ticks between hold the last one. Of a stretch's first row
   // `ticks` is not looked at.
@@ -36,7 +36,7 @@ class SlidingLstm {
   // The output for the window that ends at the last row, or at the last network period; false, and nothing written,
   // while none is full. Scaled units.
   bool answer(std::span<float> out) noexcept;
-  // Everything that the next row's answer does not wait for. push() does it first where it was left out.
+  // Work that the next row's answer does not wait for. push() does it first if it was left out.
   void advance() noexcept;
 
   // State as bytes, of this size, for the same sizes, rate and build.

@@ -11,13 +11,13 @@ namespace {
 
 constexpr std::int64_t kBlock_ns = 10'000'000;
 constexpr auto kRecent_ns = static_cast<std::int64_t>(1e9 * TouchKind::kRecent_s);
-constexpr double kGap_s = 0.1;  // without an estimate: too long to know how S and x went on
+constexpr double kGap_s = 0.1;  // longest time without an estimate over which S and x stay valid
 
 double seconds(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
   return 1e-9 * static_cast<double>(elapsed_ns(later_ns, earlier_ns));
 }
 
-// Loads' frame, or that of the link that most joints carry.
+// The load frame, or the frame of the link that most joints carry.
 LoadFrame frame_of(const Bundle& bundle) {
   if (bundle.load.link >= 0) return load_frame(bundle.load);
   int most = -1;
@@ -71,7 +71,7 @@ void TouchKind::step(const Seen& seen) noexcept {
   }
   if (largest <= kBegins) s.lost = false;
   if (s.lost) return;
-  if (largest > kBegins && strongest != s.strongest) {  // what another joint showed long before was an error
+  if (largest > kBegins && strongest != s.strongest) {  // another joint's earlier deviation was an error
     if (s.touching && !s.alarmed && seconds(seen.t_ns, s.begin_ns) > kRecent_s) s.touching = false;
     s.strongest = strongest;
   }
@@ -81,10 +81,10 @@ void TouchKind::step(const Seen& seen) noexcept {
   if (largest <= kBegins && (!s.alarmed || seconds(seen.t_ns, s.over_ns) > kOver_s))
     s.touching = false;
   else
-    look(seen);
+    update(seen);
 }
 
-// Speed and place behind the observer's filter; false where there is nothing to be looked at.
+// Speed and position, filtered as by the observer. Returns false if there is nothing to evaluate.
 bool TouchKind::follow(const Seen& seen) noexcept {
   State& s = state_;
   for (std::size_t j = 0; j < joints_; ++j)
@@ -116,7 +116,7 @@ void TouchKind::begin(const Seen& seen) noexcept {
   s.begin_ns = s.peak_ns = seen.t_ns;
   s.base = -1;
   s.peak = s.way = s.came = s.fastest = s.steepest = s.yields = s.decided_size = 0;
-  s.says = Touch::none;
+  s.candidate = Touch::none;
   s.load = {};
   s.count = s.next = 0;
   s.speed_at = s.speed;
@@ -125,14 +125,14 @@ void TouchKind::begin(const Seen& seen) noexcept {
   std::ranges::copy(seen.limit_nm, s.limit_nm.begin());
 }
 
-// Whether a joint says which way it goes.
+// Whether the joint's speed and torque determine a direction.
 bool TouchKind::strong(const Seen& seen, std::size_t joint) const noexcept {
   double most = 0;
   for (std::size_t j = 0; j < joints_; ++j) most = std::max(most, std::fabs(seen.tau_ext[j]) / state_.limit_nm[j]);
   return std::fabs(seen.tau_ext[joint]) >= std::min(kStrong * most, kSurely) * state_.limit_nm[joint];
 }
 
-// S, x and their peaks at this sample.
+// Updates S, x and their peaks.
 void TouchKind::measure(const Seen& seen) noexcept {
   State& s = state_;
   double squares = 0, power = 0;
@@ -156,8 +156,8 @@ void TouchKind::measure(const Seen& seen) noexcept {
   s.came = first ? power / s.size : s.way / seconds(seen.t_ns, s.begin_ns);
 }
 
-// What shows at this sample.
-void TouchKind::look(const Seen& seen) noexcept {
+// Updates the sums with this sample.
+void TouchKind::update(const Seen& seen) noexcept {
   State& s = state_;
   measure(seen);
   if (s.count > 0 && seen.t_ns - before(seen.t_ns).t_ns < block_ns_) return;
@@ -177,7 +177,7 @@ void TouchKind::close_block(const Seen& seen) noexcept {
   s.count = std::min(s.count + 1, kBlocks);
 }
 
-// The newest block that is so old, or the oldest.
+// The newest block of at least this age, or the oldest.
 const TouchKind::Block& TouchKind::before(std::int64_t t_ns) const noexcept {
   std::size_t at = state_.next;
   for (std::size_t k = 0; k < state_.count; ++k) {
@@ -193,7 +193,7 @@ bool TouchKind::moves(const JointVector& speed, const Seen& seen) const noexcept
   return false;
 }
 
-// Power of such a speed against what now shows beyond its error.
+// Power of such a speed against the torque beyond its error.
 double TouchKind::against(const JointVector& speed, const Seen& seen) const noexcept {
   double power = 0;
   for (std::size_t j = 0; j < joints_; ++j) {
@@ -203,7 +203,7 @@ double TouchKind::against(const JointVector& speed, const Seen& seen) const noex
   return power;
 }
 
-// 0 s of it while there are not enough.
+// A stretch of 0 s if there are not enough blocks.
 TouchKind::Stretch TouchKind::recent_blocks() const noexcept {
   const State& s = state_;
   const Block& old = before(s.t_ns - kRecent_ns);
@@ -212,12 +212,12 @@ TouchKind::Stretch TouchKind::recent_blocks() const noexcept {
   return {s.size - old.size, s.way - old.way, recent_s};
 }
 
-// Squared size that is left of tau_ext by the weight that fits it best.
+// Squared residual of tau_ext after the best-fitting weight.
 double TouchKind::left_by_load(const Seen& seen) noexcept {
   State& s = state_;
   const JointVector still{};
-  weight_.look(seen.q, std::span(still).first(joints_));
-  JointVector pull, sigma;  // a load adds to beta, and so much less shows in tau_ext
+  weight_.compute(seen.q, std::span(still).first(joints_));
+  JointVector pull, sigma;  // a load adds to beta, so tau_ext shows the opposite sign
   for (std::size_t j = 0; j < joints_; ++j) {
     pull[j] = -seen.tau_ext[j];
     sigma[j] = kSigmaOfLimit * s.limit_nm[j];
@@ -228,7 +228,7 @@ double TouchKind::left_by_load(const Seen& seen) noexcept {
   return kSigmaOfLimit * kSigmaOfLimit * sums.left(s.load);
 }
 
-// Over the recent blocks; a weight of nothing is none.
+// Over the recent blocks; a weight of zero does not count.
 bool TouchKind::fits_load() const noexcept {
   const State& s = state_;
   if (!(s.load[0] > 0)) return false;
@@ -243,7 +243,7 @@ bool TouchKind::fits_load() const noexcept {
   return left <= kFitNoise * kFitNoise * rows + kFitModel * kFitModel * squares;
 }
 
-// It came and went as a blow does; what comes back is none, nor what is still there when r has answered.
+// Detects an impact: S rose and fell quickly. A touch that returns, or persists after r has responded, is none.
 bool TouchKind::bounces(bool over) noexcept {
   State& s = state_;
   if (s.bounced) {
@@ -251,7 +251,7 @@ bool TouchKind::bounces(bool over) noexcept {
     if (stays || s.size > std::max(1.0, kBack * s.peak)) {
       s.bounced = false;
       s.kind = Touch::unknown;
-      s.says = Touch::none;
+      s.candidate = Touch::none;
     }
   } else if (s.size <= kFell * s.peak && seconds(s.peak_ns, s.begin_ns) <= kBounce_s + 1.5 / gain_per_s_ &&
              seconds(s.t_ns, s.peak_ns) <= kBounce_s + 0.7 / gain_per_s_ + 0.01) {
@@ -264,39 +264,39 @@ bool TouchKind::bounces(bool over) noexcept {
 void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (bounces(seen.over)) return;
-  const Touch looks = looks_like(recent, seen);
-  if (looks != s.says) {
-    s.says = looks;
-    s.says_ns = s.t_ns;
+  const Touch found = classify(recent, seen);
+  if (found != s.candidate) {
+    s.candidate = found;
+    s.candidate_ns = s.t_ns;
   }
   const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || seconds(s.t_ns, s.alarm_ns) <= kDecided_s;
-  const bool sure = looks != Touch::none && seconds(s.t_ns, s.says_ns) >= kSure_s - 1e-6;
-  const bool lets_go = s.kind == Touch::clamp && looks == Touch::push;  // an arm that slips off looks like that
-  if (open && sure && looks != s.kind && !lets_go) {
-    s.kind = looks;
+  const bool sure = found != Touch::none && seconds(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
+  const bool lets_go = s.kind == Touch::clamp && found == Touch::push;  // an arm that slips off looks the same
+  if (open && sure && found != s.kind && !lets_go) {
+    s.kind = found;
     s.decided_size = s.size;
   }
   const bool may_turn = s.kind == Touch::push || s.kind == Touch::load;
   if (open || !may_turn || s.size <= kDoubled * s.decided_size) return;
-  s.alarm_ns = s.begin_ns = s.t_ns;  // more than a hand that holds its force, or a weight
+  s.alarm_ns = s.begin_ns = s.t_ns;  // larger than a constant hand force or a weight
   s.base = s.peak = s.size;
   s.way = s.fastest = s.steepest = s.yields = 0;
   s.count = s.next = 0;
   s.speed_at = s.speed_before = s.speed;
   s.place = {};
-  s.says = Touch::none;
+  s.candidate = Touch::none;
   s.kind = Touch::unknown;
 }
 
-// What the recent blocks say; none: nothing yet.
-Touch TouchKind::looks_like(const Stretch& recent, const Seen& seen) noexcept {
+// Classifies by the recent blocks; none: undecided.
+Touch TouchKind::classify(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (!(recent.s > 0)) return Touch::none;
   const double since_s = seconds(s.t_ns, s.alarm_ns);
   const bool moved = moves(s.speed_at, seen), driven = moved && s.came > 0;
   const bool away = s.came < 0 && moves(s.speed_before, seen) && against(s.speed_before, seen) < 0;
-  const bool doubtful = moved && !driven && against(s.speed_at, seen) > 0;  // work that is error says another way
-  Touch it = Touch::push;  // what an arm moves away from by itself cannot clamp it
+  const bool doubtful = moved && !driven && against(s.speed_at, seen) > 0;  // contradicts the work
+  Touch it = Touch::push;  // an arm that moves away by itself cannot be clamped
   if (driven) it = driven_into(recent, since_s);
   else if (!away) it = standing(recent, seen, since_s);
   if (since_s < kFirst_s) return Touch::none;
@@ -304,20 +304,20 @@ Touch TouchKind::looks_like(const Stretch& recent, const Seen& seen) noexcept {
   return doubtful ? Touch::none : it;
 }
 
-// The arm was driven into it: does it give way?
+// The arm was driven into the contact: does the contact yield?
 Touch TouchKind::driven_into(const Stretch& recent, double since_s) noexcept {
   State& s = state_;
   if (recent.gone >= kOnward * s.came * recent.s) {
     const double steep = recent.grown / recent.gone;
     s.steepest = std::max(s.steepest, steep);
     const bool soft = steep <= 0 || steep * steep * s.way < kSoft * (s.size - s.base) * s.steepest;
-    if (soft && (since_s < kDriven_s || s.kind == Touch::push)) return Touch::push;  // later it may be one that slips off
+    if (soft && (since_s < kDriven_s || s.kind == Touch::push)) return Touch::push;  // later it may be slipping off
   }
   const bool stopped = recent.gone < kStopped * s.came * recent.s && s.size >= kHeld * s.peak && since_s > kAlong_s;
   return stopped || since_s >= kDriven_s ? Touch::clamp : Touch::none;
 }
 
-// It moved the arm, or nothing moves: has it stopped growing?
+// The contact moved the arm, or nothing moves: has the force stopped growing?
 Touch TouchKind::standing(const Stretch& recent, const Seen& seen, double since_s) const noexcept {
   const State& s = state_;
   const double growth = recent.grown / recent.s, mean = (s.size - s.base) / seconds(s.t_ns, s.begin_ns);

@@ -32,7 +32,7 @@ Vector3 nearest(const Line& line, Vector3 p) {
 
 double area_of(const Line& line) { return 2 * kPi * line.radius_m * line.length_m + 4 * kPi * line.radius_m * line.radius_m; }
 
-// Points on a capsule's surface share it with itself to rounding.
+// Share of the radius inside which a point counts as covered: points on the surface never do, despite rounding.
 constexpr double kWithin = 0.999;
 
 bool hidden(const std::vector<Line>& lines, std::size_t own, Vector3 p) {
@@ -43,7 +43,7 @@ bool hidden(const std::vector<Line>& lines, std::size_t own, Vector3 p) {
   return false;
 }
 
-// Rows around the capsule at steps of the arc from one pole to the other, as many points in each as its length holds steps.
+// Rows around the capsule, at equal arc steps from pole to pole; each row has as many points as steps fit its length.
 void add_rows(const std::vector<Line>& lines, std::size_t own, double step_m, LinkSurface& into) {
   const Line& line = lines[own];
   const double r = line.radius_m, arc = line.length_m + kPi * r;
@@ -72,7 +72,7 @@ void add_rows(const std::vector<Line>& lines, std::size_t own, double step_m, Li
   }
 }
 
-// What a link reaches to, in its own frame.
+// Extent of a link in its own frame.
 std::vector<std::array<double, 3>> ends_of(const Bundle& bundle, int link) {
   std::vector<std::array<double, 3>> ends;
   for (const Link& other : bundle.links)
@@ -114,7 +114,7 @@ std::vector<Capsule> capsules_or_guess(const Bundle& bundle) {
 
 namespace {
 
-// A mixture's part: f ~ N(mean n, P), 1 / P being `across` plus `more` along the normal n.
+// Component of a mixture: f ~ N(mean n, P), 1 / P is `across` plus `more` along the normal n.
 struct Size {
   double mean_n, across, more, weight;
 };
@@ -158,14 +158,14 @@ inline Solved solve(const Symmetric& k, double hx, double hy, double hz) noexcep
   return {determinant, sum / determinant};
 }
 
-// What tau_ext tells of a force at a point: exp(b^T f - f^T M f / 2).
+// Likelihood of a force at a point, given tau_ext: exp(b^T f - f^T M f / 2).
 struct SeenAt {
   Symmetric m;
   double bx, by, bz;
 };
-constexpr std::size_t kSeenAt = 9;  // numbers of it
+constexpr std::size_t kSeenAt = 9;  // number of values
 
-// Rows of a matrix, each times [p]x from the right: a^T [p]x = (a x p)^T.
+// Each row of a matrix times [p]x from the right: a^T [p]x = (a x p)^T.
 inline std::array<double, 9> rows_cross(const std::array<double, 9>& a, double x, double y, double z) noexcept {
   return {a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x, a[4] * z - a[5] * y, a[5] * x - a[3] * z,
           a[3] * y - a[4] * x, a[7] * z - a[8] * y, a[8] * x - a[6] * z, a[6] * y - a[7] * x};
@@ -187,7 +187,7 @@ inline SeenAt seen_at(const Information& of, double x, double y, double z) noexc
           of.f[2] + of.m[0] * y - of.m[1] * x};
 }
 
-// With a part of the mixture.
+// Adds a mixture component.
 inline SeenAt with(const SeenAt& seen, const Size& size, double nx, double ny, double nz) noexcept {
   const double more = size.more, push = (size.across + size.more) * size.mean_n;
   return {{seen.m.xx + size.across + more * nx * nx, seen.m.yy + size.across + more * ny * ny,
@@ -212,7 +212,7 @@ std::vector<std::vector<std::uint32_t>> neighbours(const LinkSurface& surface, d
   return all;
 }
 
-constexpr double kFarBelow = -40;  // exp of less adds nothing to a sum of such terms
+constexpr double kFarBelow = -40;  // smaller exponentials do not change a sum of such terms
 
 }  // namespace
 
@@ -237,8 +237,8 @@ PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle), capsules_(capsul
   q_.resize(n);
 }
 
-// The integral over forces for each point, and its logarithm summed over them. The loops over points have neither branches
-// nor calls, so that compilers take several points at a time.
+// Integral over forces for each point, and the log of its sum over components. The loops have no branches or calls, so
+// that compilers vectorise them.
 double PlaceModel::evidence(const LinkSurface& surface, const Information& of, std::span<double> logs) noexcept {
   const std::size_t points = surface.size();
   double* const seen = seen_at_.data();
@@ -282,7 +282,7 @@ double PlaceModel::evidence(const LinkSurface& surface, const Information& of, s
   return best + std::log(sum);
 }
 
-// Mean over the mixture of the posterior's means.
+// Posterior mean, averaged over the mixture.
 std::array<double, 3> PlaceModel::force_at(const LinkSurface& surface, std::size_t point, const Information& of) const noexcept {
   const double nx = surface.nx[point], ny = surface.ny[point], nz = surface.nz[point];
   const SeenAt alone = seen_at(of, surface.x[point], surface.y[point], surface.z[point]);
@@ -377,7 +377,7 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
     if (given == static_cast<int>(link) || (given < 0 && into.probability[link] >= kLeast))
       place_on(link, given < 0 ? into.probability[link] : 1.0, into);
   if (into.places == 0) return;
-  // What the first place leaves unexplained.
+  // Chi-square left by the first place.
   const TouchPlace& first = into.place[0];
   std::array<double, 6 * kMaxJoints> columns;
   wrench_.columns(first.link, q_, first.on_link, WrenchAxes::base, columns);
@@ -389,14 +389,14 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
   forward(factor_, told.size(), std::span(left).first(told.size()));
   double chi_square = 0;
   for (std::size_t j = 0; j < told.size(); ++j) chi_square += std::pow(whitened_tau_[j] - left[j], 2);
-  // Three unknowns of the force and two of the point, as far as the joints on the way to it can tell them.
+  // Three unknowns of the force and two of the point, as far as the joints below the point can determine them.
   const auto on_the_way = std::ranges::count_if(told, [&first](std::size_t j) noexcept { return static_cast<int>(j) <= first.link; });
   const int freedom = static_cast<int>(told.size()) - std::min(static_cast<int>(on_the_way), 5);
   chi_square /= wrench_.settings().residual_radius[static_cast<std::size_t>(WrenchKind::force)];
   into.consistent = freedom > 0 ? chi_square_beyond(chi_square, freedom) : 1.0;
 }
 
-// Groups of points: the densest, with all within kApart_m of it, then likewise of what is left.
+// Clusters of points: the densest one with all points within kApart_m, then the same for the rest.
 void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& into) noexcept {
   const LinkSurface& surface = fine_[link];
   const std::size_t points = surface.size();
@@ -452,7 +452,7 @@ double PlaceModel::at_frame(int frame) const noexcept {
   double most = -std::numeric_limits<double>::infinity(), sum = 0;
   std::array<double, kSizes_n.size()> logs;
   for (std::size_t k = 0; k < kSizes_n.size(); ++k) {
-    const double across = 3 / (kSizes_n[k] * kSizes_n[k]);  // as large in all directions together
+    const double across = 3 / (kSizes_n[k] * kSizes_n[k]);  // the same size over all directions
     const Size size{0, across, 0, 1 / static_cast<double>(kSizes_n.size())};
     const SeenAt here = with(alone, size, 0, 0, 1);
     const Solved solved = solve(here.m, here.bx, here.by, here.bz);

@@ -45,7 +45,7 @@ Rotation columns(const std::array<double, 9>& r) noexcept {
   return {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
 }
 
-// Of a mass, a length, an inertia or a gravity, in SI units: products of larger ones end in infinite torques.
+// Largest mass, length, inertia or gravity, in SI units: products of larger values overflow.
 constexpr double kLargestOfAnArm = 1e9;
 
 void expect_sizes_of_an_arm(std::span<const double> values, const std::string& who) {
@@ -103,7 +103,7 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
 std::vector<Tree::Body> Tree::sort_bodies() const {
   const std::vector<Link>& links = links_;
   const int n = static_cast<int>(links.size());
-  std::vector<int> place(n, -1);  // of a link among the bodies
+  std::vector<int> place(n, -1);  // index of a link's body
   std::vector<Body> bodies;
   while (static_cast<int>(bodies.size()) < n) {
     const std::size_t before = bodies.size();
@@ -154,7 +154,7 @@ bool Tree::has_mass() const noexcept {
 void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
                     std::span<double> beta) const noexcept {
   std::array<Sweep, kMaxJoints> sweep;  // left uninitialised: every field is written before it is read
-  std::array<double, kMaxJoints> sine, cosine;  // all at once: they do not wait for one another, the sweep's steps do
+  std::array<double, kMaxJoints> sine, cosine;  // computed in one loop: independent of each other, unlike the sweep
   const int n = size();
   for (int i = 0; i < n; ++i) {
     sine[i] = std::sin(q[i]);
@@ -193,7 +193,7 @@ void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::
   for (int k = n; k-- > 0;) {
     const Body& body = bodies_[k];
     const Sweep& s = sweep[k];
-    // v x S needs the parent's velocity only: the joint's own part is parallel to S and drops out.
+    // v x S needs only the parent's velocity: the joint's own part is parallel to S and vanishes.
     double momentum, coriolis_transpose, gravity;
     if (body.type == JointType::revolute) {
       momentum = s.angular.z;

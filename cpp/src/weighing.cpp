@@ -9,7 +9,7 @@ namespace tauext {
 namespace {
 
 constexpr double kLeastSigma = 1e-9;       // [N m]
-constexpr double kDriftOfLimit = 0.3;      // of a limit: the most that drift may be where none is followed
+constexpr double kDriftOfLimit = 0.3;      // of a limit: largest drift if no drift is tracked
 
 }  // namespace
 
@@ -28,7 +28,7 @@ Weighing::Weighing(const Bundle& bundle)
       sums_(bundle.joints()),
       settings_(settings_of(bundle)) {
   for (int j = 0; j < joints_; ++j) counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
-  if (!possible(bundle)) throw Error("a load is weighed in the momentum observer's r alone, at a frame that the bundle names");
+  if (!possible(bundle)) throw Error("weighing a load needs the unfiltered momentum observer and a load frame in the bundle");
 }
 
 // Standard deviations of the offset and the Coulomb friction that are found beside a load: 2 % and 6 % of a joint's
@@ -69,7 +69,7 @@ void Weighing::forget() noexcept {
   unsolved_rows_ = 0;
 }
 
-void Weighing::look(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
+void Weighing::take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
   stand(estimate.t_ns, estimate.near_stiction);
   entered_ = observed.passage == Passage::entered;
   restarted_ = observed.restarted;

@@ -1,4 +1,4 @@
-// A load weighed inside the loop: columns of every sample, sums at the network's rate.
+// Estimates a load inside the loop: columns at every sample, sums at the network's rate.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -15,34 +15,34 @@ namespace tauext {
 
 struct Bundle;
 
-// look() copies what advance() needs; that steps the columns, adds a row once a network period and solves once in
-// kRefreshRows, so that the columns stand about the load as known so far. Rows are healthy samples; the columns need 10/K0
-// from the start and from every break of the chain.
+// take() copies what advance() needs. advance() steps the columns, adds a row once per network period and solves every
+// kRefreshRows rows, so that the columns match the current load estimate. Rows are healthy samples; the columns need
+// 10/K0 after every start or restart.
 class Weighing {
  public:
   static constexpr int kRefreshRows = 10;
-  static constexpr double kStand_s = 0.5;       // what holds a standing joint does not change: a stand tells as much as this of sliding
+  static constexpr double kStand_s = 0.5;  // a standstill counts as this time of sliding
   static constexpr double kOffsetShare = 0.07, kCoulombShare = 0.2;  // of the most that drift may be: see LoadBefore
 
   // The bundle names a load's frame, and r is the momentum observer's without filters.
   static bool possible(const Bundle& bundle) noexcept;
-  // Throws Error where it is not possible.
+  // Throws Error if that is not possible.
   explicit Weighing(const Bundle& bundle);
 
-  // What the bundle says of it.
+  // Settings from the bundle.
   static WeighSettings settings_of(const Bundle& bundle);
 
   // With the next sample, beside this load. reach_m: of the centre of mass, above 0.
   void start(double reach_m, const Load& set) noexcept;
-  // Sums anew from the next sample on, the columns go on: nothing of r is stale.
+  // Restarts the sums at the next sample; the columns continue.
   void forget() noexcept;
   void stop() noexcept { on_ = pending_ = false; }
-  // As newly made.
+  // Back to the state after construction.
   void reset() noexcept;
   bool on() const noexcept { return on_; }
 
-  // The sample that was just judged. Only where on().
-  void look(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept;
+  // Call with the sample just judged. Only if on().
+  void take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept;
   // beta: the estimated model's at that sample. Nothing happens where it was done.
   void advance(std::span<const double> beta) noexcept;
 

@@ -16,7 +16,7 @@
 namespace tauext {
 namespace {
 
-// What an unknown may be at most, and from which standard error on it counts as unknown, [N]; moments by this length, [m].
+// Largest size of an unknown; a standard error above it counts as unknown, [N]; moments times this length, [m].
 struct WrenchScale {
   double largest_n, length_m, blind_n;
 };
@@ -58,14 +58,14 @@ void eigen(Square& a, Square& vectors, std::size_t m) noexcept {
   }
 }
 
-// What was seen of unknowns in units of what each may be at most: columns' products, and theirs with the torques.
+// Normal equations in units of each unknown's largest size: products of the columns, and with the torques.
 struct Seen {
   Square products{};
   double shown[kMost] = {}, size[kMost] = {}, whole = 0;
   std::size_t m = 0;
 };
 
-// The inverse of a matrix of this Cholesky factor, lower triangle, (m, m).
+// Inverse of a matrix given by its lower Cholesky factor, (m, m).
 void invert_lower(std::span<const double> factor, std::size_t m, Square& inverse) noexcept {
   Square lower{};
   for (std::size_t e = 0; e < m; ++e) {
@@ -82,9 +82,9 @@ void invert_lower(std::span<const double> factor, std::size_t m, Square& inverse
     }
 }
 
-// Where no direction can be blind, since the trace of the relative covariance is below that: no eigenvectors are needed.
-// false where that is not so.
-bool solve_seen(const Seen& seen, double blind_share, std::size_t n, std::array<double, kMost>& w, Wrench& told) noexcept {
+// Fast path without eigenvectors: no direction is blind if the trace of the relative covariance is below blind_share.
+// Returns false otherwise.
+bool solve_seen(const Seen& seen, double blind_share, std::size_t n, std::array<double, kMost>& w, Wrench& found) noexcept {
   const std::size_t m = seen.m;
   Square alone = seen.products, with_prior = seen.products;
   for (std::size_t i = 0; i < m; ++i) with_prior[i * m + i] += 1;
@@ -94,55 +94,55 @@ bool solve_seen(const Seen& seen, double blind_share, std::size_t n, std::array<
   double trace = 0;
   for (std::size_t i = 0; i < m; ++i) trace += inverse[i * m + i];
   if (!(trace < blind_share)) return false;
-  told.blind = 0;
-  told.chi_square = seen.whole;
-  told.freedom = static_cast<int>(n - m);
+  found.blind = 0;
+  found.chi_square = seen.whole;
+  found.freedom = static_cast<int>(n - m);
   double explained[kMost];
   std::copy_n(seen.shown, m, explained);
   forward(alone, m, std::span(explained).first(m));
   for (std::size_t i = 0; i < m; ++i) {
-    told.chi_square -= explained[i] * explained[i];
+    found.chi_square -= explained[i] * explained[i];
     for (std::size_t j = 0; j < m; ++j) {
       w[i] += seen.size[i] * inverse[i * m + j] * seen.shown[j];
-      told.covariance[i * m + j] = seen.size[i] * seen.size[j] * inverse[i * m + j];
+      found.covariance[i * m + j] = seen.size[i] * seen.size[j] * inverse[i * m + j];
     }
   }
   return true;
 }
 
-// A direction in which a force of largest_n shows as less than a tenth of a standard error explains nothing.
+// A direction is unobservable if a force of largest_n shows as less than a tenth of a standard error.
 constexpr double kExplains = 0.01;
 
-void solve_by_directions(Seen& seen, double blind_share, std::size_t n, std::array<double, kMost>& w, Wrench& told) noexcept {
+void solve_by_directions(Seen& seen, double blind_share, std::size_t n, std::array<double, kMost>& w, Wrench& found) noexcept {
   const std::size_t m = seen.m;
   Square vectors;
   eigen(seen.products, vectors, m);
-  told.blind = 0;
-  told.chi_square = seen.whole;
-  told.freedom = static_cast<int>(n);
+  found.blind = 0;
+  found.chi_square = seen.whole;
+  found.freedom = static_cast<int>(n);
   for (std::size_t e = 0; e < m; ++e) {
     const double value = std::max(seen.products[e * m + e], 0.0);
     double along = 0;
     for (std::size_t i = 0; i < m; ++i) along += vectors[i * m + e] * seen.shown[i];
     if (value > kExplains) {
-      told.chi_square -= along * along / value;
-      --told.freedom;
+      found.chi_square -= along * along / value;
+      --found.freedom;
     }
     for (std::size_t i = 0; i < m; ++i) {
       w[i] += seen.size[i] * vectors[i * m + e] * along / (value + 1);
       for (std::size_t j = 0; j < m; ++j)
-        told.covariance[i * m + j] += seen.size[i] * vectors[i * m + e] * seen.size[j] * vectors[j * m + e] / (value + 1);
+        found.covariance[i * m + j] += seen.size[i] * vectors[i * m + e] * seen.size[j] * vectors[j * m + e] / (value + 1);
     }
     if (blind_share * (value + 1) >= 1) continue;
-    auto& direction = told.blind_directions[static_cast<std::size_t>(told.blind++)];
+    auto& direction = found.blind_directions[static_cast<std::size_t>(found.blind++)];
     for (std::size_t i = 0; i < m; ++i) direction[i] = vectors[i * m + e];
   }
 }
 
-// s: (n, n), is used up; columns: (unknowns, n), likewise. Fills all of `told` but unknowns, moment of a force, consistent
-// and known. false where s is not positive definite.
+// s: (n, n) and columns: (unknowns, n) are overwritten. Fills `found` except unknowns, moment of a force, consistent
+// and known. Returns false if s is not positive definite.
 bool solve_wrench(std::span<double> s, std::span<double> columns, std::span<const double> tau_ext, const WrenchScale& scale,
-                  Wrench& told) noexcept {
+                  Wrench& found) noexcept {
   const std::size_t n = tau_ext.size(), m = columns.size() / n;
   if (!cholesky(s, n)) return false;
   std::array<double, kMaxJoints> y;
@@ -165,13 +165,13 @@ bool solve_wrench(std::span<double> s, std::span<double> columns, std::span<cons
   }
   const double blind_share = std::pow(scale.blind_n / scale.largest_n, 2);
   std::array<double, kMost> w{};
-  told.covariance.fill(0);
-  if (!solve_seen(seen, blind_share, n, w, told)) solve_by_directions(seen, blind_share, n, w, told);
-  told.chi_square = std::max(told.chi_square, 0.0);
-  told.freedom = std::max(told.freedom, 0);
+  found.covariance.fill(0);
+  if (!solve_seen(seen, blind_share, n, w, found)) solve_by_directions(seen, blind_share, n, w, found);
+  found.chi_square = std::max(found.chi_square, 0.0);
+  found.freedom = std::max(found.freedom, 0);
   for (std::size_t i = 0; i < 3; ++i) {
-    told.force[i] = w[i];
-    if (m == kMost) told.moment[i] = w[3 + i];
+    found.force[i] = w[i];
+    if (m == kMost) found.moment[i] = w[3 + i];
   }
   return true;
 }
@@ -189,7 +189,7 @@ std::string why_none(const Bundle& bundle) {
   return bundle.too_few_in_newtons("a force is in newtons");
 }
 
-// The columns of WrenchModel::columns(), on the way from the frame to the base, which is returned.
+// The columns of WrenchModel::columns(), along the chain from the frame to the base; returns the base.
 LinkSeen see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
          const std::array<double, 3>& point, WrenchAxes axes, std::span<double> into) noexcept {
   const auto n = links.size();
@@ -341,7 +341,7 @@ bool WrenchModel::known(std::span<const double> q, std::span<const double> tau_e
   });
 }
 
-// Every number moves towards the front, past those that were moved before it.
+// Each value moves towards the front, past values already moved.
 void WrenchModel::keep_told(std::span<double> values, std::size_t count, bool square) const noexcept {
   const std::size_t n = links_.size(), rows = told_.size();
   if (rows == n) return;
@@ -354,16 +354,16 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
                           std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
-  Wrench told;
-  told.unknowns = static_cast<int>(unknowns);
-  told.force = told.moment = {nan, nan, nan};
-  told.covariance.fill(nan);
-  told.chi_square = told.consistent = nan;
+  Wrench found;
+  found.unknowns = static_cast<int>(unknowns);
+  found.force = found.moment = {nan, nan, nan};
+  found.covariance.fill(nan);
+  found.chi_square = found.consistent = nan;
   bool sound = refused_.empty() && frame >= 0 && frame < frames();
   sound = sound && known(q, tau_ext, sigma_nm, contact_sigma_nm);
   for (double value : point) sound = sound && std::isfinite(value);
   for (double value : dq) sound = sound && std::isfinite(value);
-  if (!sound) return told;
+  if (!sound) return found;
 
   std::array<double, kMaxJoints> pushed;
   std::ranges::copy(tau_ext.first(n), pushed.begin());
@@ -376,18 +376,18 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   keep_told(all, unknowns, false);
   keep_told(pushed, 1, false);
   const std::size_t rows = told_.size();
-  if (!solve_wrench(std::span(s).first(rows * rows), std::span(all).first(unknowns * rows), std::span(pushed).first(rows), scale, told))
-    return told;
-  told.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
-  told.consistent = told.freedom > 0 ? chi_square_beyond(told.chi_square, told.freedom) : 1.0;
+  if (!solve_wrench(std::span(s).first(rows * rows), std::span(all).first(unknowns * rows), std::span(pushed).first(rows), scale, found))
+    return found;
+  found.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
+  found.consistent = found.freedom > 0 ? chi_square_beyond(found.chi_square, found.freedom) : 1.0;
   if (kind == WrenchKind::force) {
     Vector3 lever = vector3(point);
     if (axes == WrenchAxes::base) lever = base.back(lever);
-    const Vector3 moment = cross(lever, vector3(told.force));
-    told.moment = {moment.x, moment.y, moment.z};
+    const Vector3 moment = cross(lever, vector3(found.force));
+    found.moment = {moment.x, moment.y, moment.z};
   }
-  told.known = true;
-  return told;
+  found.known = true;
+  return found;
 }
 
 Wrench WrenchModel::wrench(int frame, std::span<const double> q, std::span<const double> tau_ext,

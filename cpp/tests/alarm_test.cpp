@@ -65,11 +65,11 @@ void a_contact_falls_back_and_a_collision_does_not() {
   CHECK(s.step(1000, 0, 0).alarm == Alarm::none);
   for (int t = 1001; t < 1005; ++t) s.step(t, 0, 7);
   s.alarm.acknowledge();
-  for (int t = 1005; t < 1010; ++t) CHECK(s.step(t, 0, 7).alarm != Alarm::collision);  // its hold time begins anew
+  for (int t = 1005; t < 1010; ++t) CHECK(s.step(t, 0, 7).alarm != Alarm::collision);  // its hold time restarts
   CHECK(s.step(1010, 0, 7).alarm == Alarm::collision);
 }
 
-void one_sample_under_the_limit_begins_the_hold_time_anew() {
+void one_sample_under_the_limit_restarts_the_hold_time() {
   Stage s;
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, t % 5 == 4 ? 3 : 11, 0).alarm != Alarm::collision);
 }
@@ -126,8 +126,8 @@ void the_error_scale_multiplies_limits_and_not_the_doubt() {
   CHECK(s.limit_nm[0] == 37);
 }
 
-// Joint 1 is pushed while it is stuck (limits 20 and 8), and told at its usual limit; what the push leaves in its friction
-// is more than that limit, and no alarm until the joint slides.
+// Joint 1 is pushed while stuck (limits 20 and 8) and reported at its usual limit. The friction left by the push exceeds
+// that limit, but raises no alarm until the joint slides.
 void limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides() {
   Stage s(2);
   for (int t = 0; t < 20; ++t) s.step(t, 25, 0, true, 0);
@@ -148,7 +148,7 @@ void limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides() 
   s.step(571, 0, 0, true, 1.0);
   CHECK(s.limit_nm[0] == 10);
   s.step(572, 0, 0, true, 0);
-  CHECK(s.limit_nm[0] == 20);  // and stands again, its friction known
+  CHECK(s.limit_nm[0] == 20);  // at rest again, with modelled friction
 }
 
 void what_cannot_be_trusted_neither_raises_nor_ends_an_alarm() {
@@ -191,7 +191,7 @@ void bad_limits_are_refused() {
 int main() {
   a_ramp_raises_contact_and_collision_after_their_hold_times();
   a_contact_falls_back_and_a_collision_does_not();
-  one_sample_under_the_limit_begins_the_hold_time_anew();
+  one_sample_under_the_limit_restarts_the_hold_time();
   near_stiction_has_its_own_limits();
   factors_scale_the_torque_that_raises_an_alarm();
   a_bent_presliding_state_is_near_stiction_at_any_speed();

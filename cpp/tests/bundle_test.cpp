@@ -33,7 +33,7 @@ void write(const std::string& path, const std::vector<char>& bytes) {
 // Two joints, a random network with a window of 5 steps of 10 samples.
 Bundle make_bundle() { return made::bundle(2, 7, 5, 10, 1); }
 
-void a_saved_bundle_loads_the_same_and_says_the_same() {
+void a_saved_bundle_loads_and_estimates_the_same() {
   const Bundle b = make_bundle();
   const std::string path = folder.file("same.tauext"), again = folder.file("again.tauext");
   save_bundle(b, path);
@@ -159,7 +159,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
-  // The same with a header that knows of it.
+  // The same with a header of the matching size and checksum.
   const std::uint64_t size = bytes.size() - 28;
   const std::uint32_t crc = crc32(std::span(bytes).subspan(28));
   std::memcpy(bytes.data() + 16, &size, sizeof size);
@@ -169,7 +169,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   refused("cannot be opened", [] { load_bundle(folder.file("none.tauext")); });
 }
 
-// Widths alone are no prior: they tell the region of a limit.
+// Widths alone are not a prior: they select the limit near stiction.
 void every_method_and_filter_is_kept_and_widths_go_with_them() {
   for (const ResidualMethod method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
     Bundle b = made::bundle(2, 0, 5, 10, 1);
@@ -258,7 +258,7 @@ void torque_constants_are_applied_saved_and_refused_by_name() {
   });
 }
 
-void units_are_told() {
+void units_are_reported() {
   const auto told = [](const Bundle& b) {
     return b.torque_unit(0) + "|" + b.torque_unit(1) + "|" + b.estimate_unit(0) + "|" + b.estimate_unit(1);
   };
@@ -278,7 +278,7 @@ void units_are_told() {
   CHECK(told(b) == "N m|N|N m|N");
   b.observer.method = ResidualMethod::energy;
   CHECK(told(b) == "N m|N|W|W");
-  b.units.given = TorqueUnit::ampere;  // nobody knows what a product of amperes and speeds is
+  b.units.given = TorqueUnit::ampere;  // the product of amperes and speeds has no unit here
   CHECK(told(b) == "A|A|A|A");
 }
 
@@ -299,7 +299,7 @@ void the_plain_observer_needs_no_network() {
 }  // namespace
 
 int main() {
-  a_saved_bundle_loads_the_same_and_says_the_same();
+  a_saved_bundle_loads_and_estimates_the_same();
   every_truncation_and_every_flipped_byte_is_refused();
   contents_that_do_not_fit_are_refused_by_name();
   limits_and_signals_that_make_no_sense_are_refused_by_name();
@@ -307,7 +307,7 @@ int main() {
   every_method_and_filter_is_kept_and_widths_go_with_them();
   a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name();
   torque_constants_are_applied_saved_and_refused_by_name();
-  units_are_told();
+  units_are_reported();
   numbers_that_would_overflow_the_network_are_refused();
   the_plain_observer_needs_no_network();
   return check::result();

@@ -1,4 +1,4 @@
-// The C API says what the C++ monitor says, to the last bit, and lets no exception or overrun through.
+// The C API equals the C++ monitor to the last bit, and no exception or overrun escapes.
 #include "tauext/tauext.h"
 
 #include <array>
@@ -260,7 +260,7 @@ tauext_status open_path(const char* path, tauext_network_rate rate, char* messag
   return status;
 }
 
-// A bundle that knows the friction of its first joint, and what a loop in C does of a morning.
+// A bundle that models the friction of its first joint, and the typical calls of a C loop.
 void what_is_weighed_in_c_is_that_of_cpp() {
   const tauext::Bundle bundle = made::bundle(3, 0, 12, 10, 1);
   const std::vector<char> bytes = tauext::to_bytes(bundle);
@@ -292,7 +292,7 @@ void what_is_weighed_in_c_is_that_of_cpp() {
     CHECK(found.unseen[i] == same.unseen[0][i] && found.load.com[i] == same.load.com[i]);
   }
   for (std::size_t i = 0; i < 9; ++i) CHECK(found.com_covariance[i] == same.com_covariance[i]);
-  tauext_load_found shorter{};  // of a caller that knows less of it
+  tauext_load_found shorter{};  // of a caller with an older struct
   shorter.size = offsetof(tauext_load_found, mass_error_kg);
   CHECK(tauext_monitor_estimate_load(m, &shorter) == TAUEXT_OK);
   CHECK(shorter.mass_kg == same.mass_kg && shorter.mass_error_kg == 0 && shorter.seconds == 0);
@@ -382,7 +382,7 @@ void a_refit_in_c_is_that_of_cpp() {
     const tauext::Refit found = tauext::refit(friction, {&source, 1});
     CHECK(status == TAUEXT_OK && message[0] == '\0');
     CHECK(tauext::to_bytes(tauext::load_bundle(new_path)) == tauext::to_bytes(found.bundle));
-  } catch (const tauext::Error& e) {  // these signals are no arm's: then both say so
+  } catch (const tauext::Error& e) {  // implausible signals: both must refuse
     CHECK(status == TAUEXT_BAD_BUNDLE && std::string(message) == std::string(e.what()).substr(0, sizeof message - 1));
     CHECK(!std::filesystem::exists(new_path));
   }
@@ -397,7 +397,7 @@ void a_refit_in_c_is_that_of_cpp() {
   tauext_monitor_close(empty);
 }
 
-void what_cannot_be_opened_says_why() {
+void failed_opening_reports_the_cause() {
   char message[256];
   const auto says = [&](const char* part) {
     if (!std::strstr(message, part)) std::printf("message was: %s\n", message);
@@ -457,7 +457,7 @@ int main() {
   what_is_weighed_in_c_is_that_of_cpp();
   a_wrench_in_c_is_that_of_cpp();
   a_refit_in_c_is_that_of_cpp();
-  what_cannot_be_opened_says_why();
+  failed_opening_reports_the_cause();
   every_code_has_a_name();
   return check::result();
 }

@@ -215,7 +215,7 @@ void reset_equals_fresh() {
   }
 }
 
-// A filter fed with x(t) at varied steps, warm from `warm_s` on; what it says at every sample.
+// Filter output at every sample for x(t) at varied steps, warm from `warm_s` on.
 template <class Input>
 void filtered(double high_per_s, double low_per_s, double warm_s, Input&& x_then_check) {
   ResidualFilter filter(1, high_per_s, low_per_s);

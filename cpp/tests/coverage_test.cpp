@@ -46,15 +46,15 @@ int cells_apart(const CoverageSettings& s, std::size_t j, double a, double b, in
   return s.turns[j] ? std::min(apart, cells - apart) : apart;
 }
 
-Unfamiliar look(const CoverageSettings& s, const Pose& pose) { return Coverage(3, s, kFades).look(pose.q, pose.dq); }
+Unfamiliar evaluate(const CoverageSettings& s, const Pose& pose) { return Coverage(3, s, kFades).evaluate(pose.q, pose.dq); }
 
 bool is(const Unfamiliar& u, double share, Unseen what, int joint, int other) {
   return std::fabs(u.share - share) < 1e-12 && u.what == what && u.joint == joint && u.other == other;
 }
 
-void nothing_is_unfamiliar_where_nobody_knows() {
+void without_training_motion_nothing_is_unfamiliar() {
   const Pose anywhere{{1e9, -7, 0}, {1e9, 0, 0}};
-  CHECK(is(Coverage(3, {}, kFades).look(anywhere.q, anywhere.dq), 0, Unseen::nothing, -1, -1));
+  CHECK(is(Coverage(3, {}, kFades).evaluate(anywhere.q, anywhere.dq), 0, Unseen::nothing, -1, -1));
 }
 
 // A 64th of a turn is 0.098 rad.
@@ -62,7 +62,7 @@ void positions_count_by_cells_from_seen_ones_also_round_the_turn() {
   CoverageSettings s = blank(2, 0);
   const double cell = kTurn / 64, seen[] = {3.1, 0.01, 0.25};
   s.see(seen);
-  const auto at = [&](double q0, double q1, double q2) { return look(s, {{q0, q1, q2}, {}}); };
+  const auto at = [&](double q0, double q1, double q2) { return evaluate(s, {{q0, q1, q2}, {}}); };
   CHECK(is(at(3.1, 0.01, 0.25), 0, Unseen::nothing, -1, -1));
   CHECK(is(at(3.1 + 2 * cell, 0.01, 0.25), 0, Unseen::nothing, -1, -1));  // beyond pi: the second cell
   CHECK(is(at(3.1 + 3 * cell, 0.01, 0.25), 0.5, Unseen::position, 0, -1));
@@ -74,34 +74,34 @@ void positions_count_by_cells_from_seen_ones_also_round_the_turn() {
   CHECK(is(at(3.1, 0.01, -99), 1, Unseen::position, 2, -1));
 }
 
-void pairs_know_positions_that_were_never_together() {
+void pairs_detect_untrained_combinations_of_positions() {
   CoverageSettings s = blank(4, 1);
   const double apart[] = {-2, -2, 0.25}, again[] = {2, 2, 0.25};
   s.see(apart);
   s.see(again);
-  CHECK(is(look(s, {{-2, -2, 0.25}, {}}), 0, Unseen::nothing, -1, -1));
-  CHECK(is(look(s, {{-2, 2, 0.25}, {}}), 1, Unseen::positions, 0, 1));
-  CHECK(is(look(s, {{2, -2 + kTurn / 32, 0.25}, {}}), 1, Unseen::positions, 0, 1));
-  CHECK(is(look(s, {{-2, -2 + kTurn / 32, 0.25}, {}}), 0, Unseen::nothing, -1, -1));
-  CHECK(is(look(s, {{-2, -2 + 2 * kTurn / 32, 0.25}, {}}), 0.5, Unseen::positions, 0, 1));
-  CHECK(is(look(s, {{-2, -2 + 2 * kTurn / 32, 9}, {}}), 1, Unseen::position, 2, -1));  // looked at first
-  s.reach[2] = 0;  // by itself it tells nothing
-  CHECK(is(look(s, {{-2, -2, 9}, {}}), 1, Unseen::positions, 0, 2));
+  CHECK(is(evaluate(s, {{-2, -2, 0.25}, {}}), 0, Unseen::nothing, -1, -1));
+  CHECK(is(evaluate(s, {{-2, 2, 0.25}, {}}), 1, Unseen::positions, 0, 1));
+  CHECK(is(evaluate(s, {{2, -2 + kTurn / 32, 0.25}, {}}), 1, Unseen::positions, 0, 1));
+  CHECK(is(evaluate(s, {{-2, -2 + kTurn / 32, 0.25}, {}}), 0, Unseen::nothing, -1, -1));
+  CHECK(is(evaluate(s, {{-2, -2 + 2 * kTurn / 32, 0.25}, {}}), 0.5, Unseen::positions, 0, 1));
+  CHECK(is(evaluate(s, {{-2, -2 + 2 * kTurn / 32, 9}, {}}), 1, Unseen::position, 2, -1));  // first in order
+  s.reach[2] = 0;  // alone it is not checked
+  CHECK(is(evaluate(s, {{-2, -2, 9}, {}}), 1, Unseen::positions, 0, 2));
 }
 
 void speeds_count_by_their_share_over_the_fastest() {
   CoverageSettings s = blank(0, 0);
-  CHECK(is(look(s, {{0, 0, 0}, {2, -1, 0.5}}), 0, Unseen::nothing, -1, -1));
-  CHECK(is(look(s, {{0, 0, 0}, {2, -1.06, 0.5}}), 0.24, Unseen::speed, 1, -1));
-  CHECK(is(look(s, {{0, 0, 0}, {-3, 1.06, 0.5}}), 1, Unseen::speed, 0, -1));
+  CHECK(is(evaluate(s, {{0, 0, 0}, {2, -1, 0.5}}), 0, Unseen::nothing, -1, -1));
+  CHECK(is(evaluate(s, {{0, 0, 0}, {2, -1.06, 0.5}}), 0.24, Unseen::speed, 1, -1));
+  CHECK(is(evaluate(s, {{0, 0, 0}, {-3, 1.06, 0.5}}), 1, Unseen::speed, 0, -1));
 }
 
-void one_that_is_alike_is_told_in_the_order_of_speeds_positions_and_pairs() {
+void ties_are_reported_in_the_order_of_speeds_positions_and_pairs() {
   CoverageSettings s = blank(2, 2);
   const double seen[] = {-2, -2, 0.25};
   s.see(seen);
-  CHECK(is(look(s, {{1, -2, 0.25}, {0, 9, 0}}), 1, Unseen::speed, 1, -1));
-  CHECK(is(look(s, {{1, -2, 0.25}, {0, 0, 0}}), 1, Unseen::position, 0, -1));
+  CHECK(is(evaluate(s, {{1, -2, 0.25}, {0, 9, 0}}), 1, Unseen::speed, 1, -1));
+  CHECK(is(evaluate(s, {{1, -2, 0.25}, {0, 0, 0}}), 1, Unseen::position, 0, -1));
 }
 
 void what_was_unfamiliar_fades_as_the_residual_forgets_it() {
@@ -151,7 +151,7 @@ void shares_are_those_of_the_nearest_seen_cells() {
           count(together, [&](const Pose& one) {
             return std::max(cells_apart(s, i, one.q[i], pose.q[i], 32), cells_apart(s, j, one.q[j], pose.q[j], 32));
           });
-      CHECK_CLOSE(coverage.look(pose.q, pose.dq).share, share, 1e-12);
+      CHECK_CLOSE(coverage.evaluate(pose.q, pose.dq).share, share, 1e-12);
     }
   }
 }
@@ -171,11 +171,11 @@ void any_finite_numbers_have_a_share() {
   const Coverage coverage(3, s, kFades);
   for (int k = 0; k < 20'000; ++k) {
     const double q[] = {any(), any(), any()}, dq[] = {any(), any(), any()};
-    const double share = coverage.look(q, dq).share;
+    const double share = coverage.evaluate(q, dq).share;
     CHECK(share >= 0 && share <= 1);
   }
   const double largest = std::numeric_limits<double>::max(), q[3] = {largest, -largest, largest}, dq[3] = {};
-  CHECK(coverage.look(q, dq).share >= 0);
+  CHECK(coverage.evaluate(q, dq).share >= 0);
 }
 
 void settings_that_do_not_fit_are_named() {
@@ -204,11 +204,11 @@ void settings_that_do_not_fit_are_named() {
 }  // namespace
 
 int main() {
-  nothing_is_unfamiliar_where_nobody_knows();
+  without_training_motion_nothing_is_unfamiliar();
   positions_count_by_cells_from_seen_ones_also_round_the_turn();
-  pairs_know_positions_that_were_never_together();
+  pairs_detect_untrained_combinations_of_positions();
   speeds_count_by_their_share_over_the_fastest();
-  one_that_is_alike_is_told_in_the_order_of_speeds_positions_and_pairs();
+  ties_are_reported_in_the_order_of_speeds_positions_and_pairs();
   what_was_unfamiliar_fades_as_the_residual_forgets_it();
   shares_are_those_of_the_nearest_seen_cells();
   any_finite_numbers_have_a_share();

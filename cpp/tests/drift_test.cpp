@@ -61,7 +61,7 @@ void a_constant_offset_is_learned_by_the_law_of_lms() {
 }
 
 // Friction that has fallen, seen through the observer's filter: each coefficient finds its own share of it.
-void changed_friction_is_told_from_an_offset() {
+void changed_friction_is_separated_from_an_offset() {
   DriftSettings fast = settings();
   fast.time_constant_s = 1;
   Arm arm(fast);
@@ -183,7 +183,7 @@ void a_joint_near_stiction_learns_nothing_until_the_observer_has_forgotten() {
   CHECK(arm.b(0) > 0);
 }
 
-void a_coefficient_at_its_bound_is_told_and_told_no_more_when_it_has_left_it() {
+void a_coefficient_at_its_bound_is_reported_until_it_leaves_the_bound() {
   Arm arm(settings(0.5));
   for (int k = 0; k < 10'000; ++k) arm.step(0, 0, 0.2, 3.0);
   CHECK(arm.tracker.saturated() == 2 && arm.b(0, 1) == 0.5 && arm.drift[1] <= 0.5);
@@ -226,13 +226,13 @@ void a_restored_or_reset_tracker_goes_on_as_it_should() {
 
 int main() {
   a_constant_offset_is_learned_by_the_law_of_lms();
-  changed_friction_is_told_from_an_offset();
+  changed_friction_is_separated_from_an_offset();
   rate_and_size_are_bounded_under_any_input();
   of_a_push_for_a_minute_no_more_is_learned_than_the_time_constant_allows();
   nothing_is_learned_while_touched_and_for_a_while_after();
   time_that_cannot_be_trusted_neither_teaches_nor_counts();
   a_joint_near_stiction_learns_nothing_until_the_observer_has_forgotten();
-  a_coefficient_at_its_bound_is_told_and_told_no_more_when_it_has_left_it();
+  a_coefficient_at_its_bound_is_reported_until_it_leaves_the_bound();
   without_a_time_constant_there_is_no_drift();
   a_restored_or_reset_tracker_goes_on_as_it_should();
   return check::result();

@@ -39,7 +39,7 @@ struct Scale {
 
 // After a step of the speed from 0 to v ddq = Ka v exp(-Ka t), exactly in steps of any length; the filter behind it sums
 // a geometric series: F_k = (1 - a) sum_i a^(k - i) Ka v b^i with a = exp(-K0 dt), b = exp(-Ka dt).
-void a_step_of_the_speed_shows_as_filters_say() {
+void a_speed_step_follows_the_filters() {
   for (const std::int64_t ns : {kMs, 10 * kMs}) {
     Scale s(of(MotionFeature::acceleration, MotionFeature::arm_acceleration));
     const double dt = 1e-9 * static_cast<double>(ns), v = 0.7, a = std::exp(-kGain * dt), b = std::exp(-kKa * dt);
@@ -49,7 +49,7 @@ void a_step_of_the_speed_shows_as_filters_say() {
       s.step(-v, 0, ns);
       const double expected = (1 - a) * kKa * v * b * (std::pow(a, k) - std::pow(b, k)) / (a - b);
       CHECK_CLOSE(s.scale[0], expected, 1e-12 * kKa);
-      CHECK_CLOSE(s.scale[1], expected, 1e-12 * kKa);  // that of the whole arm, told by another joint
+      CHECK_CLOSE(s.scale[1], expected, 1e-12 * kKa);  // the feature of the whole arm, from another joint
       CHECK_CLOSE(s.sigma[0], 100 * expected, 1e-9);
     }
   }
@@ -73,7 +73,7 @@ void a_ramp_of_the_speed_is_an_acceleration_without_jerk() {
 void standstill_is_remembered_and_fades() {
   Scale s({{MotionFeature::standstill}, {1, 1}, {9, 9}, {1, 1}, {1, 1}, {9, 9}});
   s.step(2.0, 0.0);
-  CHECK_CLOSE(s.scale[0], 1.0, 1e-12);  // nobody knows what was before
+  CHECK_CLOSE(s.scale[0], 1.0, 1e-12);  // the previous motion is unknown
   for (int k = 0; k < 5000; ++k) s.step(2.0, ErrorScale::kCreepRadS);
   CHECK_CLOSE(s.scale[0], 1e-4, 1e-6);
   CHECK_CLOSE(s.scale[1], 0.5, 1e-9);
@@ -110,7 +110,7 @@ void a_restart_forgets_the_motion_before() {
   }
 }
 
-void without_features_limits_are_constants_and_sigma_is_unknown() {
+void without_features_limits_are_constant_and_sigma_is_unknown() {
   Scale s({});
   s.step(3, 4);
   CHECK(s.scale[0] == 1 && s.scale[1] == 1 && std::isnan(s.sigma[0]) && std::isnan(s.sigma[1]));
@@ -146,12 +146,12 @@ void bad_settings_are_refused() {
 }  // namespace
 
 int main() {
-  a_step_of_the_speed_shows_as_filters_say();
+  a_speed_step_follows_the_filters();
   a_ramp_of_the_speed_is_an_acceleration_without_jerk();
   standstill_is_remembered_and_fades();
   the_scale_has_a_ceiling_and_regions_their_own_sigma();
   a_restart_forgets_the_motion_before();
-  without_features_limits_are_constants_and_sigma_is_unknown();
+  without_features_limits_are_constant_and_sigma_is_unknown();
   speeds_that_no_arm_has_stay_finite();
   bad_settings_are_refused();
   return check::result();

@@ -90,7 +90,7 @@ std::vector<Bundle> chains() {
     answer_reference(other);
     all.push_back(other);
   }
-  // Half of them know what is possible; the others see what overflows them.
+  // Half of the bundles have ranges of possible signals; the others see what overflows.
   for (const std::size_t k : {1u, 3u, 4u, 6u}) {
     all[k].signals.possible_torque_nm.assign(all[k].links.size(), 90.0);
     all[k].signals.possible_speed_rad_s.assign(all[k].links.size(), 8.0);
@@ -214,14 +214,14 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
       if (!same(e.limit_nm[j], bulk.limit_nm[at])) return "limit" + here;
       if (!same(e.contact_limit_nm[j], bulk.contact_limit_nm[at])) return "contact limit" + here;
       if ((e.near_stiction >> j & 1) != bulk.near_stiction[at]) return "near_stiction" + here;
-      // NaN never stands where health says that there is an estimate.
+      // No NaN while the health reports an estimate.
       if (e.health == Health::ok && !std::isfinite(e.tau_ext[j])) return "tau_ext that is not finite" + here;
     }
   }
   return "";
 }
 
-void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
+void batch_and_loop_agree_on_random_mixtures_of_all_faults() {
   const std::vector<Bundle> all = chains();
   std::mt19937_64 random(20260101);
   Seen seen;
@@ -234,7 +234,7 @@ void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
     std::printf("recording %d (chain %zu): %s\n", recordings, static_cast<std::size_t>(recordings) % all.size(), what.c_str());
   }
   CHECK(different == 0);
-  // All that a recording can hold was there, and said.
+  // Every kind of fault occurred and was reported.
   int tried = 0;
   for (const Fault& fault : faults) {
     CHECK(fault.tried > kRecordings / 10);
@@ -249,8 +249,8 @@ void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
               different);
 }
 
-// The test above can fail: a chain that differs in one number is told apart.
-void another_chain_is_told_apart() {
+// The test above can fail: a bundle that differs in one number gives other results.
+void another_chain_is_rejected() {
   const Bundle one = quick(2, 5, 2);
   Bundle other = one;
   other.output_scale_nm[1] *= 1 + 1e-15;
@@ -289,8 +289,8 @@ void a_recording_of_other_joints_is_refused() {
 }  // namespace
 
 int main() {
-  both_ways_say_the_same_of_random_mixtures_of_all_faults();
-  another_chain_is_told_apart();
+  batch_and_loop_agree_on_random_mixtures_of_all_faults();
+  another_chain_is_rejected();
   features_that_would_overflow_the_network_are_a_fault();
   a_recording_of_other_joints_is_refused();
   return check::result();

@@ -1,4 +1,4 @@
-// A load that is expected: taken, told and set; pushes in the same window; nothing swallowed.
+// Expected loads: accepted, reported and set; pushes in the same window are not missed.
 #include "expected_load.hpp"
 
 #include <algorithm>
@@ -71,8 +71,8 @@ class Cell {
     }
     std::vector<double> p(n), v(n);
     tree_.momentum(q_, dq_, p, v);
-    load_.look(q_, dq_);
-    pushed_.look(q_, dq_);
+    load_.compute(q_, dq_);
+    pushed_.compute(q_, dq_);
     const auto phi = parameters(scene_.mass, scene_.com);
     const double share = scene_.share(t);
     const auto force = scene_.push(t);
@@ -172,7 +172,7 @@ void a_load_is_taken_and_set() {
     CHECK(told.phase == LoadPhase::weighing);
     CHECK(told.found_s - kStep_s < lasts + 0.7);  // settled, and decided
   }
-  const Told untold = [] {  // the same load without the gripper's word: the test can fail
+  const Told untold = [] {  // the same load without the announcement: the test can fail
     Cell cell(pick(1e-3));
     Monitor monitor(arm());
     Told out;
@@ -204,7 +204,7 @@ void a_load_that_is_put_down_goes() {
     CHECK(told.alarm_s < 0);
     CHECK(told.held_s > kStep_s);
     CHECK(told.load.mass == 0);
-    CHECK(told.phase == LoadPhase::none);  // nothing is left to be weighed
+    CHECK(told.phase == LoadPhase::none);  // nothing left to estimate
   }
 }
 
@@ -307,7 +307,7 @@ void swallows_nothing(Meanwhile meanwhile) {
   CHECK(alarm);
 }
 
-void acknowledging_swallows_nothing() {
+void acknowledging_loses_no_alarm() {
   swallows_nothing([](Monitor& monitor, double t) {
     if (t >= kCommand_s && t < kCommand_s + 1e-3) CHECK(monitor.expect_load(3, 4));
     if (monitor.last().load_phase == LoadPhase::deciding) monitor.acknowledge();
@@ -362,7 +362,7 @@ void outside_the_window_nothing_changes() {
   }
 }
 
-void telling_the_load_ends_it() {
+void setting_the_load_ends_it() {
   Cell cell(Scene{});
   Monitor monitor(arm());
   for (int k = 0; k < 600; ++k) monitor.step(cell.next());
@@ -416,11 +416,11 @@ int main() {
   the_window_ends();
   no_blow_is_lost_where_the_window_ends();
   a_fault_in_the_window_hides_nothing();
-  acknowledging_swallows_nothing();
+  acknowledging_loses_no_alarm();
   asking_again_swallows_nothing();
   a_saved_state_holds_it();
   outside_the_window_nothing_changes();
-  telling_the_load_ends_it();
+  setting_the_load_ends_it();
   nonsense_is_refused_in_words();
   return check::result();
 }

@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::int64_t kMs = 1'000'000;
 
-// Sample k: every value tells the sample that it belongs to.
+// Sample k: every value identifies its sample.
 struct Source {
   double q[2], dq[2], tau[2];
   Estimate e;
@@ -74,7 +74,7 @@ void a_flight_holds_what_was_before_and_after_its_event() {
   check_rows(f, 221, 222);
 }
 
-void a_flight_that_nobody_takes_blocks_nothing_and_is_counted() {
+void an_unread_flight_blocks_nothing_and_is_counted() {
   FlightRecorder recorder(2, kMs, {0.01, 0.01, true});
   Source s;
   Flight f;
@@ -148,7 +148,7 @@ void bad_settings_are_refused() {
 
 int main() {
   a_flight_holds_what_was_before_and_after_its_event();
-  a_flight_that_nobody_takes_blocks_nothing_and_is_counted();
+  an_unread_flight_blocks_nothing_and_is_counted();
   a_collision_that_rises_again_at_once_is_another_event();
   a_sample_of_another_size_is_kept_as_nan();
   two_threads_hand_flights_over();

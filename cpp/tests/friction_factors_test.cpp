@@ -81,7 +81,7 @@ void a_step_of_friction_is_followed_within_nine_seconds() {
   }
 }
 
-void parts_that_change_apart_are_told_apart() {
+void parts_that_change_separately_are_separated() {
   Arm arm;
   arm.move(30, 0.3, 0);
   CHECK_CLOSE(arm.off(0), 0.3, 0.03);
@@ -124,15 +124,15 @@ void pushes_are_not_friction() {
   }
 }
 
-void a_push_on_a_standing_arm_is_not_learned() {
+void a_push_on_a_resting_arm_is_not_learned() {
   Arm arm;
   arm.move(120, 0, 0, [](double, int, const double*) { return 3.0; }, true, 0);
   CHECK(!arm.learned());
 }
 
-// What nobody can tell from friction: a force at a constant lever on a joint that moves alone. No more of it is learned
-// than the share, and where it is larger nothing; that is told.
-void of_what_looks_like_friction_no_more_than_a_share_is_learned() {
+// A force at a constant lever on a joint that moves alone is not distinguishable from friction. At most the share is
+// learned, and nothing of a larger force; the joint is then reported as saturated.
+void at_most_a_share_of_friction_like_force_is_learned() {
   const double friction = kCoulomb + 0.5 * kViscous;
   const auto against = [](double nm) {
     return [nm](double, int j, const double* dq) { return j == 0 ? -nm * std::tanh(dq[0] / 0.01) : 0.0; };
@@ -144,7 +144,7 @@ void of_what_looks_like_friction_no_more_than_a_share_is_learned() {
   CHECK(!much.learned() && much.tracker.saturated() == 1);
 }
 
-// Another joint that something pushes says that the arm is touched.
+// A push on another joint shows that the arm is touched.
 void nothing_is_learned_while_another_joint_shows_a_push() {
   const auto push = [](double t, int j, const double*) { return j == 1 ? 4.0 * std::sin(0.9 * t) : 0.0; };
   Arm arm;
@@ -191,7 +191,7 @@ void strokes_grow_old() {
   arm.move(FrictionFactors::kOld_s, 0.3, 0.3, {}, true, 0);
   arm.move(5, -0.3, -0.3);
   arm.move(4, -0.3, -0.3);
-  CHECK(arm.off(0) < 0);  // the old ones say nothing
+  CHECK(arm.off(0) < 0);  // old strokes are ignored
 }
 
 void a_restored_or_reset_tracker_goes_on_as_it_should() {
@@ -216,11 +216,11 @@ void a_restored_or_reset_tracker_goes_on_as_it_should() {
 
 int main() {
   a_step_of_friction_is_followed_within_nine_seconds();
-  parts_that_change_apart_are_told_apart();
+  parts_that_change_separately_are_separated();
   a_change_within_the_usual_error_is_left_alone();
   pushes_are_not_friction();
-  a_push_on_a_standing_arm_is_not_learned();
-  of_what_looks_like_friction_no_more_than_a_share_is_learned();
+  a_push_on_a_resting_arm_is_not_learned();
+  at_most_a_share_of_friction_like_force_is_learned();
   nothing_is_learned_while_another_joint_shows_a_push();
   what_cannot_be_trusted_teaches_nothing();
   without_a_standard_error_or_a_share_nothing_is_learned();

@@ -84,8 +84,8 @@ void without_a_temperature_friction_is_that_of_the_reference() {
   CHECK(one.prior == other.prior && one.tau_ext.back() == other.tau_ext.back());
 }
 
-// As a recording, sample by sample, and told beside the samples; and a saved state knows it.
-void the_monitor_says_the_same_however_it_is_told() {
+// As a recording, by sample, and set beside the samples; a saved state includes the temperature.
+void temperatures_in_bulk_by_sample_and_set_separately_agree() {
   const Bundle b = bundle();
   const Signals s = motion(1500);
   std::vector<double> celsius;
@@ -105,7 +105,7 @@ void the_monitor_says_the_same_however_it_is_told() {
     }
     const Estimate& one = by_sample.step(warm.at(k));
     const Estimate& other = told.step(s.at(k));
-    const Estimate& third = k < 1000 ? other : restored.step(s.at(k));  // nobody tells it anew
+    const Estimate& third = k < 1000 ? other : restored.step(s.at(k));  // not set again
     for (std::size_t j = 0; j < 2; ++j) {
       CHECK(one.prior[j] == bulk.prior[2 * row + j] && other.prior[j] == one.prior[j]);
       if (k >= 1000 && k < 1100) CHECK(third.prior[j] == one.prior[j]);
@@ -153,7 +153,7 @@ void what_makes_no_sense_is_refused_and_the_rest_is_saved() {
 int main() {
   friction_is_that_of_the_scaled_weights();
   without_a_temperature_friction_is_that_of_the_reference();
-  the_monitor_says_the_same_however_it_is_told();
+  temperatures_in_bulk_by_sample_and_set_separately_agree();
   temperatures_that_are_not_one_a_joint_are_refused();
   what_makes_no_sense_is_refused_and_the_rest_is_saved();
   return check::result();

@@ -58,7 +58,7 @@ void columns_are_what_a_load_adds_to_p_and_beta() {
       JointVector q{}, dq{};
       for (std::size_t j = 0; j < 5; ++j) q[j] = uniform(random), dq[j] = uniform(random);
       const Momentum with = momentum_of(loaded, q, dq), without = momentum_of(tree, q, dq);
-      regressor.look({q.data(), 5}, {dq.data(), 5});
+      regressor.compute({q.data(), 5}, {dq.data(), 5});
       for (std::size_t j = 0; j < 5; ++j) {
         double p = 0, beta = 0;
         for (std::size_t k = 0; k < phi.size(); ++k) {
@@ -78,7 +78,7 @@ void a_mass_at_the_origin_weighs_what_a_force_along_gravity_pulls() {
   const LoadFrame frame{4, kQuarterTurn, {0.1, 0.2, -0.3}};
   LoadRegressor regressor(tree, frame);
   const JointVector q{0.3, 0.4, -1.2, 0.7, 0.9}, dq{};
-  regressor.look({q.data(), 5}, {dq.data(), 5});
+  regressor.compute({q.data(), 5}, {dq.data(), 5});
   for (std::size_t j = 0; j < 5; ++j) {
     const double torque = regressor.base_forces()[0][j] - 2 * regressor.base_forces()[1][j] -
                           9 * regressor.base_forces()[2][j];
@@ -94,7 +94,7 @@ void forces_along_frame_and_base_are_one_force_turned() {
   const Tree tree(links, {0, 0, -9.81});
   LoadRegressor regressor(tree, {0, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.5, 0, 0}});
   const double q = 0.7, dq = 0;
-  regressor.look({&q, 1}, {&dq, 1});
+  regressor.compute({&q, 1}, {&dq, 1});
   CHECK_CLOSE(regressor.frame_forces()[0][0], 0, 1e-15);
   CHECK_CLOSE(regressor.frame_forces()[1][0], 0.5, 1e-15);
   CHECK_CLOSE(regressor.base_forces()[0][0], -0.5 * std::sin(q), 1e-15);

@@ -257,8 +257,8 @@ void since_an_earlier_time_is_as_if_it_had_been_set_then() {
   }
 }
 
-// The hand takes one thing, gives it away for another and lays that down; all of it is told afterwards, out of order.
-void what_is_told_again_begins_where_what_was_told_before_led() {
+// The gripper takes a load, exchanges it and releases it; all is set afterwards, out of order.
+void retroactive_loads_out_of_order_equal_loads_set_in_time() {
   Bundle b = bundle();
   b.drift = {};
   Load other = tool(0.2);
@@ -279,7 +279,7 @@ void what_is_told_again_begins_where_what_was_told_before_led() {
   }
 }
 
-// r begins anew after a gap, whoever carried what before it.
+// After a gap r restarts, whatever was carried before.
 void before_a_gap_is_the_gap() {
   Bundle b = bundle();
   b.drift = {};
@@ -468,13 +468,13 @@ void nonsense_is_refused_and_changes_nothing() {
     CHECK(monitor.set_load(fine));  // a flat disc among them, at the bound
 }
 
-void without_a_model_it_is_refused_and_the_bundle_says_why() {
+void without_a_model_it_is_refused_with_the_reason() {
   Bundle b = bundle();
   for (Link& link : b.links) link.mass = link.rotor_inertia = 0, link.com = {}, link.inertia = {};
   b.prior.corrected_links.clear();
   std::erase_if(b.prior.terms, [](const Term& term) { return is_load(term); });
   b.prior.weights.assign(b.prior.terms.size() * kJoints, 0.1);
-  CHECK_THROWS((answer_reference(b), b.validate()), Error);  // it says that a load can be set
+  CHECK_THROWS((answer_reference(b), b.validate()), Error);  // it claims that a load can be set
   b.assume_load();
   b.validate();
   Monitor monitor(b);
@@ -511,7 +511,7 @@ void the_corrected_model_alone_can_carry_it() {
   CHECK(largest_difference(told.last(), later.last()) < 1e-2);
 }
 
-// Methods without a past carry it from now on, and say so.
+// Methods without stored samples carry the load from now on, and report that.
 void other_residuals_carry_it_from_now_on() {
   for (const auto method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
     Bundle b = bundle();
@@ -611,7 +611,7 @@ int main() {
   set_at_first_it_is_a_bundle_whose_links_hold_it();
   it_acts_from_the_next_step_on();
   since_an_earlier_time_is_as_if_it_had_been_set_then();
-  what_is_told_again_begins_where_what_was_told_before_led();
+  retroactive_loads_out_of_order_equal_loads_set_in_time();
   before_a_gap_is_the_gap();
   longer_ago_than_r_remembers_all_but_a_rest_comes_back();
   taken_off_nothing_of_it_stays();
@@ -619,7 +619,7 @@ int main() {
   what_drift_learned_of_it_is_taken_back();
   the_drift_of_an_earlier_second_comes_back();
   nonsense_is_refused_and_changes_nothing();
-  without_a_model_it_is_refused_and_the_bundle_says_why();
+  without_a_model_it_is_refused_with_the_reason();
   the_corrected_model_alone_can_carry_it();
   other_residuals_carry_it_from_now_on();
   a_saved_state_holds_it();

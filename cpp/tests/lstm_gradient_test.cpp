@@ -69,7 +69,7 @@ void a_row_without_a_target_counts_as_no_error() {
   for (float& y : c.targets) y = NAN;
   CHECK(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 3, gradient, 1) == 0.0);
   for (float g : gradient) CHECK(g == 0.0f);
-  c.parameters[0] = NAN;  // but a network that says NaN is no small loss
+  c.parameters[0] = NAN;  // a NaN output must not count as a small loss
   CHECK(std::isnan(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 3, gradient, 1)));
 }
 

@@ -100,7 +100,7 @@ inline tauext::CoverageSettings half_seen(int joints) {
   s.centre_rad.assign(n, 0);
   s.span_rad.assign(n, 2);  // a turn here, so that the motion is of many cells
   s.seen.assign(n, 0);
-  for (std::size_t j = 0; j < n; ++j) s.reach.push_back(j + 1 < n ? 2 : 0);  // the last joint tells in pairs alone
+  for (std::size_t j = 0; j < n; ++j) s.reach.push_back(j + 1 < n ? 2 : 0);  // the last joint counts in pairs only
   s.reach_together = 1;
   s.seen_together.assign(n * (n - 1) / 2 * tauext::Coverage::kPairCells, 0);
   s.fastest_rad_s.assign(n, 1e-3);

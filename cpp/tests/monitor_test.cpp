@@ -127,8 +127,7 @@ Estimate feed(Monitor& monitor, const Signals& s, std::int64_t from, std::int64_
 
 constexpr int kWarm = 700;  // samples after which observer and window are full
 
-// Whatever broke the chain: the monitor says fault, comes back by itself, and from there on says what a fresh one says
-// that saw only what came afterwards.
+// After any restart the monitor reports a fault, recovers, and then equals a new monitor.
 template <class Break>
 void comes_back(std::uint32_t cause, Break&& broken, std::int64_t resumes_at_ms, const Bundle* of = nullptr) {
   const Bundle bundle = of ? *of : made::bundle(2, 20, kSteps, kStride, 3);
@@ -178,7 +177,7 @@ void broken_signals_are_faults_and_the_monitor_comes_back() {
   comes_back(kGap, [](Monitor& m) { return m.no_sample((kWarm + 50) * kMs); }, kWarm + 60);
 }
 
-// That knows what its arm can do.
+// A bundle with ranges of possible signals.
 Bundle bounded() {
   Bundle b = made::bundle(2, 20, kSteps, kStride, 3);
   b.signals.torque_limit_nm = {150, 60};
@@ -275,7 +274,7 @@ void positions_that_are_held_and_stamps_that_jitter_are_no_jumps() {
   CHECK(e.causes == kImpossiblePosition && e.cause_joint == 1);
 }
 
-void a_gap_in_the_samples_warms_up_anew_and_says_why() {
+void a_gap_restarts_the_warm_up_and_reports_the_cause() {
   const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
   Monitor monitor(bundle);
   feed(monitor, regular(2, kWarm), 0, kWarm);
@@ -368,7 +367,7 @@ void a_saturated_drive_is_a_fault_that_hides_no_collision() {
   CHECK(monitor.last().alarm == Alarm::none && monitor.last().clear());
 }
 
-void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
+void a_frozen_encoder_is_a_fault_and_a_resting_arm_is_not() {
   const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
   // Joint 2's position freezes while its velocity goes on.
   Signals s = regular(2, 6000);
@@ -390,7 +389,7 @@ void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
   }
   Monitor driven(bundle);
   CHECK((feed(driven, s, 0, 3000).causes & kEncoderStill) != 0);
-  // A servo counts behind its gear: one that something blocks does not move, and its torque is what is to be told.
+  // A servo counts behind its gear: a blocked joint does not move, and its torque must be reported.
   Bundle servo = bundle;
   servo.servo = {TorqueFrom::duty, 8, servo.observer.sample_period_ns, 0, {{}, {}}};
   Monitor blocked(servo);
@@ -471,7 +470,7 @@ void drift_outlives_gaps_and_faults() {
   bundle.signals.torque_limit_nm = {150, 60};
   Monitor monitor(bundle);
   feed(monitor, regular(2, 3000), 0, 3000);
-  const Estimate before = feed(monitor, regular(2, 1, 3100), 0, 1);  // a gap: the filters began anew
+  const Estimate before = feed(monitor, regular(2, 1, 3100), 0, 1);  // a gap: the filters restarted
   CHECK(before.health == Health::warming_up && before.drift[0] == 0 && std::isnan(before.tau_ext[0]));
   monitor.no_sample(9'000 * kMs);
   CHECK(std::isnan(monitor.last().drift[0]));
@@ -479,7 +478,7 @@ void drift_outlives_gaps_and_faults() {
   const Signals after = regular(2, 500, 9'100);
   const Estimate learned = feed(monitor, after, 0, 500), none = feed(fresh, after, 0, 500);
   CHECK(none.drift[0] == 0 && std::fabs(learned.drift[0]) > 0.01);
-  // A drive at its limit gives another torque than it is told: tau_ext is judged, but teaches nothing.
+  // A saturated drive gives another torque than commanded: tau_ext is judged, but not learned from.
   Signals s = regular(2, 2000);
   for (std::size_t k = 0; k < 2000; ++k) s.tau[2 * k + 1] = -60;
   fresh.reset();
@@ -496,7 +495,7 @@ void a_left_out_advance_is_made_up_for() {
   for (std::int64_t k = 0; k < 1500; ++k) CHECK(same(stepping.step(s.at(k)), estimating.estimate(s.at(k))));
 }
 
-// Limits follow at the next sample, doubt apart; what the chain says beside them does not move by a bit.
+// Limits change at the next sample, apart from doubt; all other results stay equal to the bit.
 void limit_factors_scale_the_limits_and_nothing_else() {
   const Bundle bundle = tracking(made::bundle(2, 20, kSteps, kStride, 3));
   const Signals s = regular(2, 2000);
@@ -570,7 +569,7 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   StickyArm arm{Monitor(bundle)};
   CHECK(arm.go(1000, 0.02, 5) == Alarm::none && arm.monitor.last().doubt[0] < 1e-6);
   CHECK(arm.go(500, 0, 5) == Alarm::none);
-  // A push came and went: now 1 Nm holds the joint where it took 5, and nothing in its position says so.
+  // After a push, 1 Nm holds the joint where it took 5 before; its position does not show that.
   CHECK(arm.go(500, 0, 1) == Alarm::collision);
   CHECK_CLOSE(arm.monitor.last().tau_ext[0], 4, 1e-3);  // 10/K0 later
   arm.monitor.acknowledge();
@@ -591,7 +590,7 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
 }
 
-// Limits near stiction hold on for as long as the bundle says after a joint has begun to slide.
+// Limits near stiction persist for the bundle's time after a joint started to slide.
 void a_joint_that_breaks_away_keeps_its_limit_for_a_while() {
   Bundle bundle = StickyArm::bundle();
   bundle.limits.collision.near_stiction_nm = {7, 7};
@@ -636,7 +635,7 @@ void drift_is_not_learned_from_motion_that_training_never_saw() {
   CHECK(familiar.last().drift[0] != 0 && lost.last().drift[0] == 0 && lost.last().drift[1] == 0);
 }
 
-// The doubt after resume() stands in place of the factor after a contact, not on top of it.
+// The doubt after resume() replaces the factor after a contact; they do not multiply.
 void resume_ends_what_a_contact_raised() {
   Bundle bundle = StickyArm::bundle();
   bundle.limits.after_contact_factor = 3;
@@ -668,7 +667,7 @@ void resume_of_joints_that_slide_is_an_acknowledgement() {
   }
 }
 
-void names_are_told() {
+void names_are_reported() {
   for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
   CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
   CHECK(std::string(name(Health::warming_up)) == "warming up" && std::string(name(Alarm::collision)) == "collision");
@@ -694,11 +693,11 @@ int main() {
   what_a_collision_can_cause_is_judged();
   a_position_that_jumps_is_a_fault_once_wherever_it_stays();
   positions_that_are_held_and_stamps_that_jitter_are_no_jumps();
-  a_gap_in_the_samples_warms_up_anew_and_says_why();
+  a_gap_restarts_the_warm_up_and_reports_the_cause();
   late_and_missing_samples_are_stale_and_change_nothing();
   another_rate_is_refused_and_the_right_one_taken_up_again();
   a_saturated_drive_is_a_fault_that_hides_no_collision();
-  an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not();
+  a_frozen_encoder_is_a_fault_and_a_resting_arm_is_not();
   reset_equals_fresh_and_acknowledge_ends_the_alarm_alone();
   a_restored_monitor_goes_on_as_if_nothing_had_been();
   a_restored_monitor_goes_on_with_every_method();
@@ -711,7 +710,7 @@ int main() {
   drift_is_not_learned_from_motion_that_training_never_saw();
   resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();
-  names_are_told();
+  names_are_reported();
   a_bundle_that_does_not_hold_together_makes_no_monitor();
   return check::result();
 }

@@ -65,7 +65,7 @@ void a_triangle_motion_gives_the_closed_form() {
   }
 }
 
-// 2 w is the span that the joint has covered, not the length of its way: trembling within it tells nothing more.
+// 2 w is the covered span, not the path length: small oscillations within it add no information.
 void trembling_within_twice_the_width_leaves_the_state_undetermined() {
   const double width = std::ldexp(1.0, -7);
   Presliding bank(1, std::span(&width, 1));
@@ -121,7 +121,7 @@ void until_determined_the_state_brackets_every_start_and_from_then_on_equals_it(
 }
 
 // That of the other joint is not touched.
-void a_forgotten_joint_is_one_that_begins_anew() {
+void a_forgotten_joint_restarts() {
   constexpr int kJoints = 2, kSamples = 1000, kForget = 500;
   const double widths[] = {1e-4, 1e-2};
   const std::vector<double> q = random_walk(kJoints, kSamples, 4);
@@ -173,7 +173,7 @@ void a_shift_of_all_positions_changes_nothing_beyond_rounding() {
   }
 }
 
-void joints_do_not_touch_each_other_and_states_stand_in_rows_of_a_joint() {
+void joints_do_not_touch_each_other_and_states_are_ordered_by_joint() {
   const double widths[] = {1e-4, 3e-3};
   const std::vector<double> q = random_walk(2, 500, 3);
   Presliding both(2, widths), first(1, widths), second(1, widths), swapped(2, widths);
@@ -275,7 +275,7 @@ void local_memory_follows_the_branch_and_leaves_the_bank_at_the_second_reversal(
   CHECK(local() == 1 && bank.memory_gap(0) == 0);
 }
 
-// One width has one slope, so that nothing tells the two kinds of memory apart.
+// One width has one slope: both kinds of memory are equal.
 void a_branch_of_one_width_is_the_bank_once_that_is_determined() {
   const double width = 3e-4;
   const double one[] = {1};
@@ -341,10 +341,10 @@ int main() {
   a_triangle_motion_gives_the_closed_form();
   trembling_within_twice_the_width_leaves_the_state_undetermined();
   until_determined_the_state_brackets_every_start_and_from_then_on_equals_it();
-  a_forgotten_joint_is_one_that_begins_anew();
+  a_forgotten_joint_restarts();
   states_stay_within_one_whatever_the_motion();
   a_shift_of_all_positions_changes_nothing_beyond_rounding();
-  joints_do_not_touch_each_other_and_states_stand_in_rows_of_a_joint();
+  joints_do_not_touch_each_other_and_states_are_ordered_by_joint();
   reset_equals_fresh();
   a_restored_bank_goes_on_as_if_nothing_had_been();
   no_widths_make_no_states();

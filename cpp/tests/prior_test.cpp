@@ -233,7 +233,7 @@ void regressors_of_samples_that_do_not_rise_or_do_not_exist_are_refused() {
   for (const std::vector<std::int64_t>& samples :
        {std::vector<std::int64_t>{5, 3}, std::vector<std::int64_t>{5, 5}, std::vector<std::int64_t>{20},
         std::vector<std::int64_t>{-1, 4}})
-    refused("samples must rise", [&] { prior_regressors(tree, b.observer, prior, s.view(), samples); });
+    refused("samples must be ascending", [&] { prior_regressors(tree, b.observer, prior, s.view(), samples); });
   CHECK(prior_regressors(tree, b.observer, prior, s.view(), {}).empty());
   const Signals other = sampled(3, every_ms(20));
   refused("the model has 2 joints, the recording 3",
@@ -443,7 +443,7 @@ void a_restored_monitor_goes_on_with_prior_and_presliding_states() {
   }
 }
 
-// A network sees the presliding states, too; without a prior it has no doubt, and goes on with what it knows.
+// A network uses the presliding states, too; without a prior there is no doubt, and it continues.
 void resume_without_a_prior_is_an_acknowledgement() {
   Bundle bundle = with_everything(2, 20);
   bundle.prior.terms.clear();
@@ -524,9 +524,8 @@ void the_doubt_at_rest_has_its_closed_form() {
   }
 }
 
-// An arm that was seen to come to rest, and one that is first seen at rest and then creeps: what the second cannot know
-// lies within its doubt at every sample, and the doubt goes when the joint has travelled.
-void the_doubt_bounds_what_an_unknown_start_may_hide() {
+// An arm seen coming to rest, and one first seen at rest that then creeps: the doubt covers the unknown start.
+void the_doubt_bounds_the_error_of_an_unknown_start() {
   const PriorSettings settings = of_two_widths({{TermKind::presliding, 0, 0, 0, 0, 0},
                                                 {TermKind::presliding, 0, 1, 0, 0, 0},
                                                 {TermKind::viscous, 0, 0, 0, 0, 0}},
@@ -625,7 +624,7 @@ int main() {
   a_restored_stage_goes_on_and_a_reset_one_begins_as_a_fresh_one();
   a_saved_bundle_keeps_its_prior();
   the_doubt_at_rest_has_its_closed_form();
-  the_doubt_bounds_what_an_unknown_start_may_hide();
+  the_doubt_bounds_the_error_of_an_unknown_start();
   the_doubt_after_forgetting_bounds_what_happened_unseen();
   without_a_prior_nothing_is_expected();
   return check::result();

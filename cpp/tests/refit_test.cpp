@@ -69,7 +69,7 @@ void friction_of_known_size_is_found() {
     CHECK_CLOSE(joint.viscous.value, 1.25, 0.02);
     CHECK(joint.coulomb.error > 0 && joint.coulomb.error < 0.02);
     CHECK(joint.limit_factor >= joint.coulomb.value);  // an error that is a share of the friction grows with it
-    CHECK(std::isnan(joint.error_ratio));               // the bundle knows no sigma
+    CHECK(std::isnan(joint.error_ratio));               // the bundle has no sigma
   }
   CHECK_CLOSE(found.bundle.prior.weights[0], -5.0, 0.05);
   CHECK_CLOSE(found.bundle.prior.weights[6], -3.75, 0.05);
@@ -94,7 +94,7 @@ void one_unknown_is_least_squares() {
   CHECK(same.joints[0].coulomb.value == 1 && same.joints[0].coulomb.error == 0);
 }
 
-// A network that learned a share of the old friction says too little of it today: r shows 1.2 times what it says.
+// The network learned a share of the old friction and is too small for today's: r is 1.2 times its output.
 void a_networks_share_moves_with_the_friction() {
   Arm arm(1);
   Bundle with = made::bundle(2, 6, 8, 10, 1);

@@ -42,7 +42,7 @@ void every_way_gives_the_torque_of_the_motor() {
     CHECK_CLOSE(torque(TorqueFrom::duty, w, {}, {}, d, v), tau, 1e-12);
     CHECK_CLOSE(torque(TorqueFrom::goal, w, goal, {}, {}, v), tau, 1e-12);
     const double drawn[] = {std::fabs(duty * ampere)};
-    if (std::fabs(duty) < 1e-3 || duty * ampere < 0) continue;  // it brakes: an unsigned current cannot tell
+    if (std::fabs(duty) < 1e-3 || duty * ampere < 0) continue;  // braking: an unsigned current has no direction
     CHECK_CLOSE(torque(TorqueFrom::supply_current, w, {}, drawn, d, v), tau, 1e-9);
     if (std::fabs(goal[0]) < 2 * kCount) continue;
     CHECK_CLOSE(torque(TorqueFrom::supply_current, w, goal, drawn, {}, v), tau, 1e-9);
@@ -146,7 +146,7 @@ void one_step_is_the_difference_and_so_is_no_count() {
   CHECK(one[0] == 0);
 }
 
-void a_pause_starts_the_window_anew() {
+void a_pause_restarts_the_window() {
   ServoInput input(servo(TorqueFrom::torque, 16));
   const double tau[] = {0.5};
   std::int64_t t_ns = 0;
@@ -209,7 +209,7 @@ int main() {
   a_flicker_between_two_counts_has_no_speed();
   an_accelerating_joint_is_followed();
   one_step_is_the_difference_and_so_is_no_count();
-  a_pause_starts_the_window_anew();
+  a_pause_restarts_the_window();
   a_goal_acts_after_its_delay();
   wrong_settings_are_refused();
   return check::result();

@@ -33,7 +33,7 @@ SlidingLstm make_sliding(const Network& n, NetworkRate rate = NetworkRate::every
   return SlidingLstm(n.shape, n.parameters, n.inputs, n.columns, n.stride, n.length, rate);
 }
 
-// Rows of a random walk; `ticks` says how far each sample lies after the one before, held ticks repeat a row.
+// Rows of a random walk; `ticks` is each sample's distance to the one before, held ticks repeat a row.
 std::vector<float> make_rows(int columns, const std::vector<int>& ticks, unsigned seed) {
   std::mt19937 random(seed);
   std::normal_distribution<float> normal(0, 0.1f);

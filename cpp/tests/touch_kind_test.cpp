@@ -27,7 +27,7 @@ struct Moment {
 };
 using Touching = std::function<Moment(double)>;
 
-// The kind as time goes on, with r's own answer dr/dt = K0 (tau - r) and an alarm that stands once |r| was over 1.
+// The kind over time, with r's response dr/dt = K0 (tau - r) and an alarm that stays once |r| exceeded 1.
 struct Told {
   std::vector<double> since_s;  // the alarm
   std::vector<Touch> kinds;
@@ -123,7 +123,7 @@ void a_torque_that_settles_is_a_push() {
       CHECK(standing.at(0.2) == Touch::push && !standing.ever(Touch::clamp));
       // Against the motion, which goes on.
       const Told moving = Run{}.go([=](double t) { return Moment{{0, 0.5, 0, 0}, {0, -size * cosine_rise(t, rise_s), 0, 0}}; }, 1.0);
-      // What is strong and settles late looks like an obstacle that the arm slips off: no push.
+      // A strong contact that settles late looks like an obstacle that the arm slips off: not a push.
       CHECK(moving.at(0.3) == (size < 3 || rise_s < 0.07 ? Touch::push : Touch::clamp));
     }
 }
@@ -193,7 +193,7 @@ void a_weight_at_the_load_frame_is_a_load() {
   CHECK(weight(-1).at(0.2) == Touch::push);  // nothing is lighter than nothing
 }
 
-void what_nobody_saw_begin_is_not_decided() {
+void a_touch_without_an_observed_start_is_unknown() {
   const Touching steady = [](double) { return Moment{{0, 0.3, 0, 0}, {0, -3, 0, 0}}; };
   Run run;
   run.r = {0, -6, 0, 0};
@@ -239,8 +239,8 @@ void an_alarm_that_ends_takes_its_kind_along() {
   CHECK(run.kind.kind() == Touch::none);
 }
 
-// The monitor says it with the answer after, offline as online; names are told.
-void the_chain_says_it() {
+// The monitor reports the kind with the next answer, offline as online; names are reported.
+void the_chain_reports_it() {
   Bundle bundle = make_bundle();
   const std::size_t samples = 3000;
   std::vector<std::int64_t> t_ns(samples);
@@ -275,10 +275,10 @@ int main() {
   a_blow_is_an_impact();
   what_bounces_and_then_holds_is_a_clamp();
   a_weight_at_the_load_frame_is_a_load();
-  what_nobody_saw_begin_is_not_decided();
+  a_touch_without_an_observed_start_is_unknown();
   samples_without_an_estimate_change_nothing();
   a_state_goes_on_in_another();
   an_alarm_that_ends_takes_its_kind_along();
-  the_chain_says_it();
+  the_chain_reports_it();
   return check::result();
 }

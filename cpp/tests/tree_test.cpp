@@ -91,7 +91,7 @@ void a_mass_sliding_on_a_turning_arm_feels_the_centrifugal_force() {
   CHECK_CLOSE(a.beta[1], -2 * 0.5 * 9, 1e-14);  // -dL/dx of L = m x^2 w^2 / 2
 }
 
-void links_may_stand_in_any_order() {
+void links_may_have_any_order() {
   std::vector<Link> links = planar_links();
   links.push_back(make_link("wrist", 1, JointType::revolute, 1.5, {0.1, 0.02, 0.03}));
   std::copy(std::begin(kQuarterTurn), std::end(kQuarterTurn), links[2].rotation.begin());
@@ -169,7 +169,7 @@ int main() {
   two_links_in_a_plane_follow_their_closed_form();
   a_vertical_slide_feels_its_weight_and_that_of_what_it_carries();
   a_mass_sliding_on_a_turning_arm_feels_the_centrifugal_force();
-  links_may_stand_in_any_order();
+  links_may_have_any_order();
   no_model_gives_zero_and_a_faulty_state_no_number();
   the_sweep_does_not_allocate();
   bad_links_are_refused();

@@ -1,5 +1,4 @@
-// A load that nobody told, weighed inside the loop: against the truth of the motion, and against the same sums made of a
-// whole recording.
+// Load estimation inside the loop: against the truth of the motion, and against the sums of a recording.
 #include "weighing.hpp"
 
 #include <algorithm>
@@ -86,7 +85,7 @@ Motion motion(const Bundle& b, const Load& load, std::int64_t samples, double sp
     tree.momentum(q, dq, at_p, at_beta);
     for (std::size_t j = 0; j < kN && !b.prior.empty(); ++j)
       at_beta[j] += kRubs * std::fabs(at_beta[j]) * std::tanh(dq[j] / kSignSpeed);
-    forces.look(q, dq);
+    forces.compute(q, dq);
     for (std::size_t j = 0; j < kN; ++j) {
       for (std::size_t i = 0; i < 3; ++i) at_beta[j] -= forces.base_forces()[i][j] * push.base[i];
       m.q.push_back(q[j]);
@@ -185,7 +184,7 @@ LoadFound of_recording(const Bundle& b, const Motion& m, int rounds) {
   return found;
 }
 
-void loop_finds_what_a_recording_tells() {
+void loop_and_recording_find_the_same_load() {
   for (const Bundle& b : {bundle(), rubbing()}) {
     const bool rubs = !b.prior.empty();
     const Load truth = ball(2.2, {-0.04, 0.02, 0.06});
@@ -263,7 +262,7 @@ void an_empty_hand_is_called_one() {
   CHECK(found.mass_kg < 3 * found.mass_error_kg);
 }
 
-void one_pose_does_not_tell_all() {
+void one_pose_does_not_determine_all() {
   const Bundle b = bundle();
   Motion m = motion(b, ball(1.5, {0.02, 0.01, 0.06}), 1, 1, {}, 0);
   Motion standing;
@@ -458,11 +457,11 @@ void axes_of_a_symmetric_matrix() {
 
 int main() {
   finds_mass_and_centre();
-  loop_finds_what_a_recording_tells();
+  loop_and_recording_find_the_same_load();
   adds_to_what_is_set();
   two_bodies_are_one();
   an_empty_hand_is_called_one();
-  one_pose_does_not_tell_all();
+  one_pose_does_not_determine_all();
   a_contact_is_refused();
   faults_in_between_are_left_out();
   drift_does_not_learn_the_load();

@@ -24,7 +24,7 @@ class Page:
     def commands(self, program: str = "tauext") -> list[list[str]]:
         """Words of each printed command of a program, the program's name left out."""
         joined = re.sub(r"\\\n\s*", "", self.text)
-        lines = re.findall(rf"^    (?:[^#\n]* )?{re.escape(program)} (.*)$", joined, flags=re.MULTILINE)
+        lines = re.findall(rf"^    (?:[^# \n][^#\n]* )?{re.escape(program)} (.*)$", joined, flags=re.MULTILINE)
         return [shlex.split(line, comments=True) for line in lines]
 
     def blocks(self, language: str) -> list[str]:

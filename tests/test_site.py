@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from doc_pages import Page, parses
 
 import tauext
+from tauext.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -200,3 +202,13 @@ def test_every_page_is_in_the_contents():
         apart = ("reference/made/", "results/real-arms/", "results/full/seeds")
         if not name.startswith(apart) and name != "index":
             assert page.resolve() in listed, name
+
+
+@pytest.mark.parametrize(
+    "page", sorted(p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md") if "made" not in p.parts)
+)
+def test_every_command_on_a_page_is_one_that_the_command_line_accepts(page, monkeypatch, capsys):
+    for command in Page(page).commands():
+        if page.startswith("results/") and command[0] not in COMMANDS:
+            continue  # an option of a benchmark, such as --only tauext paper
+        assert command == ["--version"] or parses(command, monkeypatch), f"{command}: {capsys.readouterr().err}"

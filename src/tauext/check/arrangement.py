@@ -155,7 +155,7 @@ def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float],
     return np.linalg.lstsq(gram, moment, rcond=rcond)[0]
 
 
-def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -> list[Finding]:
+def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], unit: str) -> list[Finding]:
     """A load of this mass, where it explains the torques of the joints that gravity acts on."""
     gain = load.gain(list(strong))
     sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
@@ -165,7 +165,7 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -
     com = ", ".join(f"{x:.2f}" for x in load.com_m)
     evidence = (
         f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m from '{joints[-1]}', z along its axis, "
-        f"bring the error in Nm from {changes}"
+        f"bring the error in {unit} from {changes}"
     )
     if load.mass_kg > 0:
         advice = "add the tool or payload to the model, as a link fixed to the last one"

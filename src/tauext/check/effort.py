@@ -101,13 +101,19 @@ def inverted(vote: SignVote) -> bool:
     return abs(vote.motion) <= 0.5 and vote.total < -CERTAIN
 
 
-def sign_findings(joints: Sequence[str], votes: Sequence[SignVote], fits: Sequence[JointFit]) -> list[Finding]:
+def sign_findings(
+    joints: Sequence[str], votes: Sequence[SignVote], fits: Sequence[JointFit], unit: str
+) -> list[Finding]:
+    """Findings of inverted signs; `unit` is the effort's."""
+    power = "W" if unit == "Nm" else f"{unit} rad/s"
     found = []
     for joint, vote, fit in zip(joints, votes, fits, strict=True):
         if inverted(vote):
             factor, error = fit.gravity_factor
-            parts = [f"torque times speed is {vote.power_w:.3g} W on average"]
-            parts += [f"friction resists with {vote.friction_nm_s:.3g} Nms/rad, must be > 0"] if fit.friction_nm else []
+            parts = [f"torque times speed is {vote.power_w:.3g} {power} on average"]
+            parts += (
+                [f"friction resists with {vote.friction_nm_s:.3g} {unit}s/rad, must be > 0"] if fit.friction_nm else []
+            )
             parts += [f"gravity factor {factor:.3g} ± {error:.1g}"] if factor else []
             found.append(Finding("effort-sign", "fault", joint, "; ".join(parts), "negate the effort at import"))
     return found
@@ -124,15 +130,15 @@ def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
     ]
 
 
-def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
+def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
     """Findings of efforts so large that the model explains nothing of them."""
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
     for j, fit in enumerate(fits):
         if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > FAR * model_nm[j]:
             evidence = (
-                f"the effort varies by {fit.torque_nm:.3g}, gravity and inertia of the model by {model_nm[j]:.3g} Nm: "
-                f"{fit.torque_nm / model_nm[j]:.2g} times as much"
+                f"the effort varies by {fit.torque_nm:.3g} {unit}, gravity and inertia of the model by "
+                f"{model_nm[j]:.3g} Nm: {fit.torque_nm / model_nm[j]:.2g} times as much"
             )
             advice = "another unit, mNm or encoder counts for instance: convert it to Nm at import"
             found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))

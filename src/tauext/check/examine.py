@@ -250,7 +250,8 @@ def _examine(
     begin("velocities")
     recordings, motion, velocities, units = _in_radians(recordings, motion, file)
     tree = file.tree if file else None
-    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
+    names, unit = [r.name for r in recordings], torque_unit(recordings)
+    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, names, unit), recordings)
     recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
     if any(map(derives_velocity, recordings)):
@@ -361,7 +362,7 @@ def _torque(
     rows = rows_of(motion, tree)
     fits = [fit_joint(rows, j) for j in range(n)]
     votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
-    found += sign_findings(joints, votes, fits)
+    found += sign_findings(joints, votes, fits, torque_unit(recordings))
     signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
     motion = [replace(s, tau=s.tau * signs) for s in motion]
     rows = rows_of(motion, tree)
@@ -377,7 +378,7 @@ def _torque(
     rows = rows_of(motion, tree, lag_s)
     fits = [fit_joint(rows, j) for j in range(n)]
     if tree is not None:
-        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s)
+        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s, torque_unit(recordings))
         found += scaled
         rows = rows_of(motion, tree, lag_s)
         fits = [fit_joint(rows, j) for j in range(n)]
@@ -399,16 +400,22 @@ def _of_currents(found: Sequence[Finding]) -> list[Finding]:
 
 
 def _scale(
-    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
+    motion: list[Stretch],
+    tree: _core.Tree,
+    rows: Rows,
+    fits: Sequence[JointFit],
+    joints: Sequence[str],
+    lag_s: float,
+    unit: str,
 ) -> tuple[list[Finding], _core.Tree]:
     """A payload where it explains every factor, else the factors; and the tree with the payload."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
-    found += far_findings(rows, joints, fits)
+    found += far_findings(rows, joints, fits, unit)
     factors = scale_findings(joints, fits, judged)
     if found or not judged:
         return found + factors, tree
     load = fit_load(motion, tree, rows)
-    payload = payload_findings(load, joints, judged)
+    payload = payload_findings(load, joints, judged, unit)
     if not payload:
         return factors, tree
     tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]

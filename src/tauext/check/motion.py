@@ -13,6 +13,7 @@ import numpy as np
 from tauext import _core
 from tauext.check.finding import Finding
 from tauext.data.recording import Recording
+from tauext.data.servo import torque_unit
 
 # --- Recordings as evenly sampled stretches of smooth free motion: the input of every fit.
 
@@ -310,6 +311,7 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
     gravity with one factor explains their torques but for a third, which is then friction.
     """
     q, tau = poses_of(recordings)
+    unit = torque_unit(recordings)
     if not len(q):
         return []
     anywhere = np.random.default_rng(0).uniform(-np.pi, np.pi, (300, tree.size))
@@ -326,8 +328,8 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
     found = []
     for j in np.flatnonzero(wrong).tolist():
         k = int(np.argmax(np.abs(gravity[:, j])))
-        several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} Nm apart)" if len(q) > 1 else ""
-        evidence = f"at rest the effort is {tau[k, j]:.4g} Nm where gravity takes {gravity[k, j]:.4g} Nm{several}"
+        several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} {unit} apart)" if len(q) > 1 else ""
+        evidence = f"at rest the effort is {tau[k, j]:.4g} {unit} where gravity takes {gravity[k, j]:.4g} Nm{several}"
         advice = "negate the effort at import"
         if (wrong | ~loaded.any(axis=0)).all():
             advice += "; or the arm hangs: then give its gravity direction"

@@ -64,6 +64,7 @@ def mends_of_torque(
     tree: _core.Tree | None,
     suspects: np.ndarray,
     joints: Sequence[str],
+    unit: str,
 ) -> Iterator[Mend]:
     """Sign, factor, offset and order of the torques, and a load.
 
@@ -72,7 +73,7 @@ def mends_of_torque(
         predicted: (rows, joints) torque by the others' fit, [N m].
         suspects: (joints,) bool, whose torque is off.
     """
-    yield from _of_torque(rows, predicted, suspects, joints, certain=tree is not None)
+    yield from _of_torque(rows, predicted, suspects, joints, unit, certain=tree is not None)
     yield from _of_time(predicted, stretches, suspects)
     if tree is not None:
         yield from _of_load(rows, predicted, stretches, tree, joints)
@@ -110,7 +111,7 @@ def mends_of_motion(
 
 
 def _of_torque(
-    rows: Rows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], certain: bool
+    rows: Rows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], unit: str, certain: bool
 ) -> Iterator[Mend]:
     now = spread_about_zero(rows.tau - predicted)
     off = np.flatnonzero(suspects).tolist()
@@ -141,7 +142,7 @@ def _of_torque(
     for j in off:
         after = now.copy()
         after[j] = centred[j]
-        yield Mend(f"{-middle[j]:+.3g} Nm added to its torque", j, after, "warning", 1, shifts=True)
+        yield Mend(f"{-middle[j]:+.3g} {unit} added to its torque", j, after, "warning", 1, shifts=True)
     for a, b in combinations(off, 2):
         after = now.copy()
         after[[a, b]] = spread_about_zero(rows.tau[:, [b, a]] - predicted[:, [a, b]])
@@ -430,13 +431,16 @@ class Pool:
 
 
 def odd_torques(
-    motion: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], names: Sequence[str]
+    motion: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], names: Sequence[str], unit: str
 ) -> list[Finding]:
-    """At most one a recording, and none where half of them would be odd.
+    """Find recordings whose torque disagrees with the others: at most one finding a recording.
+
+    More than half of the recordings cannot be odd: then there are no findings.
 
     Args:
         motion: of all recordings.
         names: of the recordings.
+        unit: of the recordings' torque, for the evidence: Nm or A.
     """
     if len({s.recording for s in motion}) < 2:
         return []
@@ -448,12 +452,12 @@ def odd_torques(
     members, pool = _consensus(parts)
     found: list[Finding] = []
     for k in sorted(set(parts) - set(members), key=lambda k: -_score(pool, parts[k])):
-        mend, before = _mend(parts[k], pool, [s for s in motion if s.recording == k], tree, joints)
+        mend, before = _mend(parts[k], pool, [s for s in motion if s.recording == k], tree, joints, unit)
         if mend is not None:
             sure = tree is not None or not mend.moves  # sums of angles do not depend on axes
             severity = mend.severity if sure else "warning"
-            found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k]))
-        elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k])) is not None:
+            found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k], unit))
+        elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k], unit)) is not None:
             found.append(unlike)
     left = {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}
     found += (driven := _driven(left, joints, names))
@@ -529,7 +533,7 @@ def _score(pool: Pool, part: Rows) -> float:
 
 
 def _mend(
-    part: Rows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str]
+    part: Rows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], unit: str
 ) -> tuple[Mend | None, np.ndarray]:
     """The best mend that is good enough, None if there is none; and the errors before, [N m]."""
     few = search_stretches(stretches, MEND_S)
@@ -558,13 +562,13 @@ def _mend(
         return best[1]
 
     predicted = pool.predicted(rows)
-    mend = best_of(mends_of_torque(rows, predicted, few, tree, suspects, joints))
+    mend = best_of(mends_of_torque(rows, predicted, few, tree, suspects, joints, unit))
     if mend is None:
         mend = best_of(mends_of_motion(rows, few, tree, pool.errors, suspects, joints))
     return mend, before
 
 
-def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str) -> Finding | None:
+def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str, unit: str) -> Finding | None:
     """Where nothing mends a recording, and its motion is the others' all the same."""
     error, usual = pool.errors(part), np.maximum(pool.usual_nm, 1e-9)
     off = (error > UNLIKE * usual) & (error > UNLIKE_MATTERS * pool.spread_nm)
@@ -572,20 +576,20 @@ def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str) -> Finding
         return None
     j = int(np.argmax(np.where(off, error / usual, 0)))
     evidence = (
-        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[j]:.3g} Nm at '{joints[j]}' "
-        f"leaves {error[j]:.3g} Nm, {error[j] / usual[j]:.2g} times as much"
+        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[j]:.3g} {unit} at '{joints[j]}' "
+        f"leaves {error[j]:.3g} {unit}, {error[j] / usual[j]:.2g} times as much"
     )
     advice = "another tool, friction, timing or calibration? check it, and leave it out if the arm is not so any more"
     return Finding("odd-recording", "warning", joints[j], evidence, advice, name)
 
 
-def _finding(mend: Mend, before: np.ndarray, pool: Pool, joints: Sequence[str], name: str) -> Finding:
+def _finding(mend: Mend, before: np.ndarray, pool: Pool, joints: Sequence[str], name: str, unit: str) -> Finding:
     ratio = mend.errors_nm / before
     j = int(np.argmin(ratio)) if mend.joint is None else mend.joint
     k = int(np.argmin(ratio))
     evidence = (
-        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[k]:.3g} Nm at '{joints[k]}' "
-        f"leaves {before[k]:.3g} Nm; with {mend.what} {mend.errors_nm[k]:.3g} Nm"
+        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[k]:.3g} {unit} at '{joints[k]}' "
+        f"leaves {before[k]:.3g} {unit}; with {mend.what} {mend.errors_nm[k]:.3g} {unit}"
     )
     advice = (
         "mend it at import, or leave it out" if mend.severity == "fault" else

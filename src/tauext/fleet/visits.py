@@ -325,7 +325,7 @@ def date_in(dataset: Place | None) -> str:
     return found.isoformat() if found is not None else ""
 
 
-# --- Content of the files of one arm at one date, as plain JSON: bundle, results, findings of the doctor.
+# --- Content of the files of one arm at one date, as plain JSON: bundle, results, findings of the check.
 
 
 def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray | None, broken: str) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
 
 
 def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
-    """Say what was impossible in the recordings; the facts for the provenance.
+    """Report impossible samples of the recordings; returns the facts for the provenance.
 
     Raises:
         TrainingError: too many samples were.
@@ -202,7 +202,7 @@ def calibrate_bundle(
 def kept_peaks(
     out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
 ) -> KeptPeaks | None:
-    """What a killed process found in these files with this bundle; None: nothing is kept."""
+    """Checkpoint of a killed process for these files and this bundle; None: none."""
     if out is None or not all(isinstance(load, partial) for load in loaders):
         return None
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
@@ -223,5 +223,5 @@ def checkpoint_file(out: Place) -> Path:
 
 
 def remove_checkpoint(out: Place) -> None:
-    """The bundle is written."""
+    """Delete the checkpoint; the bundle is written."""
     checkpoint_file(out).unlink(missing_ok=True)

@@ -385,7 +385,7 @@ class Moment:
         return replace(self, limit_nm=factor * self.limit_nm + by_nm, without_nm=factor * self.without_nm + by_nm)
 
     def sentence(self, unit: str = "Nm") -> str:
-        """In words, for a person who is to look there."""
+        """Text for a person who inspects it."""
         return (
             f"warning: {CODE} ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, sets its limit "
             f"{self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it {self.without_nm:.3g} {unit}. If "

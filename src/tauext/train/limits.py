@@ -317,7 +317,7 @@ def factor_after(seen_s: float, most: float) -> float:
 
 
 def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) -> None:
-    """Say of moments that carry a limit what the limits are with and without them, as the limits were raised.
+    """Add to the facts the limits with and without decisive moments, as the limits were raised.
 
     Args:
         facts: of the limits.

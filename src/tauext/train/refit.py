@@ -1,4 +1,4 @@
-"""A new bundle from an old one and some motion of today."""
+"""Refit a bundle to recent motion."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any]
     for region, limit_nm in zip(REGIONS, usual_nm, strict=True):
         tail = limits["tails"].get(f"{name} {region}")
         if tail is None:
-            return "open: the bundle does not say what its limit rests on"
+            return "open: the bundle does not state the basis of its limit"
         over = of_joint.limit_factor * tail["threshold_nm"] / limit_nm
         count, hours = peaks_over(found, joint, region, over), found.used_s / 3600
         if not is_kept(count, hours, tail["rate_per_hour"]):
@@ -252,7 +252,7 @@ class Touch:
     """Too many for touches: they are the joint's error, and its limits were raised by them."""
 
     def sentence(self) -> str:
-        """In words, for a person who is to look there."""
+        """Text for a person who inspects it."""
         what = "raised its limits" if self.counted else "was left out as a touch"
         return (
             f"{self.joint}: {self.from_s:.1f} to {self.to_s:.1f} s of '{self.recording}' is {self.limit_share:.1f} "

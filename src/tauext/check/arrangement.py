@@ -77,7 +77,7 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
     return [Finding("gravity-direction", "fault", None, evidence, advice)], _core.Tree(list(tree.links), unit)
 
 
-# --- A rigid load at the last link that the model does not have, or has and the arm has not.
+# --- A rigid load at the last link that only the arm or only the model has.
 
 
 LEAST_KG = 0.3
@@ -92,7 +92,7 @@ FURTHEST_M = 0.6
 
 @dataclass(frozen=True)
 class Load:
-    """What must be added to the last link."""
+    """Load to be added to the last link."""
 
     mass_kg: float
     mass_error_kg: float
@@ -192,7 +192,7 @@ RESISTS = 0.1
 
 @dataclass(frozen=True)
 class Offset:
-    """What must be added to a joint's position."""
+    """Offset to be added to a joint's position."""
 
     joint: int
     by_rad: float

@@ -82,10 +82,10 @@ def _butterworth(cutoff_hz: float, rate_hz: float) -> np.ndarray:
 
 
 def stretches(recordings: Iterable[Recording], contacts: bool = False) -> list[Stretch]:
-    """All stretches of at least LEAST_STRETCH_S; rows equal to the one before and labelled contacts are left out.
+    """Evenly sampled stretches of at least LEAST_STRETCH_S, without repeated rows and labelled contacts.
 
     Args:
-        contacts: they are not.
+        contacts: keep labelled contacts.
     """
     found, start_s = [], 0.0
     for number, recording in enumerate(recordings):
@@ -305,7 +305,7 @@ def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Sequence[str]) -> list[Finding]:
-    """Joints whose torque pushes with gravity instead of against it; none where friction could be the reason.
+    """Find joints at rest whose torque acts with gravity instead of against it; friction must not explain it.
 
     One pose or two: joints with much load, whose torque is of the size of gravity. More: also joints with less load, if
     gravity with one factor explains their torques but for a third, which is then friction.

@@ -171,7 +171,7 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
     except RobotError as error:
         if not any(finding.severity == "fault" for finding in found):
             found.append(
-                Finding("model-unusable", "fault", None, str(error), "mend the file, or check without --robot")
+                Finding("model-unusable", "fault", None, str(error), "correct the file, or check without --robot")
             )
         return none
 
@@ -187,7 +187,7 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
         f"{len(others)} of {len(recordings)} recordings ({names}) were made with a file of SHA-256 "
         f"{others[0].robot_sha256[:12]}..., {path.name} has {now[:12]}..."
     )
-    advice = "fine where you mended the model on purpose; else give the file that was there when it was recorded"
+    advice = "expected if you corrected the model; else give the file that was there when it was recorded"
     return [
         Finding("robot-file-changed", "warning", None, evidence, advice, others[0].name if len(others) == 1 else None)
     ]
@@ -210,7 +210,7 @@ LEAST_ROWS = 3
 
 
 def limit_findings(recordings: Sequence[Recording], robot: RobotFile) -> list[Finding]:
-    """Beyond a limit by 0.05 rad or 5 %, in at least three rows: encoders and files round."""
+    """Findings of values beyond a limit by 0.05 rad or 5 % in at least three rows."""
     found, unit = [], torque_unit(recordings)
     for j, joint in enumerate(recordings[0].joints):
         q = np.concatenate([r.q[:, j] for r in recordings])

@@ -1,4 +1,4 @@
-"""Checks before training: how much data they read, which findings are cached, and which refuse the data."""
+"""Checks before training: how much data they read, which findings are cached, and which stop a training."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from tauext.train.held_peaks import KeptPeaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
 
 SCALE_SHARE = 0.2
-"""Of the calibration recordings, where the error scale is fitted anew."""
+"""Share of the calibration recordings for refitting the error scale."""
 NO_CALIBRATION = (
     "needs calibration recordings, which the dataset has none of; `tauext simulate --calibration-hours 24` makes some"
 )
@@ -171,8 +171,8 @@ def calibrate_bundle(
 ) -> tuple[PromisedLimits, dict]:
     """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
 
-    A killed process is gone on with, by a file beside `out`, the bundle that will be written; whoever writes it calls
-    `remove_checkpoint`.
+    A checkpoint beside `out`, the bundle to be written, lets a killed process resume. The caller that writes the bundle
+    calls `remove_checkpoint`.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.

@@ -354,9 +354,8 @@ def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> 
     return out
 
 
-# --- Limits that one moment carries: an end-of-program stop, a touch nobody labelled, a glitch, or the truth.
-#
-# Such a limit stays: large errors of free motion are what limits are for. But the moment is reported.
+# --- Limits that one moment carries: an end-of-program stop, an unlabelled touch, a glitch, or the truth.  Such a limit
+# stays: large errors of free motion are what limits are for. But the moment is reported.
 
 
 CODE = "one-moment-limit"

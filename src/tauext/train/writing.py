@@ -90,7 +90,7 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
 
 
 def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
-    """Capsules of the robot file's links; those that it has no shape of are guessed where they are asked for."""
+    """Put capsules of the robot file's links into the bundle; links without a shape get estimated capsules on use."""
     bundle.capsules, notes = link_capsules(robot, job.tree)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]

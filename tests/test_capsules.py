@@ -180,5 +180,5 @@ def test_shapes_stay_with_a_robot_file_whose_meshes_do_not(tmp_path):
         np.testing.assert_allclose(one.end, other.end, atol=1e-6)
         assert (one.link, one.radius_m) == (other.link, other.radius_m)
     (folder / "robot.shapes.json").write_text(json.dumps({"format": 1, "bodies": {"upper": [{"start_m": 1}]}}))
-    with pytest.raises(RobotError, match="robot.shapes.json: is no file of shapes"):
+    with pytest.raises(RobotError, match="robot.shapes.json: not a file of shapes"):
         link_capsules(kept, tree)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,9 @@ from tauext.check.finding import CODES
 from tauext.check.fit import fit_joint, presliding, rows_of
 from tauext.check.motion import compare, pose_findings, stretches
 from tauext.cli import main
+from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
+from tauext.data.servo import AMPERES
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.load import load_tree
 from tauext.sim.collect import simulate_recording
@@ -135,6 +138,25 @@ def test_sign_at_rest_is_told_of_loaded_joints_alone(six):
     found = [f.joint for f in pose_findings(recordings, six.tree, recordings[0].joints)]
     assert {f"joint{j + 1}" for j in np.flatnonzero(loads > 0.5 * loads.max())} <= set(found)
     assert not pose_findings(standing(six, [1.0] * 6)[0], six.tree, recordings[0].joints)
+
+
+def test_the_evidence_of_currents_is_in_amperes(six):
+    """Efforts of recordings without a torque constant are labelled A; torques and limits of the model stay in Nm."""
+    amperes = {"torque": AMPERES}
+
+    def evidence(recordings: list[Recording], code: str) -> str:
+        return next(f.evidence for f in examine(recordings, six.urdf).findings if f.code == code)
+
+    poses, _ = standing(six, [-1.0] * 6)
+    at_rest = evidence([replace(r, provenance=amperes) for r in poses], "effort-sign")
+    assert re.search(r"the effort is \S+ A where gravity takes \S+ Nm \(.* A apart\)", at_rest)
+    driven = [replace(r, tau=-5000.0 * r.tau, provenance=amperes) for r in six.made.recordings]
+    assert re.search(r"is \S+ A rad/s on average; friction resists with \S+ As/rad", evidence(driven, "effort-sign"))
+    assert re.search(r"torques up to \S+ A, limit \S+ Nm;", evidence(driven, "effort-limit"))
+    assert re.search(r"the effort varies by \S+ A, gravity .* by \S+ Nm:", evidence(driven, "effort-scale"))
+    one, *others = [replace(r, provenance=amperes) for r in six.made.recordings]
+    odd = evidence([replace(one, tau=3.0 * one.tau), *others], "odd-recording")
+    assert re.search(r"torque but for \S+ A at .* leaves \S+ A", odd) and "Nm" not in odd
 
 
 def test_friction_that_holds_the_arm_has_no_sign_of_gravity(six):

@@ -289,7 +289,7 @@ def test_joints_that_do_not_exist_are_refused_with_those_that_do(tmp_path):
 
 def test_contradictory_choices_are_refused(tmp_path):
     path = write(tmp_path, two_links())
-    with refused("joint 'a' is asked for twice; every joint stands once"):
+    with refused("joint 'a' is named twice; name every joint once"):
         load_tree(path, ["a", "b", "a"])
     with refused("joint 'b' is both in use and locked at 0.3; choose one"):
         load_tree(path, ["a", "b"], locked={"b": 0.3})
@@ -349,7 +349,7 @@ def test_closed_loops_between_moving_links_are_refused(tmp_path):
 
 def test_rotor_inertia_that_acts_through_a_tendon_is_refused(tmp_path):
     tendon = '<tendon><fixed name="belt" {}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed></tendon>'
-    with refused("tendon 'belt' has armature and moves joints in use; rotor inertia must stand at a joint"):
+    with refused("tendon 'belt' has armature and moves joints in use; rotor inertia must be given at a joint"):
         load_tree(write(tmp_path, two_links(rest=tendon.format('armature="0.1"'))))
     motor = '<actuator><motor tendon="belt" armature="0.1"/></actuator>'
     with refused("tendon 'belt' has armature"):

@@ -1,6 +1,6 @@
 """External joint torque and collision detection for robot arms, from joint encoders and motor torque alone.
 
-What a program needs, each name loaded when it is first asked for:
+The public names, each loaded on first use:
 
     import tauext
 
@@ -22,10 +22,10 @@ ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionC
 LoadPhase
 **Forces** WrenchModel, Wrench, WrenchAxes: force and moment at a frame · PlaceModel, TouchPlaces, TouchPlace: which
 link is touched, where and how hard
-**Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
-**Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
+**Progress** Reporter: progress of train_bundle and evaluate_bundles **Errors** TauextError and under it RobotError,
+RecordingError, ConfigError, BundleError, TrainingError
 
-The loop around a monitor: `tauext.monitor.loop`; sources of samples: `tauext.sources`; what recordings have wrong:
+The loop around a monitor: `tauext.monitor.loop`; sources of samples: `tauext.sources`; checks of recordings:
 `tauext.check`; pages and figures: `tauext.report`; simulated arms: `tauext.sim`; robot files: `tauext.robot`.
 """
 
@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import importlib
 
-TYPE_CHECKING = False  # as typing has it, whose import costs more than all of this
+TYPE_CHECKING = False  # as in typing, whose import takes longer than this module
 if TYPE_CHECKING:
     from typing import Any
 
@@ -199,13 +199,13 @@ _WHERE = {
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
 
-if not TYPE_CHECKING:  # a checker would believe in any name
+if not TYPE_CHECKING:  # a type checker would accept any name
 
     def __getattr__(name: str) -> Any:
         if name not in _MODULE_OF:
             raise AttributeError(f"module 'tauext' has no attribute {name!r}")
         value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
-        globals()[name] = value  # asked for once
+        globals()[name] = value  # cached
         return value
 
 

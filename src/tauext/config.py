@@ -1,4 +1,4 @@
-"""Settings with their defaults: the one place where a default stands. The docstring under a field is its help text."""
+"""Settings with their defaults. The docstring under a field is its help text."""
 
 from __future__ import annotations
 
@@ -99,12 +99,12 @@ class ObserverConfig:
 
 @dataclass(frozen=True)
 class FreeMotionConfig:
-    """What is left out of recordings that hold contacts, which are used for what lies between."""
+    """What is left out of recordings with contacts; the motion between contacts is used."""
 
     before_s: float = 0.2
-    """Time before a labelled contact that counts as no free motion, since labels come late, [s]."""
+    """Time left out before a labelled contact, since labels may come late, [s]."""
     after_s: float = 1.0
-    """Time after a labelled contact that counts as no free motion: filters and windows must forget it first, [s]."""
+    """Time left out after a labelled contact, until filters and windows have forgotten it, [s]."""
 
     def __post_init__(self) -> None:
         for name in ("before_s", "after_s"):
@@ -113,13 +113,13 @@ class FreeMotionConfig:
 
 @dataclass(frozen=True)
 class AlarmConfig:
-    """How an alarm follows from a joint over its limit, and how often a false one may come."""
+    """How a joint over its limit raises an alarm, and the permitted rate of false alarms."""
 
     false_alarms: float = 1.0
     """Most false collisions that the whole arm may raise in the time in_hours; limits and hold time follow from it
     where there are calibration recordings."""
     in_hours: float = 8.0
-    """Time in which no more than false_alarms false collisions may come, [h]."""
+    """Time in which at most false_alarms false collisions may occur, [h]."""
     confidence: float = 0.95
     """Confidence with which the promise of false_alarms in in_hours is kept, 0.5 to below 1."""
     contacts_an_hour: float = 2.0
@@ -143,7 +143,7 @@ class AlarmConfig:
     reports it."""
     contact_release_s: float = 0.5
     """Time for which no joint may have been over its limit before a contact is over, [s]: what observer and freed arm
-    still do in the first half second would else be a contact of its own now and then."""
+    still do in the first half second would otherwise sometimes count as another contact."""
 
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
@@ -171,7 +171,7 @@ class PriorConfig:
     widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
     drop_widths: bool = True
-    """Leave out widths that an encoder cannot resolve or that do not help on recordings left out of the fit."""
+    """Leave out widths below the encoder's resolution, or that do not help on recordings left out of the fit."""
     region_width_rad: float = 0.003
     """Way that a joint must slide after a turn before its limit for sliding holds, [rad]; until then it is near
     stiction."""
@@ -179,13 +179,13 @@ class PriorConfig:
     """Smoothings of the sign of the speed, [rad/s]; the widest bends the viscous friction, which grows less than the
     speed."""
     most_ripples: int = 2
-    """Most ripples of motor and gear that are searched for in each joint; 0: none."""
+    """Largest number of motor and gear ripples fitted to each joint; 0: none."""
     correct_model: bool = True
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
     find_kinematics: bool = True
     """Without a model, find the arm's axes and link lengths from its motion."""
     follow_temperature: bool = True
-    """Where recordings hold temperatures of the joints, let friction follow them if that helps on motion left out."""
+    """Let friction follow recorded joint temperatures if that helps on motion left out of the fit."""
 
     def __post_init__(self) -> None:
         for name in ("widths_rad", "coulomb_speeds_rad_s"):
@@ -274,15 +274,15 @@ class EventsConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What is trained, how, and for how long. None: the recipe's own value."""
+    """Settings of a training. None: the recipe's own value."""
 
     recipe: RecipeName = "tauext"
     """What is trained. tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves
     where it helps. prior: the same without a network. paper: windows, as published. dense: the paper's network from
     longer sequences that teach a target at every step; far fewer steps. observer: no network at all, the plain
-    momentum observer. To compare with: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
-    and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity,
-    energy: observers of other kinds."""
+    momentum observer. For comparison: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
+    and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy:
+    observers of other kinds."""
     minutes: float | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
     validation recordings; None: all."""
@@ -331,15 +331,15 @@ class TrainConfig:
     """Torque constants that are known, one a joint, N m a unit of the recordings' tau: taken as they are (`tauext load
     --known-kg` finds some). None: --fit-torque-constants decides."""
     torque_share: float = 0.05
-    """Standard error of the recordings' torques as a share of them, where training finds no constants: no force
-    (Monitor.wrench) is known better. Measured torques and makers' constants are off by 5 to 10 %; less for sensors that
-    were checked with weights."""
+    """Standard error of the recordings' torques as a share of them, where training finds no constants: it bounds the
+    accuracy of forces (Monitor.wrench). Measured torques and makers' constants are off by 5 to 10 %; less for sensors
+    that were checked with weights."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     """What is left out of recordings that hold contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
-    """How often a false alarm may come, and what it takes to raise one."""
+    """Permitted rate of false alarms, and conditions of an alarm."""
     prior: PriorConfig = field(default_factory=PriorConfig)
-    """What the prior may hold, and how it is fitted."""
+    """Terms of the prior, and how it is fitted."""
     drift: DriftConfig = field(default_factory=DriftConfig)
     """The tracker of slow changes."""
     filters: FilterConfig = field(default_factory=FilterConfig)
@@ -386,7 +386,7 @@ class TrainConfig:
         return warm_up_s(self.observer.first_gain_per_s, self.filters.low_pass_per_s if self.row.low_pass else 0.0)
 
     def resolved(self) -> TrainConfig:
-        """With the recipe's own values where None stands."""
+        """The settings with the recipe's values for None."""
         own: Mapping[str, Any] = {"error_scale": "on" if self.row.error_scale else "off"} | dict(self.row.defaults)
         filled = replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
         if self.observer.gain_per_s is not None:
@@ -397,7 +397,7 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class CalibrateStage(AlarmConfig):
-    """A fleet's stage calibrate: the promise, and how it is found."""
+    """Settings of a fleet's stage calibrate."""
 
     refit_error_scale: bool = False
     """Refit how errors grow with the motion, on the first fifth of the calibration recordings."""
@@ -405,12 +405,12 @@ class CalibrateStage(AlarmConfig):
 
 @dataclass(frozen=True)
 class EvaluateStage(EventsConfig):
-    """A fleet's stage evaluate."""
+    """Settings of a fleet's stage evaluate."""
 
     seed: int = 0
     """Seed of the choice of the ten collisions."""
     keep_free_estimates: int = 20
-    """How many test recordings of free motion, the first ones, have their estimates written."""
+    """Number of free-motion test recordings, from the first, whose estimates are written."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -425,8 +425,8 @@ class FleetConfig:
     workers: int = 0
     """Processes of this machine that work, one thread each; 0: one a core."""
     retries: int = 2
-    """How often a task is begun again whose worker died: killed, out of memory, its node lost. What a task refuses is
-    refused at once."""
+    """Number of retries of a task whose worker died (killed, out of memory, node lost). A task that reports an error is
+    not retried."""
     ray: str | None = None
     """Let Ray distribute the tasks: the address of a cluster, auto for the one of this machine, or local to start one
     here with --workers cores (needs the extra tauext[fleet]). None: processes of this machine."""
@@ -467,20 +467,20 @@ def require_seed(seed: int) -> None:
 
 
 def require_threads(threads: int) -> None:
-    """Raise ConfigError unless so many threads can be of use; 0: one a core."""
+    """Raise ConfigError unless the number of threads is valid; 0: one a core."""
     require(0 <= threads <= MOST_THREADS, "threads", threads, f"0 (one a core) to {MOST_THREADS}")
 
 
 @dataclass(frozen=True)
 class StoreConfig:
-    """How long an object store may take before a command gives up."""
+    """Timeouts and retries of object stores."""
 
     connect_s: float = 5.0
-    """Time until a connection stands, [s]."""
+    """Time to establish a connection, [s]."""
     stall_s: float = 20.0
-    """Nothing comes for so long, [s]: the request is tried again. A slow line sends something every second."""
+    """Time without data after which a request is retried, [s]. A slow line sends something every second."""
     tries: int = 4
-    """How often a request is made before the command gives up, with a growing pause between."""
+    """Number of attempts of a request, with growing pauses, before the command fails."""
 
     @classmethod
     def of_environment(cls) -> StoreConfig:

@@ -21,7 +21,7 @@ class RecordingError(TauextError):
 
 
 class ConfigError(TauextError):
-    """A setting, path or combination of settings that cannot be used."""
+    """An invalid setting, path or combination of settings."""
 
 
 class BundleError(TauextError):
@@ -37,7 +37,7 @@ class StoreError(TauextError):
 
 
 class FaultyDataError(TauextError):
-    """Recordings or a robot file with faults that nobody accepted; the message is a block, a few lines a fault."""
+    """Faults of recordings or robot file that were not accepted; the message lists them, a few lines each."""
 
     def __init__(self, message: str, findings: Sequence[object] = ()) -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""What a stage tells while it works: sentences, and how far it is. It prints nothing itself."""
+"""Progress reports of stages: sentences and counts. Nothing here prints."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 Show = Callable[[int, int, str], None]
-"""Called with what is done, of how many, and a note: `show(300, 1000, "loss 0.01")`."""
+"""Called with count done, total count and a note: `show(300, 1000, "loss 0.01")`."""
 
 
 class Reporter(Protocol):
-    """Takes what a stage tells: the command line prints it, a page may draw it."""
+    """Receives a stage's progress; the command line prints it, a page draws it."""
 
     def say(self, sentence: str) -> None:
-        """One line for people; what is worth keeping stands in the run file, too."""
+        """Report one sentence; lasting facts are also in the run file."""
 
     def progress(self, title: str) -> AbstractContextManager[Show]:
-        """Something long begins, and ends with the context: `with report.progress("train arm") as show: ...`."""
+        """Context of a long task: `with report.progress("train arm") as show: ...`."""
 
 
 class Silent:
-    """Tells nobody."""
+    """Discards all messages."""
 
     def say(self, sentence: str) -> None:
         pass

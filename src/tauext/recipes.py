@@ -30,8 +30,7 @@ class Recipe:
     low_pass: bool = False
     """... and low-passed at filters.low_pass_per_s."""
     fit: str | None = None
-    """Function that fits a prior, as "module:function" (see tauext.train.fitting), imported when it is used; None:
-    there is no prior."""
+    """Function that fits a prior, as "module:function" (see tauext.train.fitting), imported on use; None: no prior."""
     presliding: bool = False
     """The prior has presliding states, described by the setting `prior`."""
     drift: bool = False
@@ -45,7 +44,7 @@ class Recipe:
     chooses_gain: bool = False
     """By default, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False
-    """The monitor reports motion that training never saw."""
+    """The monitor reports motion that the training data do not contain."""
     error_scale: bool = False
     """By default, limits follow the error that the motion announces; others are constants."""
     largest_error_limits: bool = False
@@ -53,9 +52,9 @@ class Recipe:
     defaults: Mapping[str, float] = field(default_factory=dict)
     """Values for settings that are None in TrainConfig."""
     baseline: str | None = None
-    """Its name among the methods that tauext is compared with; None: it is none of them ..."""
+    """Its name among the baselines; None: it is not a baseline ..."""
     rank: int = 0
-    """... and its place there, simplest first."""
+    """... and its position there, simplest first."""
 
     @property
     def learns(self) -> bool:
@@ -64,7 +63,7 @@ class Recipe:
 
     @property
     def gated(self) -> bool:
-        """Whether the network must prove itself: there is a prior that could do without."""
+        """Whether the network ships only if it helps: there is a prior that works without it."""
         return self.fit is not None and self.network is not None
 
     @property
@@ -74,7 +73,7 @@ class Recipe:
 
     @property
     def draws(self) -> bool:
-        """Whether its network is taught what is drawn at random, so that there are steps but no epochs."""
+        """Whether its network trains on random draws, in steps instead of epochs."""
         return self.network is not None and self.network != "windows"
 
     @property

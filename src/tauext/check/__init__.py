@@ -1,5 +1,5 @@
-"""What recordings and robot file have wrong, before anything is learned from them.
+"""Checks of recordings and robot file before training.
 
-In go recordings and a rigid-body tree. Out come findings, each with its numbers and a remedy; faults refuse a training.
+Input: recordings and a rigid-body tree. Output: findings, each with its numbers and a remedy. Faults stop a training.
 It imports `files`, `robot`, `data`, `bundle` and the core.
 """

@@ -77,7 +77,7 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
     return [Finding("gravity-direction", "fault", None, evidence, advice)], _core.Tree(list(tree.links), unit)
 
 
-# --- A rigid load at the last link that the model does not have, or has and the arm has not.
+# --- A rigid load at the last link that only the arm or only the model has.
 
 
 LEAST_KG = 0.3
@@ -92,7 +92,7 @@ FURTHEST_M = 0.6
 
 @dataclass(frozen=True)
 class Load:
-    """What must be added to the last link."""
+    """Load to be added to the last link."""
 
     mass_kg: float
     mass_error_kg: float
@@ -155,7 +155,7 @@ def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float],
     return np.linalg.lstsq(gram, moment, rcond=rcond)[0]
 
 
-def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -> list[Finding]:
+def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], unit: str) -> list[Finding]:
     """A load of this mass, where it explains the torques of the joints that gravity acts on."""
     gain = load.gain(list(strong))
     sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
@@ -165,7 +165,7 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -
     com = ", ".join(f"{x:.2f}" for x in load.com_m)
     evidence = (
         f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m from '{joints[-1]}', z along its axis, "
-        f"bring the error in Nm from {changes}"
+        f"bring the error in {unit} from {changes}"
     )
     if load.mass_kg > 0:
         advice = "add the tool or payload to the model, as a link fixed to the last one"
@@ -192,7 +192,7 @@ RESISTS = 0.1
 
 @dataclass(frozen=True)
 class Offset:
-    """What must be added to a joint's position."""
+    """Offset to be added to a joint's position."""
 
     joint: int
     by_rad: float

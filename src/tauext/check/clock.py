@@ -16,18 +16,18 @@ from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_o
 
 
 GAP = 3.0
-"""Steps of more than three periods: one lost sample, even two, a controller's cycle may lose."""
+"""A longer step is a gap, [sample periods]: a controller's cycle may lose one or two samples."""
 IRREGULAR = 0.25
 """Spread of the steps, 1 to 99 %, as a share of the period: a clock on a busy computer stays below a tenth."""
 IRREGULAR_BADLY = GAP_STEPS - 1
-"""Above it jitter cannot be distinguished from lost samples; below it training and monitor take it as it is."""
+"""Above this share, jitter cannot be distinguished from lost samples; below it, training and monitor accept jitter."""
 REPEATED = 0.005
-"""Share of rows: in a measurement of several joints whole rows hardly ever agree in every bit."""
+"""Share of repeated rows that is reported: measured rows of several joints hardly ever agree in every bit."""
 REPEATED_BADLY = 0.05
 
 
 def clock_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    """Findings about all recordings together, [ms]."""
+    """Findings of gaps, jitter and repeated rows, all recordings together; times are in [ms]."""
     steps = [np.diff(r.t_ns) * 1e-6 for r in recordings if r.samples > 2]
     if not steps:
         return []
@@ -48,7 +48,7 @@ def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
     if not count:
         return []
     evidence = f"{count} gaps of more than {GAP:g} sample periods ({period_ms:.3g} ms), the longest {longest:.4g} ms"
-    advice = "the observer starts anew after each; check for lost packets, or record on the controller"
+    advice = "the observer restarts after each; check for lost packets, or record on the controller"
     return [Finding("clock-gaps", "warning", None, evidence, advice)]
 
 
@@ -65,7 +65,7 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
     if worst[0] <= IRREGULAR:
         return []
     advice = (
-        "stamp samples where they are measured, not where they arrive; velocities and r are only as good as the clock"
+        "stamp samples where they are measured, not where they arrive: jitter of the clock disturbs velocities and r"
     )
     severity: Severity = "warning" if worst[0] > IRREGULAR_BADLY else "note"
     return [Finding("clock-irregular", severity, None, worst[1], advice)]
@@ -92,7 +92,7 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("repeated-rows", severity, None, evidence, advice)]
 
 
-# --- Time stamps in another unit than declared: motion and velocity determine how long a step takes.
+# --- Time stamps in another unit than declared, found from motion and velocity.
 
 
 UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)
@@ -100,29 +100,29 @@ UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)
 OFF = 0.03
 """Deg/s, 57.3, stays apart from minutes, 60."""
 AGREE = 0.05
-"""Joints' ratios lie within this."""
+"""The joints' ratios must agree within this factor."""
 LEAST_RAD = 0.1
 """A joint that moves by less is ignored."""
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
 """No training uses fewer samples a second, no arm sends more."""
 CREEP_RAD_S, FLIES_RAD_S = 0.02, 50.0
-"""An arm whose fastest joint creeps like this, or flies like this, while its samples follow a smooth motion."""
+"""Implausible speeds of an arm's fastest joint during smooth motion."""
 SMOOTH = 0.2
-"""A step of the motion is that share of the step before, or less, off it: the samples are close together."""
+"""Largest relative change between successive steps of a motion that is sampled densely."""
 
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """The stamps are so many times too large."""
+    """Factor by which the time stamps are too large."""
 
     factor: float
     evidence: str
     velocity_derived: bool
-    """The velocity was made with the same stamps."""
+    """Whether the velocity was derived with the same time stamps."""
 
 
 def time_unit(recording: Recording) -> TimeUnit | None:
-    """None where the stamps fit the motion, or nothing moves."""
+    """Unit error of a recording's time stamps; None: the stamps fit the motion, or nothing moves."""
     rows = ~repeated_rows(recording)
     q, dq, t = recording.q[rows], recording.dq[rows], recording.t_ns[rows]
     if len(t) < 100:
@@ -148,14 +148,14 @@ def time_unit(recording: Recording) -> TimeUnit | None:
 
 
 def _ratios(q: np.ndarray, dq: np.ndarray, step_s: float) -> np.ndarray:
-    """Recorded velocity by the derivative of the position, of the joints where they go together."""
+    """Ratio of recorded velocity to the derivative of position, for joints where the two correlate."""
     found = []
     width = 5
     moved = (q[width:] - q[:-width]) / (width * step_s)
     sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), dq]), axis=0)
     recorded = (sums[width + 1 :] - sums[: -width - 1])[: len(moved)] / (width + 1)
     for a, b in zip(moved.T, recorded.T, strict=True):
-        # a spike must not decide
+        # robust against spikes
         keep = (np.abs(a) <= np.percentile(np.abs(a), 99.5)) & (np.abs(b) <= np.percentile(np.abs(b), 99.5))
         a, b = a[keep], b[keep]
         size = float(np.linalg.norm(a) * np.linalg.norm(b))
@@ -166,7 +166,8 @@ def _ratios(q: np.ndarray, dq: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def _impossible(q: np.ndarray, step_s: float, seconds: float) -> TimeUnit | None:
-    """Where the velocity agrees with the stamps: a rate that no arm has, and a motion that no arm makes."""
+    """Detect an implausible rate together with an implausible motion; used where the velocity agrees with the
+    stamps."""
     rate_hz = 1 / step_s
     speed = np.abs(np.diff(q, axis=0)) / step_s
     fastest = float(np.percentile(speed, 99.5, axis=0).max())
@@ -189,19 +190,19 @@ def _impossible(q: np.ndarray, step_s: float, seconds: float) -> TimeUnit | None
 
 
 def time_findings(recordings: Sequence[Recording]) -> tuple[list[Finding], list[Recording]]:
-    """Findings, one for all recordings where they agree; and the recordings on the clock that their motion implies."""
+    """Findings of time units, one for all recordings that agree, and the recordings with corrected clocks."""
     units = [time_unit(r) for r in recordings]
     wrong = [(r, u) for r, u in zip(recordings, units, strict=True) if u is not None]
     if not wrong:
         return [], list(recordings)
-    mended = [_mended(r, u) if u else r for r, u in zip(recordings, units, strict=True)]
+    corrected = [_corrected(r, u) if u else r for r, u in zip(recordings, units, strict=True)]
     if len(wrong) == len(recordings) and len({u.factor for _, u in wrong}) == 1:
         first, unit = wrong[0]
         evidence = f"'{first.name}': {unit.evidence}"
-        return [Finding("time-unit", "fault", None, evidence, _advice(unit.factor))], mended
+        return [Finding("time-unit", "fault", None, evidence, _advice(unit.factor))], corrected
     return [
         Finding("time-unit", "fault", None, f"'{r.name}': {u.evidence}", _advice(u.factor), r.name) for r, u in wrong
-    ], mended
+    ], corrected
 
 
 def _advice(factor: float) -> str:
@@ -209,7 +210,7 @@ def _advice(factor: float) -> str:
     return f"the stamps are {way}: give their unit at import ([time] unit)"
 
 
-def _mended(recording: Recording, unit: TimeUnit) -> Recording:
+def _corrected(recording: Recording, unit: TimeUnit) -> Recording:
     t_ns = np.round((recording.t_ns - recording.t_ns[0]) / unit.factor).astype(np.int64)
     if (np.diff(t_ns) <= 0).any():
         return recording
@@ -221,9 +222,9 @@ def _mended(recording: Recording, unit: TimeUnit) -> Recording:
 
 
 FASTEST_RAD_S = 20.0
-"""No joint of an arm turns faster; the wrists of small, fast ones reach 17 rad/s."""
+"""No arm's joint turns faster; the wrists of small, fast arms reach 17 rad/s."""
 WIDEST_RAD = 4.5 * math.pi
-"""Cables allow a turn or two; one joint may wind up further, two such joints are none of an arm's."""
+"""Cables allow a turn or two. One joint may turn further; two such joints suggest degrees."""
 
 
 def degree_findings(
@@ -231,7 +232,7 @@ def degree_findings(
     stretches: Sequence[Stretch],
     limits_rad: np.ndarray | None = None,
 ) -> list[Finding]:
-    """Findings of joints whose position is in degrees; a finding without a joint is about all.
+    """Findings of joints whose position is in degrees; a finding without a joint concerns all joints.
 
     Args:
         limits_rad: (joints, 2) lower and upper limits of the robot file, infinite where it has none.

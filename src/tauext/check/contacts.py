@@ -1,4 +1,4 @@
-"""Contacts where there should be none: by their labels, or by torque that no motion explains."""
+"""Contacts in free motion, found from labels or from torque that the motion does not explain."""
 
 from __future__ import annotations
 
@@ -27,26 +27,29 @@ from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import torque_unit
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
-"""An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
+"""Cut-off, [Hz]: an impact lasts 50 to 200 ms, and the low-pass of the fits would halve it."""
 END_S = 0.1
-"""Left out of a stretch, four times the filter's memory: there the filter has one side only. No more, since a program
-that ends in an impact, or is stopped by one, ends in it."""
+"""Left out at the ends of a stretch, four filter time constants: the filter lacks data there. A longer margin would
+hide an impact that ends a program."""
 WINDOW_S = 0.5
 LEAST_WINDOWS = 60
 USUAL = 90
-"""Percentile of the windows' largest errors: friction at reversals makes these several times their spread."""
+"""Percentile of the windows' largest errors that counts as usual; friction at reversals makes it several times their
+spread."""
 ALONE, SPREADS_ALONE = 5.0, 8.0
-"""Times the usual, and spreads, at one joint; friction and slipping gears reached 4.1 times in good recordings."""
+"""Thresholds at one joint: multiples of the usual error and of the spread. Good recordings reached 4.1 times the usual
+error."""
 TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
-"""The same at two joints in one window: what touches a link acts on the joints before it."""
+"""The same thresholds for two joints in one window: a contact also acts on the joints before its link."""
 LEAST_SHARE = 0.1
-"""Of the torque's spread, or of its swing in the window: steps of acceleration are explained but for some of that."""
+"""Least error, as a share of the torque's spread or of its range in the window; steps of acceleration leave errors,
+too."""
 CRAWL_RAD_S = 0.05
 CRAWLS = 0.5
-"""A joint that is as slow may stick and slip: there it takes so much of its friction more."""
+"""Slow joints may stick and slip: below this speed, the error must exceed this share of the friction as well."""
 LISTED = 3
 SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
-"""Findings after which torque that no motion explains is no contact."""
+"""Findings that explain an unexpected torque, so that it does not count as a contact."""
 
 
 def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
@@ -71,16 +74,16 @@ def contact_findings(recordings: Sequence[Recording], called_free: Collection[st
 
 
 def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None, lag_s: float = 0.0) -> list[Finding]:
-    """Disturbances far beyond the usual error that training would take for free motion; one finding for all.
+    """Find disturbances far beyond the usual error that training would use as free motion; one finding for all.
 
-    The check covers all motion that training uses, hence not the surroundings of a label: a late label is found.
-    Without a model there is no finding, since its error of gravity at a rare pose resembles a push. Impacts and pushes
-    that stay below a few times what friction does at reversals are not found.
+    The check covers all motion that training uses. It excludes the surroundings of a label, as training does; a label
+    that comes later is found. Without a model there is no finding, since an error of gravity at a rare pose resembles a
+    push. Impacts and pushes below a few times the error at friction reversals are not found.
 
     Args:
-        recordings: with nothing wrong about their signals.
+        recordings: without faults of their signals.
         tree: the model, or None.
-        lag_s: by which the torque comes late.
+        lag_s: delay of the torque, [s].
     """
     # the torque through the positions' own filter, or steps of acceleration would appear in the torque alone
     motion = [
@@ -121,29 +124,29 @@ def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None
     listed = [_described(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
             for k in strongest]  # fmt: skip
     what = "disturbance" if len(begins) == 1 else "disturbances"
-    evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(listed)}"
-    advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
+    evidence = f"{len(begins)} {what} of the torque that the motion does not explain: {'; '.join(listed)}"
+    advice = "inspect these times: keep contacts out of training and limits, by a label or by cutting the recording"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
 
 def has_moved(stretch: Stretch) -> np.ndarray:
-    """(samples, joints) bool: the joint has gone so far that it is known which way friction holds it."""
+    """(samples, joints) bool: the joint has moved far enough to determine the direction of friction."""
     gone = np.maximum.accumulate(np.abs(stretch.q - stretch.q[0]), axis=0)
     return gone > 2 * max(PRESLIDING_RAD)
 
 
 def is_unlabelled_contact(finding: Finding) -> bool:
-    """Whether it is of `unlabelled_findings`."""
+    """Whether `unlabelled_findings` made this finding."""
     return finding.code == "contact-in-free-motion" and finding.recording is None
 
 
 def spoils_contacts(findings: Collection[Finding]) -> bool:
-    """Whether signals are such that torque which no motion explains is no contact."""
+    """Whether faults of the signals prevent the search for contacts."""
     return any(finding.code in SPOILING for finding in findings)
 
 
 def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
-    """Which rows (rows,) bool are so near a labelled contact that training leaves them out."""
+    """Rows (rows,) bool that training leaves out because a labelled contact is near."""
     margins, start_s = FreeMotionConfig(), 0.0
     near = np.zeros(len(rows.time_s), dtype=bool)
     for r in recordings:
@@ -155,7 +158,7 @@ def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
 
 
 def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What gravity, inertia and friction, as fitted to free rows, leave of a joint's torque, and the friction (rows,),
+    """Error of one joint's torque after a fit of gravity, inertia and friction to free rows, and the friction; (rows,),
     [N m]."""
     columns, torque = columns_of(rows, j), rows.tau[:, j]
     weights = robust_solve(columns[free], torque[free])[0]

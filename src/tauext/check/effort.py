@@ -12,16 +12,16 @@ from tauext.check.fit import CONSTANT, FRICTION, JointFit, Rows, columns_of, rob
 from tauext.check.motion import MOVING_RAD_S, Stretch
 from tauext.data.recording import Recording
 
-# --- Which way a joint's torque counts: friction resists, inertia resists, gravity pulls down.
+# --- Sign of a joint's torque, from friction, inertia and gravity.
 
 
 MOST = 6.0
-"""No witness counts for more than so many standard errors: a wrong model can be very sure."""
+"""Limit of each term, [standard errors]: a wrong model can have a small standard error."""
 
 
 @dataclass(frozen=True)
 class SignVote:
-    """Friction work a unit of speed, inertia and gravity factor, each in standard errors times its share of torque."""
+    """Terms of friction, inertia and gravity: value / standard error, times the term's share of the torque."""
 
     friction: float
     inertia: float
@@ -32,7 +32,7 @@ class SignVote:
 
     @property
     def motion(self) -> float:
-        """Of friction and inertia, which do not depend on the model."""
+        """Sum of friction and inertia, which do not depend on the model."""
         return self.friction + self.inertia
 
     @property
@@ -66,34 +66,34 @@ def sign_vote(rows: Rows, joint: int, fit: JointFit) -> SignVote:
     )
 
 
-# --- What the effort is: of the right sign, the joint's torque, a multiple of it, without gravity, or external torque.
+# --- Kind of the effort: joint torque, scaled, inverted, without gravity, or external torque.
 
 
 CERTAIN = 1.5
-"""Votes (standard errors times share of the torque) from which on a sign is certain; good data reach 3 to 6."""
+"""Sum of terms (standard errors times share of torque) that makes a sign certain; good data reach 3 to 6."""
 LIKELY = 1.0
-"""The same where the torque also takes energy out on average."""
+"""The same sum where the mean power of the torque is negative."""
 STRONG = 0.3
-"""Spread of the model's gravity as a share of the torque's from which on its factor is judged ..."""
+"""Least spread of the model's gravity, as a share of the torque's spread, for judging its factor ..."""
 SHOWN = 0.2
-"""... or of the fitted gravity, where the torque is small in all its parts."""
+"""... or least spread of the fitted gravity, where all parts of the torque are small."""
 LOW, HIGH = 0.7, 1.45
-"""Factors between these are what payload, cables and rough models make of good torques."""
+"""Good torques have factors in this range, given payload, cables and rough models."""
 MOTOR_SIDE = 1 / 20
-"""No arm has gears below 30 and no torque constant a joint is that small in Nm/A."""
+"""Factors below it mean torque before the gear: gear ratios exceed 30, and no joint's torque constant is so small in
+Nm/A."""
 ABSENT = 0.15
 """Gravity factor below which there is no gravity in the torque ..."""
 ABSENT_SHARE = 0.2
-"""... unless what there is makes up this share of the torque (then the unit is small, not gravity)."""
+"""... unless gravity is this share of the torque; then the unit is too small."""
 FAR = 50.0
-"""Times what gravity and inertia make: no friction is as much at a joint that gravity loads; a unit is."""
+"""Ratio of effort to model torque above which the unit is wrong; no friction of a loaded joint is so large."""
 LITTLE = 0.5
-"""Share of variance explained, below which there is neither gravity, nor friction, nor inertia in an effort."""
+"""Explained share of the variance below which an effort contains no gravity, friction or inertia."""
 
 
 def inverted(vote: SignVote) -> bool:
-    """Friction and inertia decide where they can, for which torque that takes energy out on average speaks, too;
-    gravity where they cannot."""
+    """Whether the sign is inverted. Friction, inertia and mean power decide where they are conclusive, else gravity."""
     if vote.motion < -LIKELY and vote.power_w < 0:
         return True
     if vote.motion < -CERTAIN:
@@ -101,20 +101,26 @@ def inverted(vote: SignVote) -> bool:
     return abs(vote.motion) <= 0.5 and vote.total < -CERTAIN
 
 
-def sign_findings(joints: Sequence[str], votes: Sequence[SignVote], fits: Sequence[JointFit]) -> list[Finding]:
+def sign_findings(
+    joints: Sequence[str], votes: Sequence[SignVote], fits: Sequence[JointFit], unit: str
+) -> list[Finding]:
+    """Findings of inverted signs; `unit` is the effort's."""
+    power = "W" if unit == "Nm" else f"{unit} rad/s"
     found = []
     for joint, vote, fit in zip(joints, votes, fits, strict=True):
         if inverted(vote):
             factor, error = fit.gravity_factor
-            parts = [f"torque times speed is {vote.power_w:.3g} W on average"]
-            parts += [f"friction resists with {vote.friction_nm_s:.3g} Nms/rad, must be > 0"] if fit.friction_nm else []
+            parts = [f"torque times speed is {vote.power_w:.3g} {power} on average"]
+            parts += (
+                [f"friction resists with {vote.friction_nm_s:.3g} {unit}s/rad, must be > 0"] if fit.friction_nm else []
+            )
             parts += [f"gravity factor {factor:.3g} ± {error:.1g}"] if factor else []
             found.append(Finding("effort-sign", "fault", joint, "; ".join(parts), "negate the effort at import"))
     return found
 
 
 def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
-    """Joints whose gravity is large enough, in the model or as fitted, for its factor to be judged."""
+    """Joints whose gravity, of the model or as fitted, is large enough to judge its factor."""
     return [
         j
         for j, fit in enumerate(fits)
@@ -124,15 +130,15 @@ def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
     ]
 
 
-def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
-    """Findings of efforts so large that the model explains nothing of them."""
+def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+    """Findings of efforts far larger than the model's torque."""
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
     for j, fit in enumerate(fits):
         if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > FAR * model_nm[j]:
             evidence = (
-                f"the effort varies by {fit.torque_nm:.3g}, gravity and inertia of the model by {model_nm[j]:.3g} Nm: "
-                f"{fit.torque_nm / model_nm[j]:.2g} times as much"
+                f"the effort varies by {fit.torque_nm:.3g} {unit}, gravity and inertia of the model by "
+                f"{model_nm[j]:.3g} Nm: {fit.torque_nm / model_nm[j]:.2g} times as much"
             )
             advice = "another unit, mNm or encoder counts for instance: convert it to Nm at import"
             found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
@@ -142,7 +148,7 @@ def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit]) ->
 def kind_findings(
     rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], strong: Sequence[int]
 ) -> tuple[list[Finding], list[int]]:
-    """Findings of efforts without gravity or before the gear; and the strong joints that have none of these."""
+    """Findings of efforts without gravity or before the gear, and the strong joints without such a finding."""
     found, left = [], []
     for j in strong:
         fit = fits[j]
@@ -155,7 +161,7 @@ def kind_findings(
             evidence = (
                 f"{gravity_evidence}; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
             )
-            advice = "this is an external torque or an error already: record the motor's or joint's torque instead"
+            advice = "this is already an external torque or an error: record the motor's or joint's torque instead"
             found.append(Finding("effort-external", "fault", joints[j], evidence, advice))
         elif abs(factor) < ABSENT and fit.gravity_nm < ABSENT_SHARE * fit.torque_nm:
             evidence = f"{gravity_evidence}; friction and inertia explain {fit.explained:.0%} of the effort"
@@ -171,7 +177,7 @@ def kind_findings(
 
 
 def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequence[int]) -> list[Finding]:
-    """Findings of factors that are neither near 1 nor explained by a payload."""
+    """Findings of factors outside the range of good torques."""
     found = []
     for j in judged:
         factor, error = fits[j].gravity_factor
@@ -189,15 +195,15 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
     return found
 
 
-# --- Torque that comes late or early against the motion it makes.
+# --- Delay of the torque against the motion.
 
 
 LONGEST_S = 0.1
 STEPS = 10  # to either side
 LATE_S = 0.012
-"""A drive's current filter and a bus cycle make 1 to 5 ms; presliding friction and elasticity add apparent delay."""
+"""Smallest reported delay, [s]: filter and bus cycle cause 1 to 5 ms; presliding and elasticity add apparent delay."""
 FALL = 0.95
-"""The error at the best lag as a share of that without: less is what friction at reversals makes of a good clock."""
+"""Largest ratio of errors, best lag to none, for a finding; friction at reversals lowers it on good clocks, too."""
 EXPLAINED = 0.7
 
 
@@ -235,7 +241,7 @@ def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, f
 def delay_findings(
     lags: Sequence[tuple[float, float, float]], joints: Sequence[str], period_s: float
 ) -> tuple[list[Finding], float]:
-    """Findings, and one lag for all joints [s], 0 where there is none."""
+    """Findings of delays, and one lag for all joints [s]; 0: none."""
     late = [
         (lag, j)
         for j, (lag, ratio, explained) in enumerate(lags)
@@ -253,22 +259,22 @@ def delay_findings(
     return found, common
 
 
-# --- Friction that changes with time, as a gear does that warms up.
+# --- Friction that changes with time, for example while a gear warms up.
 
 
 WINDOW_S = 60.0
 LEAST_WINDOWS = 7
-"""Of five or six the standard error is itself too uncertain to count by."""
+"""With five or six windows the standard error is too uncertain."""
 CHANGE = 0.1
-"""Of the friction, over all of the data."""
+"""Smallest reported change over all data, as a share of the friction."""
 SURE = 5.0
-"""Standard errors of the slope."""
+"""Smallest significant slope, [standard errors]."""
 SHARE = 0.15
 """Friction below this share of the torque's spread is not followed."""
 
 
 def friction_by_time(rows: Rows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
-    """Middle of each window [s], and the friction in it as a share of the whole data's."""
+    """Middle of each window [s], and its friction relative to all data."""
     columns = slice(CONSTANT + 1, CONSTANT + FRICTION)
     friction = columns_of(rows, joint)[:, columns] @ fit.weights[columns]
     error = rows.tau[:, joint] - fit.predicted
@@ -309,7 +315,7 @@ def drift_findings(
     return found
 
 
-# --- Whether the arm moves enough, and long enough, for what is to be learned from it.
+# --- Whether the arm moves enough, and long enough, for training.
 
 
 STANDING_RAD = 0.05
@@ -317,9 +323,9 @@ LEAST_RANGE_RAD = 0.2
 LEAST_SPEED_RAD_S = 0.1
 LEAST_SHARE = 0.05
 SEARCH_S = 30.0
-"""Of motion, below which order, axes and delay of torque are not judged: of dozens of arrangements one will fit."""
+"""Motion needed to judge order, axes and delay of torque, [s]: with less, some arrangement fits by chance."""
 FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
-"""Minutes of motion: for a friction fit, five to ten reversals a joint at several speeds; for a network, see
+"""Minutes of motion. A friction fit needs five to ten reversals a joint at several speeds. For a network, see
 docs/method/training.md."""
 
 
@@ -357,7 +363,7 @@ def _joint(joint: str, travelled_rad: float, dq: np.ndarray, seconds: np.ndarray
     )
     advice = (
         f"move it by at least {LEAST_RANGE_RAD:g} rad, both ways, at speeds from {LEAST_SPEED_RAD_S:g} rad/s to what "
-        "the work needs: its friction, and what it weighs, cannot be learned from this"
+        "the work needs: its friction and weight cannot be learned from this"
     )
     return [Finding("excitation-low", "warning", joint, evidence, advice)]
 

@@ -159,30 +159,30 @@ STEPS = (
 """Names of the steps, reported as progress."""
 
 OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
-"""Faults of a torque, but to be expected of a current."""
+"""Faults of a torque that are warnings for a current."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Findings, the worst first, and what was measured of every joint, findings or none."""
+    """Findings, the worst first, and the measured quantities of every joint."""
 
     joints: tuple[str, ...]
     findings: list[Finding]
     facts: list[Facts]
-    """One a joint: what could be measured, by names that bear their units."""
+    """Measured quantities of each joint, by names that contain their units."""
     rows: Rows | None = None
-    """The mended data that the last fit was made of; None where nothing moves."""
+    """Corrected data of the last fit; None: nothing moves."""
     fits: list[JointFit] = field(default_factory=list)
     tree: _core.Tree | None = None
-    """The model, with a load or a gravity that the file lacks; None where there is none."""
+    """The model, with corrected load or gravity; None: no model."""
     lag_s: float = 0.0
-    """By which the torque comes late."""
+    """Delay of the torque, [s]."""
     rests: list[Rest | None] = field(default_factory=list)
-    """Of a servo arm one a joint: its effort at rest."""
+    """For servo arms, the effort at rest of each joint."""
     plays: list[Play] = field(default_factory=list)
-    """One a joint: play, estimated from its turns."""
+    """Play of each joint, estimated from its reversals."""
     torque_unit: str = "Nm"
-    """Of the recordings' tau."""
+    """Unit of the recordings' tau: Nm or A."""
 
     @property
     def faulty(self) -> bool:
@@ -198,9 +198,9 @@ def examine(
 ) -> Diagnosis:
     """Run all checks on recordings of one arm in free motion.
 
-    A fault that is found is mended before the next step (time, spikes, degrees, order, sign, delay, gravity, payload),
-    and a recording that disagrees with the others is left out, so that one fault is one finding. Thresholds stand
-    beside each check, with their reasons.
+    A fault is corrected before the next step (time, spikes, degrees, order, sign, delay, gravity, payload), and a
+    recording that disagrees with the others is left out, so that one fault is one finding. Each check's module defines
+    its thresholds, with reasons.
 
     Args:
         recordings: of the same joints; stretches labelled contact are left out of fits.
@@ -250,7 +250,8 @@ def _examine(
     begin("velocities")
     recordings, motion, velocities, units = _in_radians(recordings, motion, file)
     tree = file.tree if file else None
-    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
+    names, unit = [r.name for r in recordings], torque_unit(recordings)
+    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, names, unit), recordings)
     recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
     if any(map(derives_velocity, recordings)):
@@ -296,23 +297,24 @@ def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 def _spikes(recordings: Sequence[Recording], file: RobotFile | None) -> tuple[list[Finding], list[Recording]]:
     normal, limits = normal_ranges(recordings), file.torque_limits_nm if file else None
-    found, mended = [], []
+    found, corrected = [], []
     for r in recordings:
         spikes = spikes_of(r, normal, limits)
         found += spike_findings(r, spikes, normal)
-        mended.append(without_spikes(r, spikes))
-    return found, mended
+        corrected.append(without_spikes(r, spikes))
+    return found, corrected
 
 
 def of_servos(odd: list[Finding], recordings: Sequence[Recording]) -> list[Finding]:
-    """Warnings where the torque was made of what servos report: a position controller without an integral rests within
-    its friction at whatever torque, so that recordings of few poses seem shifted, scaled or turned."""
+    """Reduce findings to warnings where the torque was computed from servo signals. A position controller without
+    integral action rests anywhere within its friction, so that recordings of few poses seem shifted, scaled or
+    inverted."""
     made = {r.name for r in recordings if makes_torque(r)}
     return [replace(finding, severity="warning") if finding.recording in made else finding for finding in odd]
 
 
 def _alike(recordings: Sequence[Recording], odd: list[Finding]) -> tuple[list[Recording], list[Finding]]:
-    """The recordings without those that the findings are about, and the findings."""
+    """The recordings that no finding concerns, and the findings."""
     names = {finding.recording for finding in odd}
     return [r for r in recordings if r.name not in names], odd
 
@@ -343,8 +345,8 @@ def _torque(
     delays_show: bool,
     begin: Callable[[str], None],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
-    """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
-    before mended. Findings, the last rows and fits, the lags, the mended model and the lag of the torque."""
+    """Check order, axes, zeros, sign, gravity, delay, kind and payload, drift and contacts, each on the corrected data
+    of the step before. Returns findings, the last rows and fits, the lags, the corrected model and the torque's lag."""
     n = len(joints)
     begin("order of the torques")
     rows = rows_of(motion, tree)
@@ -361,7 +363,7 @@ def _torque(
     rows = rows_of(motion, tree)
     fits = [fit_joint(rows, j) for j in range(n)]
     votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
-    found += sign_findings(joints, votes, fits)
+    found += sign_findings(joints, votes, fits, torque_unit(recordings))
     signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
     motion = [replace(s, tau=s.tau * signs) for s in motion]
     rows = rows_of(motion, tree)
@@ -377,7 +379,7 @@ def _torque(
     rows = rows_of(motion, tree, lag_s)
     fits = [fit_joint(rows, j) for j in range(n)]
     if tree is not None:
-        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s)
+        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s, torque_unit(recordings))
         found += scaled
         rows = rows_of(motion, tree, lag_s)
         fits = [fit_joint(rows, j) for j in range(n)]
@@ -389,7 +391,8 @@ def _torque(
 
 
 def _of_currents(found: Sequence[Finding]) -> list[Finding]:
-    """Training finds the constants of what was recorded as a current; without them gravity's size is weak evidence."""
+    """Warnings instead of faults: training finds torque constants, and without them the size of gravity is weak
+    evidence."""
     return [
         replace(f, severity="warning", advice=f"the effort is a current, whose constant `train` finds; else {f.advice}")
         if f.code in OF_CURRENTS
@@ -399,16 +402,22 @@ def _of_currents(found: Sequence[Finding]) -> list[Finding]:
 
 
 def _scale(
-    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
+    motion: list[Stretch],
+    tree: _core.Tree,
+    rows: Rows,
+    fits: Sequence[JointFit],
+    joints: Sequence[str],
+    lag_s: float,
+    unit: str,
 ) -> tuple[list[Finding], _core.Tree]:
-    """A payload where it explains every factor, else the factors; and the tree with the payload."""
+    """Findings of a payload if it explains every factor, else of the factors; and the tree with the payload."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
-    found += far_findings(rows, joints, fits)
+    found += far_findings(rows, joints, fits, unit)
     factors = scale_findings(joints, fits, judged)
     if found or not judged:
         return found + factors, tree
     load = fit_load(motion, tree, rows)
-    payload = payload_findings(load, joints, judged)
+    payload = payload_findings(load, joints, judged, unit)
     if not payload:
         return factors, tree
     tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
@@ -442,7 +451,7 @@ COLUMNS = (
 
 
 def as_text(diagnosis: Diagnosis) -> str:
-    """Findings, those of one code, evidence and advice together; then a table of what was measured."""
+    """Text for a terminal: findings grouped by code, evidence and advice, then a table of the measured quantities."""
     lines = []
     shown = grouped(diagnosis.findings)
     for finding, joints in shown:
@@ -462,7 +471,7 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
 
     Args:
         recordings: names of those that were examined.
-        without_model: no robot file was there to hold them against.
+        without_model: whether they were checked without a robot file.
     """
     text = as_text(diagnosis)
     if without_model:
@@ -512,7 +521,7 @@ def _table(diagnosis: Diagnosis) -> list[str]:
 
 
 MOST_MINUTES = 30.0
-"""Recordings beyond this are left out, evenly: what half an hour does not show is no mistake of units."""
+"""Recordings beyond this time are left out evenly; half an hour suffices to detect wrong units."""
 
 
 def gather(
@@ -564,7 +573,7 @@ def _evenly(files: list[Place], report: Reporter) -> list[Recording]:
 
 
 OF_ALL = ("quantised", "smoothed", "saturated")
-"""A joint that rests in one recording, or holds one torque, shows none of these; all of them together do."""
+"""Codes that need all recordings together: a joint may rest, or hold one torque, in a single recording."""
 
 
 def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
@@ -574,17 +583,17 @@ def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> l
     Args:
         torque_limits_nm: (joints,) of the robot file, infinite where it has none; None: no robot file.
     """
-    found, (mended,) = time_findings([recording])
-    efforts = efforts_of([mended])
-    found += [f for f in servo_findings(mended.joints, efforts) if f.severity == "fault"]
-    (mended,), _ = with_sign([mended], efforts)
-    normal = normal_ranges([mended])
-    spikes = spikes_of(mended, normal, torque_limits_nm)
-    found += spike_findings(mended, spikes, normal)
-    mended = without_spikes(mended, spikes)
-    found += clock_findings([mended])
-    found += [f for f in sensor_findings([mended]) if f.code not in OF_ALL]
-    found += degree_findings([mended], stretches([mended]))
+    found, (corrected,) = time_findings([recording])
+    efforts = efforts_of([corrected])
+    found += [f for f in servo_findings(corrected.joints, efforts) if f.severity == "fault"]
+    (corrected,), _ = with_sign([corrected], efforts)
+    normal = normal_ranges([corrected])
+    spikes = spikes_of(corrected, normal, torque_limits_nm)
+    found += spike_findings(corrected, spikes, normal)
+    corrected = without_spikes(corrected, spikes)
+    found += clock_findings([corrected])
+    found += [f for f in sensor_findings([corrected]) if f.code not in OF_ALL]
+    found += degree_findings([corrected], stretches([corrected]))
     return sorted((replace(f, recording=recording.name) for f in found), key=lambda f: SEVERITIES.index(f.severity))
 
 
@@ -596,5 +605,5 @@ def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -
         diagnosis: of a share of them, without a fault.
     """
     normal = normal_ranges(recordings)
-    mended = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
-    return unlabelled_findings(mended, diagnosis.tree, diagnosis.lag_s)
+    corrected = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
+    return unlabelled_findings(corrected, diagnosis.tree, diagnosis.lag_s)

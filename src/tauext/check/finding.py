@@ -33,7 +33,7 @@ CODES = {
     "mass-missing": "a moving link of the robot file has no mass",
     "model-unusable": "the robot file cannot be used",
     "never-moves": "no joint moves",
-    "odd-recording": "a recording disagrees with the others: in unit, sign, order, zero, scale or load",
+    "odd-recording": "a recording disagrees with the others in unit, sign, order, zero, scale or load",
     "payload-absent": "the model carries something that is not mounted",
     "payload-missing": "something is mounted that is not in the model",
     "position-limit": "a position exceeds the robot file's limit",
@@ -64,18 +64,18 @@ class Finding:
     """One thing that is wrong or notable."""
 
     code: str
-    """One of CODES."""
+    """A key of CODES."""
     severity: Severity
-    """fault: what is trained on this is wrong; warning: it may be, or is worse than it need be; note: for
+    """fault: a bundle trained on these data is wrong. warning: it may be wrong or worse than necessary. note:
     information."""
     joint: str | None
     """None: all joints, or none in particular."""
     evidence: str
-    """In numbers."""
+    """What was measured, in numbers."""
     advice: str
-    """What to do."""
+    """The remedy."""
     recording: str | None = None
-    """Name of the one it is about; None: all, or several."""
+    """Name of the recording concerned; None: all, or several."""
 
     def __post_init__(self) -> None:
         assert self.code in CODES and self.severity in SEVERITIES

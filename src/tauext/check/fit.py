@@ -10,14 +10,15 @@ import numpy as np
 from tauext import _core
 from tauext.check.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 
-# --- What a joint's torque may consist of, all through one zero-phase filter: rows of a linear regression.
+# --- Rows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
 
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
-"""Smoothings of the sign of the speed: a sharp reversal, and friction that still grows at a crawl."""
+"""Smoothings of sign(speed), [rad/s]: a narrow one for sharp reversals, a wide one for friction that grows at low
+speed."""
 PRESLIDING_RAD = (5e-4, 5e-3)
-"""Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed is 0 and what
-friction holds would be taken for gravity: a joint mostly comes to rest from the side of its middle."""
+"""Travel over which friction reverses, [rad]. Presliding states keep their value at rest, where sign(speed) is 0.
+Without them the fit would assign friction at rest to gravity."""
 PRESLIDING_RATE_HZ = 100.0
 END_S = 0.2
 FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
@@ -33,8 +34,8 @@ class Rows:
     dq: np.ndarray  # [rad/s]
     tau: np.ndarray
     gravity: np.ndarray  # of the model
-    inertial: np.ndarray  # of the model: M ddq + C dq, rotor inertia of the file included
-    acceleration: np.ndarray  # [rad/s^2]: what a rotor inertia of 1 kg m^2 more would take
+    inertial: np.ndarray  # of the model: M ddq + C dq, with the file's rotor inertia
+    acceleration: np.ndarray  # [rad/s^2]: torque per kg m^2 of additional rotor inertia
     friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ..., presliding states
 
     @property
@@ -50,12 +51,12 @@ class Rows:
         return self.gravity + self.inertial
 
     def taken(self, at: np.ndarray | slice) -> Rows:
-        """Some of the rows."""
+        """Select rows."""
         return Rows(*(getattr(self, field.name)[at] for field in fields(self)))
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
-        """The rows of all parts."""
+        """Concatenate rows."""
         return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
 
 
@@ -73,8 +74,8 @@ def rows_of(
     the low-pass, the same for all, keeps the equation.
 
     Args:
-        tree: None: no model, its torques are 0.
-        lag_s: the torque is taken so much later than its stamp; positive where torque lags behind motion.
+        tree: the model; None: its torques are 0.
+        lag_s: time by which the torque is read later than its stamp, [s]; positive where torque lags motion.
         cutoff_hz: of the low-pass.
         rows_hz: rows a second.
         end_s: left out at both ends of a stretch.
@@ -106,7 +107,7 @@ def model_of(
 
 
 def _measured(stretch: Stretch, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float) -> tuple[np.ndarray, ...]:
-    """Of a stretch all that no model is needed for: time, recording, q, dq, tau, acceleration, friction."""
+    """Regressors of a stretch that need no model: time, recording, q, dq, tau, acceleration, friction."""
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
     friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, rate), 2, 0))
@@ -119,7 +120,7 @@ def _measured(stretch: Stretch, lag_s: float, cutoff_hz: float, rows_hz: float, 
 def _filtered(
     signals: Sequence[np.ndarray], rate_hz: float, cutoff_hz: float, rows_hz: float, end_s: float
 ) -> list[np.ndarray]:
-    """Rows of signals (samples, joints), all through one filter."""
+    """Filter signals (samples, joints) and pick rows."""
     together = low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate_hz / 6), rate_hz)
     return np.split(picked(together, rate_hz, rows_hz, end_s), len(signals), axis=1)
 
@@ -127,8 +128,8 @@ def _filtered(
 def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:
     """The core's stop operators on positions (samples, joints): (samples, joints, widths), in -1 to 1.
 
-    Stepped at PRESLIDING_RATE_HZ, as encoders' noise at 1 kHz would bend them, and straight in between; 0 until the
-    joint has moved so far that they are known.
+    Stepped at PRESLIDING_RATE_HZ, since encoder noise at 1 kHz would distort them, and interpolated linearly. A state
+    is 0 until the joint has moved far enough to determine it.
     """
     every = max(1, int(rate_hz / PRESLIDING_RATE_HZ))
     states = _core.presliding_states(np.ascontiguousarray(q[::every]), widths_rad)
@@ -141,7 +142,7 @@ def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np
 
 
 def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:
-    """The torque of `rows_of` alone, taken so much later: (rows, joints), [N m]."""
+    """The delayed torque of `rows_of` alone: (rows, joints), [N m]."""
     parts = []
     for s in stretches:
         tau = low_pass(delayed(s.tau, lag_s, s.rate_hz), min(FIT_CUTOFF_HZ, s.rate_hz / 6), s.rate_hz)
@@ -150,7 +151,7 @@ def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:
 
 
 def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
-    """x at t + lag, so that what came late stands where it belongs."""
+    """x at t + lag: compensates a delay."""
     if lag_s == 0:
         return x
     at = np.arange(len(x)) / rate_hz
@@ -158,31 +159,31 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
 
 
 def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ, end_s: float = END_S) -> np.ndarray:
-    """Rows at `rows_hz`, the ends left out, where a filter that runs both ways has one side only."""
+    """Rows at `rows_hz`. The ends are left out: there a forward-backward filter has data on one side only."""
     end = int(end_s * rate_hz)
     return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]
 
 
-# --- Least squares of one joint's torque on its possible parts, with errors that allow for motion that excites little.
+# --- Robust least squares of one joint's torque on its parts, with jackknife errors.
 
 
 BLOCKS = 10
-"""Of time, left out in turn: errors of neighbouring rows are one error."""
+"""Number of blocks of time, left out in turn, since errors of neighbouring rows are correlated."""
 SEEN = 0.02
-"""A model torque whose spread is a smaller share of the measured one's is no evidence in the presence of friction."""
+"""A model torque is ignored if its spread is a smaller share of the measured torque's spread."""
 HUBER = 2.0
-"""Rows off by more than twice the robust spread count less: a bump in the data is no reason for a wrong sign."""
+"""Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
 LEAST_ROWS = 100
 """Four seconds: fewer rows than that cannot be fitted."""
 LEAST_SINGULAR = 3e-3
-"""Of the scaled columns, as a share of the largest: directions that the motion hardly shows stay 0."""
+"""Smallest singular value used, as a share of the largest; weights along weaker directions stay 0."""
 CONSTANT = 3
 """Column of the constant."""
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Weights of the columns gravity, inertial, acceleration, then friction; 0 for a column that shows nowhere."""
+    """Weights of the columns gravity, inertial, acceleration, then friction; 0 for a column that is not excited."""
 
     weights: np.ndarray  # (columns,)
     left_out: np.ndarray  # (BLOCKS, columns): weights with one block of time left out
@@ -195,34 +196,34 @@ class JointFit:
 
     @property
     def explained(self) -> float:
-        """Share of the torque's variance."""
+        """Explained share of the torque's variance."""
         return 1 - (self.error_nm / self.torque_nm) ** 2 if self.torque_nm > 0 else 0.0
 
     @property
     def gravity_factor(self) -> tuple[float, float]:
-        """Torque a unit of the model's gravity, and its standard error."""
+        """Measured torque per unit of the model's gravity, and its standard error."""
         return float(self.weights[0]), spread_of(self.left_out[:, 0])
 
     @property
     def inertial_factor(self) -> tuple[float, float]:
-        """Torque a unit of the model's inertial torque, and its standard error."""
+        """Measured torque per unit of the model's inertial torque, and its standard error."""
         return float(self.weights[1]), spread_of(self.left_out[:, 1])
 
 
 def spread_of(values: np.ndarray) -> float:
-    """Jackknife standard error of a number that is known with each block left out."""
+    """Jackknife standard error from estimates with each block left out."""
     return float(np.sqrt((BLOCKS - 1) / BLOCKS * ((values - values.mean()) ** 2).sum()))
 
 
 def columns_of(rows: Rows, joint: int) -> np.ndarray:
-    """(rows, 3 + FRICTION), and without a model sines and cosines of the joints, the shape of most of gravity."""
+    """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
     own = (rows.gravity[:, joint], rows.inertial[:, joint], rows.acceleration[:, joint])
     columns = np.column_stack([*own, rows.friction[:, joint]])
     return columns if rows.has_model else np.column_stack([columns, np.sin(rows.q), np.cos(rows.q)])
 
 
 def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """Weighted least squares, columns centred and scaled; one that hardly varies beside the torque gets 0."""
+    """Weighted least squares with centred, scaled columns; a column that hardly varies gets the weight 0."""
     share = trust / trust.sum()
     middle, level = share @ columns, float(share @ torque)
     centred = columns - middle
@@ -238,12 +239,12 @@ def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndar
 
 
 def robust_spread(error: np.ndarray) -> float:
-    """Standard deviation by the median of the magnitudes: a collision in the data does not enlarge it."""
+    """Standard deviation from the median magnitude; a collision in the data does not enlarge it."""
     return float(1.4826 * np.median(np.abs(error - np.median(error))))
 
 
 def robust_solve(columns: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights, and how much each row is trusted (Huber's)."""
+    """Weights of the columns, and Huber's weight of each row."""
     trust = np.ones(len(torque))
     for _ in range(3):
         weights = solve(columns, torque, trust)

@@ -13,6 +13,7 @@ import numpy as np
 from tauext import _core
 from tauext.check.finding import Finding
 from tauext.data.recording import Recording
+from tauext.data.servo import torque_unit
 
 # --- Recordings as evenly sampled stretches of smooth free motion: the input of every fit.
 
@@ -81,10 +82,10 @@ def _butterworth(cutoff_hz: float, rate_hz: float) -> np.ndarray:
 
 
 def stretches(recordings: Iterable[Recording], contacts: bool = False) -> list[Stretch]:
-    """All stretches of at least LEAST_STRETCH_S; rows equal to the one before and labelled contacts are left out.
+    """Evenly sampled stretches of at least LEAST_STRETCH_S, without repeated rows and labelled contacts.
 
     Args:
-        contacts: they are not.
+        contacts: keep labelled contacts.
     """
     found, start_s = [], 0.0
     for number, recording in enumerate(recordings):
@@ -304,12 +305,13 @@ def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Sequence[str]) -> list[Finding]:
-    """Joints whose torque pushes with gravity instead of against it; none where friction could be the reason.
+    """Find joints at rest whose torque acts with gravity instead of against it; friction must not explain it.
 
     One pose or two: joints with much load, whose torque is of the size of gravity. More: also joints with less load, if
     gravity with one factor explains their torques but for a third, which is then friction.
     """
     q, tau = poses_of(recordings)
+    unit = torque_unit(recordings)
     if not len(q):
         return []
     anywhere = np.random.default_rng(0).uniform(-np.pi, np.pi, (300, tree.size))
@@ -326,8 +328,8 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
     found = []
     for j in np.flatnonzero(wrong).tolist():
         k = int(np.argmax(np.abs(gravity[:, j])))
-        several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} Nm apart)" if len(q) > 1 else ""
-        evidence = f"at rest the effort is {tau[k, j]:.4g} Nm where gravity takes {gravity[k, j]:.4g} Nm{several}"
+        several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} {unit} apart)" if len(q) > 1 else ""
+        evidence = f"at rest the effort is {tau[k, j]:.4g} {unit} where gravity takes {gravity[k, j]:.4g} Nm{several}"
         advice = "negate the effort at import"
         if (wrong | ~loaded.any(axis=0)).all():
             advice += "; or the arm hangs: then give its gravity direction"

@@ -1,4 +1,4 @@
-"""A recording whose positions or velocities are in other units, or of other joints, than those of its dataset."""
+"""Find recordings whose positions or velocities have other units or joints than their dataset."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from tauext.check.motion import (
 from tauext.data.recording import Recording
 
 FASTER, FURTHER = 5.0, 3.0
-"""A joint in degrees is 57 times as fast as in radians, and goes as far; recordings of one arm hardly differ so."""
+"""Ratios of speed and range that mean degrees. Degrees give 57; recordings of one arm hardly differ by these ratios."""
 MARGIN_RAD = 0.5
-"""Around where the others have been."""
+"""Margin around the range of the other recordings."""
 TORQUES = 20.0
-"""Times the torque that the others take, of joints that move in all of them: more than any load or pose."""
+"""Ratio to the other recordings' torque, of joints that move in all, beyond any load or pose."""
 LATE_S = 0.015
-"""Of the velocity, all joints together, beside the others': as much as a drive's filter does not differ by."""
+"""Delay of the velocity against the others', all joints together, beyond any drive's filter."""
 UNIT_OFF, UNLIKE = 0.3, 0.5
-"""Of the factor and the correlation of a velocity: signals that stand still at times make less of a difference."""
+"""Differences of a velocity's factor and correlation; signals that rest at times differ by less."""
 ALIKE, UNLIKE_BESIDE = 0.95, 0.75
-"""Where the correlation is that high in all others, one below this is of another joint."""
+"""If all others correlate above the first, a correlation below the second means another joint."""
 RATE_OFF = 0.1
-"""The monitor's own tolerance is half of that; logs lose a few percent of their rows."""
+"""Tolerance of the rate: twice the monitor's, since logs lose a few percent of their rows."""
 ADVICE = "give it the others' units at import, or leave it out"
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Of one recording; arrays (joints,)."""
+    """Motion of one recording; arrays (joints,)."""
 
     low: np.ndarray  # [rad]
     high: np.ndarray
@@ -71,7 +71,7 @@ def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
 
 
 def odd_rates(recordings: Sequence[Recording]) -> list[Finding]:
-    """Recordings of another rate than most of the time was recorded at: a bundle is of one rate."""
+    """Findings of recordings whose rate differs from the most common one: a bundle has one rate."""
     seconds = [(r.rate_hz, r.duration_s) for r in recordings]
     usual = max(seconds, key=lambda one: sum(s for rate, s in seconds if abs(rate / one[0] - 1) < RATE_OFF))[0]
     advice = "bring it to the others' rate at import, or leave it out"
@@ -90,7 +90,7 @@ def odd_rates(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def odd_motions(recordings: Sequence[Recording], motion: Sequence[Stretch]) -> list[Finding]:
-    """Recordings in degrees among others in radians, and velocities that do not fit where the others' do."""
+    """Findings of recordings in degrees among radians, and of velocities that do not fit where the others' do."""
     by = [[s for s in motion if s.recording == k] for k in range(len(recordings))]
     seen = {k: motion_of(r, by[k]) for k, r in enumerate(recordings) if by[k]}
     found: list[Finding] = []
@@ -118,7 +118,7 @@ def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> lis
         return []
     j = int(np.argmax(np.where(wrong, one.speed / np.maximum(speed, 1e-9), 0)))
     evidence = (
-        f"'{recording.name}' is in degrees, as it seems: '{recording.joints[j]}' goes from {one.low[j]:.4g} to "
+        f"'{recording.name}' seems to be in degrees: '{recording.joints[j]}' goes from {one.low[j]:.4g} to "
         f"{one.high[j]:.4g} at up to {one.speed[j]:.3g} a second, in the other recordings from {low[j]:.3g} to "
         f"{high[j]:.3g} at up to {speed[j]:.3g}"
     )
@@ -127,7 +127,7 @@ def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> lis
 
 
 def _fault(recording: Recording, wrong: np.ndarray, evidence: Callable[[int, str], str]) -> list[Finding]:
-    """None where no joint is wrong. `evidence` receives the first wrong joint's number and the names of all."""
+    """One finding, or none if no joint is wrong. `evidence` receives the first wrong joint and the names of all."""
     joints = [joint for joint, is_wrong in zip(recording.joints, wrong, strict=True) if is_wrong]
     if not joints:
         return []
@@ -167,7 +167,7 @@ def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) ->
 
 
 def _turns(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
-    """A joint whose positions are whole turns from where the others have them: a counter that began elsewhere."""
+    """Findings of joints whose positions are whole turns off the others'."""
     low, high = np.min([m.low for m in others], axis=0), np.max([m.high for m in others], axis=0)
     turns = np.round(((one.low + one.high) - (low + high)) / (4 * np.pi))
     by = 2 * np.pi * turns

@@ -17,76 +17,77 @@ from tauext.check.finding import Finding, Severity
 from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
 from tauext.check.motion import FIT_ROWS_HZ, SIGNALS, Stretch
 
-# --- What could be wrong with one recording's torques or positions: each mend with the error that it leaves.
+# --- Possible corrections of one recording's torques or positions, each with its remaining error.
 
 
 ZERO_ROWS = 250
 WRONG_RAD = 0.5
-"""A larger one is no doubt wrong; a rough model or another trajectory may cause a smaller one."""
+"""A larger one is a fault; a rough model or another trajectory may cause a smaller one."""
 SCALES = (0.65, 1.5)
-"""Factors between these are what warmth and wear make of friction."""
+"""Factors in this range come from temperature and wear."""
 LAGS_S = tuple(sign * lag for lag in (0.02, 0.04, 0.06, 0.08, 0.1, 0.12) for sign in (1, -1))
 OF_UNITS = 8.0
-"""A larger factor is that of a unit; a smaller one is certain where a model predicts the torque: without,
-other poses may have another gravity."""
+"""A larger factor means another unit. A smaller factor is certain only with a model: without one, other poses may have
+another gravity."""
 
 Errors = Callable[[Rows], np.ndarray]
-"""Of rows: the robust error of each joint [N m], by what fits the other recordings."""
+"""Function from rows to the robust error of each joint, [N m], with the fit of the other recordings."""
 
 
 @dataclass(frozen=True)
-class Mend:
-    """A change after which the recording is like the others."""
+class Correction:
+    """A change that makes a recording agree with the others."""
 
     what: str
     joint: int | None
     errors_nm: np.ndarray  # (joints,) that it leaves
     severity: Severity
     parameters: int
-    """Free numbers of it: of two that mend as much, the one with fewer is it."""
+    """Number of free parameters; of two equally good corrections the one with fewer wins."""
     moves: bool = False
-    """Changes positions."""
+    """Whether it changes positions."""
     shifts: bool = False
-    """A zero, of position, torque or time."""
+    """Whether it shifts a zero of position, torque or time."""
     rough: bool = False
-    """Not all of what is wrong: a load by its mass and centre, without its inertia and the friction under it."""
+    """Whether it corrects only a part: a load's mass and centre, without inertia and added friction."""
 
 
 def spread_about_zero(error: np.ndarray) -> np.ndarray:
-    """Robust size, an offset included; columns apart."""
+    """Robust magnitude of each column, offset included."""
     return np.maximum(1.4826 * np.median(np.abs(error), axis=0), 1e-9)
 
 
-def mends_of_torque(
+def torque_corrections(
     rows: Rows,
     predicted: np.ndarray,
     stretches: Sequence[Stretch],
     tree: _core.Tree | None,
     suspects: np.ndarray,
     joints: Sequence[str],
-) -> Iterator[Mend]:
-    """Sign, factor, offset and order of the torques, and a load.
+    unit: str,
+) -> Iterator[Correction]:
+    """Corrections of sign, factor, offset and order of the torques, and of a load.
 
     Args:
         rows: of the recording.
         predicted: (rows, joints) torque by the others' fit, [N m].
-        suspects: (joints,) bool, whose torque is off.
+        suspects: joints whose torque is off, (joints,) bool.
     """
-    yield from _of_torque(rows, predicted, suspects, joints, certain=tree is not None)
+    yield from _of_torque(rows, predicted, suspects, joints, unit, certain=tree is not None)
     yield from _of_time(predicted, stretches, suspects)
     if tree is not None:
         yield from _of_load(rows, predicted, stretches, tree, joints)
 
 
-def mends_of_motion(
+def motion_corrections(
     rows: Rows,
     stretches: Sequence[Stretch],
     tree: _core.Tree | None,
     errors: Errors,
     suspects: np.ndarray,
     joints: Sequence[str],
-) -> Iterator[Mend]:
-    """Sign, order and zero of the positions; the torques go with them, or do not."""
+) -> Iterator[Correction]:
+    """Corrections of sign, order and zero of the positions, with and without the torques."""
     n = len(joints)
     motion, all_of_it = ("q", "dq", "q_raw", "dq_raw"), SIGNALS
     for chosen in (*range(n), None):
@@ -94,7 +95,7 @@ def mends_of_motion(
         for names, what in ((motion, "positions and velocities"), (all_of_it, "all signals")):
             changed = [s.changed(partial(np.multiply, sign), names) for s in stretches]
             change = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
-            yield Mend(change, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
+            yield Correction(change, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
     for a, b in combinations(range(n), 2):
         if not suspects[a] and not suspects[b]:
             continue
@@ -105,13 +106,13 @@ def mends_of_motion(
             after = errors(rows_of(changed, tree))
             if names is all_of_it:
                 after = after[order]  # each torque against itself
-            yield Mend(f"{what} of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0, moves=True)
+            yield Correction(f"{what} of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0, moves=True)
     yield from _of_zero(rows, tree, errors)
 
 
 def _of_torque(
-    rows: Rows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], certain: bool
-) -> Iterator[Mend]:
+    rows: Rows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], unit: str, certain: bool
+) -> Iterator[Correction]:
     now = spread_about_zero(rows.tau - predicted)
     off = np.flatnonzero(suspects).tolist()
     negated = spread_about_zero(rows.tau + predicted)
@@ -120,7 +121,7 @@ def _of_torque(
         after[chosen] = negated[chosen]
         joint = chosen[0] if len(chosen) == 1 else None
         named = "its torque" if joint is not None else f"the torque of {', '.join(joints[j] for j in chosen)}"
-        yield Mend(f"{named} negated", joint, after, "fault", 0)
+        yield Correction(f"{named} negated", joint, after, "fault", 0)
     factors = np.array([_factor(rows.tau[:, j], predicted[:, j]) for j in range(rows.joints)])
     divided_by = np.where(factors == 0, 1, factors)
     scaled = spread_about_zero(rows.tau / divided_by - predicted)
@@ -135,28 +136,28 @@ def _of_torque(
         divisor = f"{factors[chosen].min():.3g}" + (f" to {factors[chosen].max():.3g}" if joint is None else "")
         of_unit = bool((np.abs(np.log(factors[chosen])) > math.log(OF_UNITS)).all())
         severity: Severity = "fault" if certain or of_unit else "warning"
-        yield Mend(f"{named} divided by {divisor}", joint, after, severity, len(chosen))
+        yield Correction(f"{named} divided by {divisor}", joint, after, severity, len(chosen))
     middle = np.median(rows.tau - predicted, axis=0)
     centred = spread_about_zero(rows.tau - predicted - middle)
     for j in off:
         after = now.copy()
         after[j] = centred[j]
-        yield Mend(f"{-middle[j]:+.3g} Nm added to its torque", j, after, "warning", 1, shifts=True)
+        yield Correction(f"{-middle[j]:+.3g} {unit} added to its torque", j, after, "warning", 1, shifts=True)
     for a, b in combinations(off, 2):
         after = now.copy()
         after[[a, b]] = spread_about_zero(rows.tau[:, [b, a]] - predicted[:, [a, b]])
-        yield Mend(f"the torques of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0)
+        yield Correction(f"the torques of '{joints[a]}' and '{joints[b]}' exchanged", a, after, "fault", 0)
 
 
-def _of_time(predicted: np.ndarray, stretches: Sequence[Stretch], suspects: np.ndarray) -> Iterator[Mend]:
-    """All torques later or earlier."""
+def _of_time(predicted: np.ndarray, stretches: Sequence[Stretch], suspects: np.ndarray) -> Iterator[Correction]:
+    """Corrections of the delay of all torques."""
     for lag_s in LAGS_S:
         after = spread_about_zero(torque_rows(stretches, lag_s) - predicted)
-        yield Mend(f"its torque taken {1e3 * lag_s:+.0f} ms later", None, after, "warning", 1, shifts=True)
+        yield Correction(f"its torque taken {1e3 * lag_s:+.0f} ms later", None, after, "warning", 1, shifts=True)
 
 
 def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
-    """Torque = factor times prediction, by rows that are off by least."""
+    """Factor from prediction to torque, from the rows with the least error."""
     keep = np.ones(len(torque), dtype=bool)
     factor = 0.0
     for _ in range(3):
@@ -169,8 +170,8 @@ def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
     return factor
 
 
-def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[Mend]:
-    """The best shift of each joint: gravity at the shifted positions, inertia as it is."""
+def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[Correction]:
+    """The best position offset of each joint; inertia is left unchanged."""
     stride = max(1, len(whole.time_s) // ZERO_ROWS)
     rows = whole.taken(slice(None, None, stride))
     for j in range(rows.joints):
@@ -190,13 +191,13 @@ def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[M
         if abs(math.remainder(best, 2 * math.pi)) > LEAST_RAD:
             change = f"{best:+.2f} rad ({math.degrees(best):+.0f} degrees) added to its position"
             severity: Severity = "fault" if abs(math.remainder(best, 2 * math.pi)) > WRONG_RAD else "warning"
-            yield Mend(change, j, after(best), severity, 1, moves=True, shifts=True)
+            yield Correction(change, j, after(best), severity, 1, moves=True, shifts=True)
 
 
 def _of_load(
     rows: Rows, predicted: np.ndarray, stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
-) -> Iterator[Mend]:
-    """A mass at the last link more or less than the others carry."""
+) -> Iterator[Correction]:
+    """Correction of the load's mass at the last link against the others'."""
     shared, error = load_columns(stretches, tree, rows), rows.tau - predicted
     scale = 1 / spread_about_zero(error)
     for _ in range(3):
@@ -206,47 +207,46 @@ def _of_load(
     if abs(load[0]) > LEAST_KG:
         way = "more" if load[0] > 0 else "less"
         change = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
-        yield Mend(change, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
+        yield Correction(change, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
 
 
-# --- A recording whose clock, zeros or load are a little off the others': what its own error alone would not reveal.
-#
-# Each is one number (a load: its mass), estimated for every recording alone from what the common fit leaves of its
-# torque; a recording is odd where its number is far from those of the others and the error falls by it.
+# --- Recordings with small differences of clock, zeros or load, which their own error does not reveal.  Each difference
+# is one number (a load: its mass), estimated for each recording from the common fit's error. A recording is odd if its
+# number is far from the others' and reduces the error.
 
 
 LATE_S, TURNED_RAD, LOADED_KG = 0.01, 0.03, 0.15
-"""Smaller differences from the others come from wear, warmth and rough models ..."""
+"""Smaller differences come from wear, temperature and rough models ..."""
 FURTHEST_S, FURTHEST_RAD, FURTHEST_KG = 0.2, 0.4, 50.0
-"""... and by more no small error: then a linear estimate is none."""
+"""... and larger ones are outside the linear range of the estimate."""
 SPREADS = 6.0
-"""Times the spread of the others' numbers (median of the magnitudes)."""
+"""Multiple of the spread of the others' numbers (median magnitude)."""
 SHIFT_GAIN = 0.4
-"""Sum over joints of the logarithm of how much the error falls, by a load where it is above the others'."""
+"""Least gain, [nats]: sum over joints of log(error before / after); for a load, errors above the others' count."""
 LEAST_RECORDINGS = 4
 LEAST_S = 11.0
-"""Of motion: shorter recordings determine a number too poorly."""
+"""Least time of motion, [s], to estimate a number."""
 STEP_RAD = 0.05
 SHIFT_ROUNDS, HUBER = 4, 2.0
 
 
 @dataclass(frozen=True)
 class Number:
-    """One a recording."""
+    """One estimated quantity for each recording."""
 
     name: str
     unit: str
-    scale: float  # of the unit in messages
+    scale: float  # scale to the unit in messages
     joint: int | None
     least: float
     furthest: float
     columns: dict[int, np.ndarray]
-    """Of each recording: torque a unit of the number, (rows, joints, 1 or more), NaN where it is not known."""
+    """For each recording, torque per unit of the number, (rows, joints, 1 or more); NaN: unknown."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of one number in one recording."""
+    """Estimate of one number in one recording."""
 
     value: float
     gain: float
@@ -279,11 +279,11 @@ def odd_shifts(
     joints: Sequence[str],
     names: Sequence[str],
 ) -> list[Finding]:
-    """At most one warning a recording.
+    """Find recordings with small offsets: at most one warning a recording.
 
     Args:
         parts: rows of each recording that agrees with the others, by its number.
-        errors_nm: what the common fit leaves of their torques, (rows, joints), [N m].
+        errors_nm: error of the common fit, (rows, joints), [N m].
         usual_nm: (joints,) median of the recordings' errors.
         names: of all recordings.
     """
@@ -296,13 +296,13 @@ def odd_shifts(
     ]
     found: list[Finding] = []
     left = set(parts)
-    while len(left) >= LEAST_RECORDINGS:  # the oddest first: among the others' numbers it would widen their spread
+    while len(left) >= LEAST_RECORDINGS:  # largest deviation first: it would widen the others' spread
         odd = [odd for number, values in numbers for k in left if (odd := _odd(number, values, k, left)) is not None]
         if not odd:
             break
         worst = max(odd, key=lambda one: one.gain)
         joint = None if worst.number.joint is None else joints[worst.number.joint]
-        advice = "recorded in another way, or with another tool? mend it at import, or leave it out"
+        advice = "recorded in another way, or with another tool? correct it at import, or leave it out"
         name = names[worst.recording]
         found.append(Finding("odd-recording", "warning", joint, f"'{name}': {worst.text()}", advice, name))
         left.remove(worst.recording)
@@ -337,7 +337,7 @@ def _numbers(
 
 
 def _late(part: Rows, predicted: np.ndarray) -> np.ndarray:
-    """Torque a second of delay; NaN where rows do not follow one another."""
+    """Torque per second of delay; NaN where rows are not consecutive."""
     steps = np.gradient(part.time_s)
     slope = -np.gradient(predicted, axis=0) / steps[:, None]
     slope[steps > 1.5 / FIT_ROWS_HZ] = np.nan
@@ -345,7 +345,7 @@ def _late(part: Rows, predicted: np.ndarray) -> np.ndarray:
 
 
 def _turned(part: Rows, tree: _core.Tree, j: int) -> np.ndarray:
-    """Torque a radian that the joint's position is read too small, by gravity alone."""
+    """Torque per radian of position offset, from gravity alone."""
     q = part.q.copy()
     still = np.zeros_like(q)
     q[:, j] += STEP_RAD
@@ -365,49 +365,49 @@ def _estimate(columns: np.ndarray, error_nm: np.ndarray, usual_nm: np.ndarray) -
         value = np.linalg.lstsq(x, (error * weight).ravel(), rcond=1e-6)[0]
         off = np.abs(error - columns @ value) / usual_nm
         weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(off, 1e-9))) / usual_nm
-    least_nm = usual_nm if len(value) > 1 else 0.0 * usual_nm  # several numbers always fit something
+    least_nm = usual_nm if len(value) > 1 else 0.0 * usual_nm  # a fit of several numbers always gains something
     before, after = (np.maximum(spread_about_zero(x), least_nm) for x in (error, error - columns @ value))
     return Estimate(float(value[0]), float(np.log(before / after).sum()))
 
 
-# --- A recording whose torques the others' motion does not explain, where a simple mend would bring it back to them.
+# --- Recordings whose torque the others' fit does not explain, and the simple correction that makes them agree.
 
 
 FIT_ROWS = 4000
-"""Of each fit, evenly: errors of neighbouring rows are one error."""
-MEND_S = 30.0
-"""Of a suspect, on which mends are tried."""
+"""Rows of each fit, evenly spaced, since errors of neighbouring rows are correlated."""
+CORRECTION_S = 30.0
+"""Time of a suspect recording on which corrections are tried, [s]."""
 ROUNDS = 3
 SUSPECT = 2.2
-"""Times the usual error of the others: friction, warmth and other motion make less, or a mend fails that would not."""
+"""Multiple of the others' usual error that makes a joint suspect; friction, temperature and other motion cause less."""
 MATTERS = 0.1
-"""An error below this share of the torque's spread is no matter."""
+"""Errors below this share of the torque's spread are ignored."""
 GAIN, ENOUGH_S = 1.0, 30.0
-"""Sum over joints of the logarithm of how much the error falls by the mend; more of shorter motion ..."""
+"""Least gain of a correction, [nats]: sum over joints of log(error before / after); higher for short motion ..."""
 ZERO_GAIN = 2.0
-"""... and for a shift of a zero, of position, torque or time: of all shifts of all joints one gains by chance."""
+"""... and for a shift of a zero of position, torque or time, since some shift always gains by chance."""
 BACK = 2.0
-"""Times the others' error, to which the mended joint comes back ..."""
+"""Largest error of a corrected joint, as a multiple of the others' error ..."""
 BACK_SHARE = 0.35
-"""... or to this share of what it was, where the others' is very small."""
+"""... or as a share of its error before, where the others' is very small."""
 MOST = 0.5
-"""Share of the joints that are off that come back; without a model poses of its own leave gravity at the others."""
+"""Share of the suspect joints that the correction must repair."""
 LEAST_DRIVEN_S = 20.0
-"""Of motion, in which friction shows on a joint by itself."""
+"""Time of motion that determines a joint's friction, [s]."""
 PER_PARAMETER = 0.15
-"""Of the gain, for each free number of a mend."""
+"""Reduction of the gain for each free parameter of a correction."""
 UNLIKE, UNLIKE_MATTERS, MOSTLY_COMPARABLE, UNLIKE_S = 3.2, 0.4, 0.8, 8.0
-"""Reported without a mend from so many times the usual error and such a share of the spread on, where so large a share
-of the motion is the others', for so long: a cold arm's friction is less, and after rest it is unknown."""
+"""Thresholds for a report without a correction: multiple of the usual error, share of the spread, share of comparable
+motion, and time [s]. A cold arm's friction stays below them."""
 REACH = 3.0
-"""Rows of so many times the others' leverage are of motion that the others do not have ..."""
+"""Multiple of the others' leverage from which a row's motion is new to the others ..."""
 COMPARABLE = 0.3
-"""... and less than this share of others: no conclusion."""
+"""... and least share of comparable rows for a conclusion."""
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Fits of the joints on some recordings."""
+    """Fits of all joints on some recordings."""
 
     weights: list[np.ndarray]
     usual_nm: np.ndarray  # (joints,) median of the recordings' errors
@@ -422,7 +422,7 @@ class Pool:
         return spread_about_zero(rows.tau - self.predicted(rows))
 
     def comparable(self, rows: Rows, joints: np.ndarray) -> float:
-        """Share of the rows that lie within the motion that the fits of these joints (n,) bool have seen."""
+        """Share of the rows within the motion that these joints (n,) bool were fitted on."""
         known = np.ones(len(rows.time_s), dtype=bool)
         for j in np.flatnonzero(joints).tolist():
             known &= ((columns_of(rows, j) @ self.whiten[j]) ** 2).sum(axis=1) <= self.reach[j]
@@ -430,13 +430,16 @@ class Pool:
 
 
 def odd_torques(
-    motion: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], names: Sequence[str]
+    motion: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], names: Sequence[str], unit: str
 ) -> list[Finding]:
-    """At most one a recording, and none where half of them would be odd.
+    """Find recordings whose torque disagrees with the others: at most one finding a recording.
+
+    More than half of the recordings cannot be odd: then there are no findings.
 
     Args:
         motion: of all recordings.
         names: of the recordings.
+        unit: of the recordings' torque, for the evidence: Nm or A.
     """
     if len({s.recording for s in motion}) < 2:
         return []
@@ -448,12 +451,14 @@ def odd_torques(
     members, pool = _consensus(parts)
     found: list[Finding] = []
     for k in sorted(set(parts) - set(members), key=lambda k: -_score(pool, parts[k])):
-        mend, before = _mend(parts[k], pool, [s for s in motion if s.recording == k], tree, joints)
-        if mend is not None:
-            sure = tree is not None or not mend.moves  # sums of angles do not depend on axes
-            severity = mend.severity if sure else "warning"
-            found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k]))
-        elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k])) is not None:
+        correction, before = _best_correction(
+            parts[k], pool, [s for s in motion if s.recording == k], tree, joints, unit
+        )
+        if correction is not None:
+            sure = tree is not None or not correction.moves  # sums of angles do not depend on axes
+            severity = correction.severity if sure else "warning"
+            found.append(_finding(replace(correction, severity=severity), before, pool, joints, names[k], unit))
+        elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k], unit)) is not None:
             found.append(unlike)
     left = {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}
     found += (driven := _driven(left, joints, names))
@@ -466,8 +471,8 @@ def odd_torques(
 
 
 def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
-    """Poses of its own may leave a recording's gravity open, and a joint that mostly rests a small error; friction
-    resists in all of them."""
+    """Findings of inverted torques from friction, which resists motion in every recording. Unusual poses or long rests
+    may hide the sign from the other checks."""
     inverse: dict[int, list[int]] = {}
     for k, part in parts.items():
         work = (part.tau * part.dq).mean(axis=0)
@@ -488,7 +493,8 @@ def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str])
 
 
 def _consensus(parts: dict[int, Rows]) -> tuple[list[int], Pool]:
-    """Recordings that agree, and the fit on them: of two the one whose torque does work, or the longer one."""
+    """Recordings that agree, and the fit on them. Of two recordings, the one whose torque does work, else the longer
+    one."""
     members = list(parts)
     if len(parts) == 2:
         # Torque moves an arm against its friction, so that it does work.
@@ -528,11 +534,11 @@ def _score(pool: Pool, part: Rows) -> float:
     return float((pool.errors(part) / np.maximum(pool.usual_nm, MATTERS * pool.spread_nm)).max())
 
 
-def _mend(
-    part: Rows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str]
-) -> tuple[Mend | None, np.ndarray]:
-    """The best mend that is good enough, None if there is none; and the errors before, [N m]."""
-    few = search_stretches(stretches, MEND_S)
+def _best_correction(
+    part: Rows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], unit: str
+) -> tuple[Correction | None, np.ndarray]:
+    """The best sufficient correction or None, and the errors before it, [N m]."""
+    few = search_stretches(stretches, CORRECTION_S)
     rows = rows_of(few, tree)
     usual = np.maximum(pool.usual_nm, 1e-9)
     before = pool.errors(rows)
@@ -542,54 +548,56 @@ def _mend(
     same = pool.comparable(rows, suspects) >= COMPARABLE
     short = max(1.0, ENOUGH_S / sum(s.seconds for s in few))
 
-    def best_of(tried: Iterable[Mend]) -> Mend | None:
-        best: tuple[float, Mend | None] = 0.0, None
-        for mend in tried:
-            if not same and not (mend.moves and tree is not None):
+    def best_of(tried: Iterable[Correction]) -> Correction | None:
+        best: tuple[float, Correction | None] = 0.0, None
+        for correction in tried:
+            if not same and not (correction.moves and tree is not None):
                 continue
-            ratio = mend.errors_nm / before
-            gain = -float(np.log(ratio).sum()) - PER_PARAMETER * mend.parameters
-            share = HALVED if mend.rough else BACK_SHARE
-            back = mend.errors_nm <= np.maximum(BACK * usual, share * before)
-            enough = short * (ZERO_GAIN if mend.shifts else GAIN)
+            ratio = correction.errors_nm / before
+            gain = -float(np.log(ratio).sum()) - PER_PARAMETER * correction.parameters
+            share = HALVED if correction.rough else BACK_SHARE
+            back = correction.errors_nm <= np.maximum(BACK * usual, share * before)
+            enough = short * (ZERO_GAIN if correction.shifts else GAIN)
             good = gain > enough and ratio.min() < HALVED and ratio.max() < WORSE and back[suspects].mean() >= MOST
             if good and gain > best[0]:
-                best = gain, mend
+                best = gain, correction
         return best[1]
 
     predicted = pool.predicted(rows)
-    mend = best_of(mends_of_torque(rows, predicted, few, tree, suspects, joints))
-    if mend is None:
-        mend = best_of(mends_of_motion(rows, few, tree, pool.errors, suspects, joints))
-    return mend, before
+    correction = best_of(torque_corrections(rows, predicted, few, tree, suspects, joints, unit))
+    if correction is None:
+        correction = best_of(motion_corrections(rows, few, tree, pool.errors, suspects, joints))
+    return correction, before
 
 
-def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str) -> Finding | None:
-    """Where nothing mends a recording, and its motion is the others' all the same."""
+def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str, unit: str) -> Finding | None:
+    """Finding of a recording that no correction repairs, although its motion is comparable to the others'."""
     error, usual = pool.errors(part), np.maximum(pool.usual_nm, 1e-9)
     off = (error > UNLIKE * usual) & (error > UNLIKE_MATTERS * pool.spread_nm)
     if not off.any() or len(part.time_s) < UNLIKE_S * FIT_ROWS_HZ or pool.comparable(part, off) < MOSTLY_COMPARABLE:
         return None
     j = int(np.argmax(np.where(off, error / usual, 0)))
     evidence = (
-        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[j]:.3g} Nm at '{joints[j]}' "
-        f"leaves {error[j]:.3g} Nm, {error[j] / usual[j]:.2g} times as much"
+        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[j]:.3g} {unit} at '{joints[j]}' "
+        f"leaves {error[j]:.3g} {unit}, {error[j] / usual[j]:.2g} times as much"
     )
-    advice = "another tool, friction, timing or calibration? check it, and leave it out if the arm is not so any more"
+    advice = "another tool, friction, timing or calibration? check it, and leave it out if the arm has changed since"
     return Finding("odd-recording", "warning", joints[j], evidence, advice, name)
 
 
-def _finding(mend: Mend, before: np.ndarray, pool: Pool, joints: Sequence[str], name: str) -> Finding:
-    ratio = mend.errors_nm / before
-    j = int(np.argmin(ratio)) if mend.joint is None else mend.joint
+def _finding(
+    correction: Correction, before: np.ndarray, pool: Pool, joints: Sequence[str], name: str, unit: str
+) -> Finding:
+    ratio = correction.errors_nm / before
+    j = int(np.argmin(ratio)) if correction.joint is None else correction.joint
     k = int(np.argmin(ratio))
     evidence = (
-        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[k]:.3g} Nm at '{joints[k]}' "
-        f"leaves {before[k]:.3g} Nm; with {mend.what} {mend.errors_nm[k]:.3g} Nm"
+        f"'{name}': what explains the other recordings' torque but for {pool.usual_nm[k]:.3g} {unit} at '{joints[k]}' "
+        f"leaves {before[k]:.3g} {unit}; with {correction.what} {correction.errors_nm[k]:.3g} {unit}"
     )
     advice = (
-        "mend it at import, or leave it out" if mend.severity == "fault" else
+        "correct it at import, or leave it out" if correction.severity == "fault" else
         "was it recorded with another load or sensor zero? leave it out, or train on both kinds alike"
     )  # fmt: skip
-    joint = joints[j] if mend.joint is not None else None
-    return Finding("odd-recording", mend.severity, joint, evidence, advice, name)
+    joint = joints[j] if correction.joint is not None else None
+    return Finding("odd-recording", correction.severity, joint, evidence, advice, name)

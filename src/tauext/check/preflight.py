@@ -1,4 +1,4 @@
-"""Checks before training: how much data they read, which findings are cached, and which refuse the data."""
+"""Checks before training: how much data they read, which findings are cached, and which stop a training."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Rejected:
         )
         if self.share > TOO_MUCH and REJECTED not in accept:
             raise TrainingError(f"{words}: {remedy}; --accept {REJECTED} goes on with the rest")
-        return f"{words}; what is found follows from the rest alone: {remedy}"
+        return f"{words}; the results follow from the rest alone: {remedy}"
 
 
 # --- Findings, cached by the content of the data, so that the same data are not checked twice.
@@ -260,7 +260,7 @@ def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -
 
 
 def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
-    """By its code, or by its code at its joint."""
+    """Whether the finding's code is accepted, for all joints or for its joint."""
     return finding.code in accept or f"{finding.code}:{finding.joint}" in accept
 
 
@@ -299,7 +299,7 @@ def sentence(entry: dict) -> str:
 
 
 def finding_lines(findings: Sequence[Finding]) -> list[str]:
-    """Lines for the terminal: code, joints, recordings, evidence of each, and the mend, once a code."""
+    """Lines for the terminal: code, joints, recordings and evidence, and the remedy once a code."""
     lines = []
     for code, same in by_code(findings).items():
         joints = list(dict.fromkeys(f.joint for f in same if f.joint))
@@ -317,7 +317,7 @@ def finding_lines(findings: Sequence[Finding]) -> list[str]:
 
 
 def accepting(faults: Sequence[Finding]) -> list[str]:
-    """What --accept would take for these, and for no other joint where a few are meant."""
+    """Values of --accept for these faults, limited to their joints where these are few."""
     words = []
     for code, same in by_code(faults).items():
         joints = list(dict.fromkeys(finding.joint for finding in same))
@@ -460,7 +460,7 @@ def shares(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def forgiven(finding: Finding) -> Finding:
-    """A fault that training leaves out, or that leaves training right, is a lesser finding: no reason to refuse."""
+    """Lower the severity of faults that do not affect training."""
     return replace(finding, severity=LESSER.get(finding.code, "fault")) if finding.severity == "fault" else finding
 
 
@@ -487,7 +487,7 @@ def _without_notes(findings: Iterable[Finding]) -> list[Finding]:
 def _in_parallel(
     tasks: Sequence[Callable[[], list[Finding]]], workers: int, title: str, report: Reporter
 ) -> list[list[Finding]]:
-    """What each found, in their order; the first error ends all."""
+    """Results in order; the first error ends all tasks."""
     with report.progress(title) as show, ThreadPoolExecutor(workers) as pool:
         futures: list[Future[list[Finding]]] = [pool.submit(task) for task in tasks]
         try:

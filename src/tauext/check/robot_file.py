@@ -14,6 +14,7 @@ from tauext import _core
 from tauext.check.finding import Finding
 from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
+from tauext.data.servo import torque_unit
 from tauext.errors import RobotError
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.torque_limits import torque_limits
@@ -170,7 +171,7 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
     except RobotError as error:
         if not any(finding.severity == "fault" for finding in found):
             found.append(
-                Finding("model-unusable", "fault", None, str(error), "mend the file, or check without --robot")
+                Finding("model-unusable", "fault", None, str(error), "correct the file, or check without --robot")
             )
         return none
 
@@ -186,7 +187,7 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
         f"{len(others)} of {len(recordings)} recordings ({names}) were made with a file of SHA-256 "
         f"{others[0].robot_sha256[:12]}..., {path.name} has {now[:12]}..."
     )
-    advice = "fine where you mended the model on purpose; else give the file that was there when it was recorded"
+    advice = "expected if you corrected the model; else give the file that was there when it was recorded"
     return [
         Finding("robot-file-changed", "warning", None, evidence, advice, others[0].name if len(others) == 1 else None)
     ]
@@ -209,8 +210,8 @@ LEAST_ROWS = 3
 
 
 def limit_findings(recordings: Sequence[Recording], robot: RobotFile) -> list[Finding]:
-    """Beyond a limit by 0.05 rad or 5 %, in at least three rows: encoders and files round."""
-    found = []
+    """Findings of values beyond a limit by 0.05 rad or 5 % in at least three rows."""
+    found, unit = [], torque_unit(recordings)
     for j, joint in enumerate(recordings[0].joints):
         q = np.concatenate([r.q[:, j] for r in recordings])
         tau = np.abs(np.concatenate([r.tau[:, j] for r in recordings]))
@@ -226,7 +227,7 @@ def limit_findings(recordings: Sequence[Recording], robot: RobotFile) -> list[Fi
         over = tau > robot.torque_limits_nm[j] * (1 + TORQUE_SHARE)
         if over.sum() >= LEAST_ROWS:
             limit = robot.torque_limits_nm[j]
-            evidence = f"torques up to {tau.max():.4g} Nm, limit {limit:.4g}; {over.mean():.1%} of the samples"
+            evidence = f"torques up to {tau.max():.4g} {unit}, limit {limit:.4g} Nm; {over.mean():.1%} of the samples"
             advice = "another unit of the effort, or limits of another arm"
             found.append(Finding("effort-limit", "warning", joint, evidence, advice))
     return found

@@ -16,27 +16,29 @@ from tauext.data.drive_signal import MOST_VALUES, position_step, step_of
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import derives_velocity, makes_torque, torque_unit
 
-# --- Signals as such: stuck at an extreme value, standing still, in coarse steps, or cleaner than a measurement.
+# --- Single signals: saturated, stuck, in coarse steps, or with less noise than a measurement.
 
 
 PILED_ROWS, PILED_SHARE = 20, 3.0
-"""So many rows at one extreme, and so many times more than in the hundredth of the range beside it, is a limit."""
+"""A signal is saturated if at least so many rows lie at one extreme, and so many times more than in the adjacent
+hundredth of its range."""
 STUCK_S = 0.2
-"""A signal that has not changed in a single bit for so long while its joint turns by STUCK_RAD stands still."""
+"""A signal is stuck if it has not changed by a bit for this time while its joint turns by STUCK_RAD."""
 STUCK_RAD = 0.02
 STUCK_TIMES = 10.0
-"""... and so many times longer than 99 of 100 equal runs: a current or speed of few levels keeps each for a while."""
+"""... and so many times longer than 99 % of its constant runs: a signal of few levels keeps each for a while."""
 CRUISE = 0.05
-"""Share of the way by which a position may leave the line of a velocity that is constant in truth."""
+"""Largest deviation of a position from the line of a truly constant velocity, as a share of the travel."""
 STRAIGHT, BEAT = 0.005, 0.2
-"""Where it keeps to a line of its own so well, by what share such a velocity may be off: a drive reads it off counts
-of its encoder, and the ripple of that stands still in every sample where counts come in step with the samples."""
+"""Permitted error of such a velocity where the position follows a line of its own: velocities from encoder counts have
+a ripple, which is constant where counts come in step with the samples."""
 CLEAN = 1e-3
-"""Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
+"""Noise as a share of the torque's spread, below which the torque was smoothed; measured torques have 0.01 to 0.2."""
 CLEAN_RATE_HZ = 60.0
-"""At lower rates motion itself fills the spectrum, and at much higher ones a drive's own filter empties its top."""
+"""Rate of the check, [Hz]: at lower rates motion fills the spectrum, at much higher ones a drive's filter empties its
+top."""
 COARSE = 0.1
-"""Step of the torque as a share of its spread."""
+"""Step of the torque, as a share of its spread, from which it is coarse."""
 
 
 def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
@@ -49,7 +51,7 @@ def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def _saturated(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
-    """Torque and velocity alone: a position that rests at its extreme is a pose."""
+    """Saturation of torque and velocity; a position at its extreme is a pose."""
     moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~repeated_rows(r) for r in recordings]
     for signal, unit in (("tau", torque_unit(recordings)), ("dq", "rad/s")):
         x = np.concatenate([getattr(r, signal)[m, j] for r, m in zip(recordings, moving, strict=True)])
@@ -89,7 +91,7 @@ def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit
 def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
     count, longest, longest_run = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
-    # Nor tau made of a servo's counts, which stay 0 while hardly any current is drawn.
+    # Torque from a servo's counts stays 0 while the current is small: no fault either.
     counted = any(makes_torque(r) for r in recordings)
     signals = ("q", "dq") if counted or _is_coarse(recordings, j) else ("q", "dq", "tau")
     velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
@@ -126,7 +128,7 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
 
 
 def _cruises(r: Recording, j: int, first: int, last: int, within_rad: float) -> bool:
-    """Whether the position goes all the while at one speed, about that of these rows' velocity: no fault."""
+    """Whether the position moves at one speed throughout, close to these rows' velocity: no fault."""
     since_s = (r.t_ns[first : last + 1] - r.t_ns[first]) * 1e-9
     gone = r.q[first : last + 1, j] - r.q[first, j]
     if np.abs(gone - r.dq[first, j] * since_s).max() < within_rad:
@@ -137,13 +139,13 @@ def _cruises(r: Recording, j: int, first: int, last: int, within_rad: float) -> 
 
 
 def _least_step(x: np.ndarray) -> float:
-    """Between two values that a signal takes; 0 where it takes one."""
+    """Smallest difference between two values of a signal; 0: the signal is constant."""
     steps = np.abs(np.diff(x))
     return float(steps[steps > 0].min(initial=np.inf)) if (steps > 0).any() else 0.0
 
 
 def torque_step_nm(recordings: Sequence[Recording], j: int) -> float | None:
-    """Step of which every torque is a whole multiple, [N m]; None where there is none."""
+    """Step of which every torque is a whole multiple, [N m]; None: no such step."""
     stride = max(1, sum(r.samples for r in recordings) // MOST_VALUES)
     return step_of(np.concatenate([r.tau[::stride, j] for r in recordings]))
 
@@ -167,7 +169,7 @@ def _coarse(recordings: Sequence[Recording], j: int, joint: str) -> Finding | No
         return None
     unit = torque_unit(recordings)
     evidence = f"whole multiples of {step:.4g} {unit}, where the torque's spread is {spread:.4g} {unit}"
-    advice = "pushes below a step or two cannot be seen; is there a finer signal, a current for instance?"
+    advice = "pushes below a step or two are not detected; is there a finer signal, a current for instance?"
     return Finding("quantised", "warning", joint, evidence, advice)
 
 
@@ -213,15 +215,15 @@ def _empty_above(recordings: Sequence[Recording], joints: np.ndarray) -> float:
     return float(np.fft.rfftfreq(len(x), 1 / longest.rate_hz)[np.argmax(above < 1e-6)])
 
 
-# --- Steps in which signals count, and a velocity that is coarser than that of its positions.
+# --- Resolution of signals, and velocities coarser than the derivative of their positions.
 
 
 ROUNDED = math.sqrt(12)
-"""A step by the standard deviation of the error of what is rounded to it."""
+"""Step divided by the standard deviation of the rounding error."""
 LINE_S = 0.1
-"""Of positions through which a straight line is drawn: what arms do takes longer."""
+"""Time over which a line is fitted to positions, [s]; motion of arms changes more slowly."""
 BETTER = 2.0
-"""Times by which that line's speed must be the better one, before it is advised."""
+"""Factor by which that line's speed must be more accurate to be advised."""
 
 
 def steps_of(recordings: Sequence[Recording], j: int) -> tuple[float | None, float | None]:
@@ -231,13 +233,13 @@ def steps_of(recordings: Sequence[Recording], j: int) -> tuple[float | None, flo
 
 
 def speed_error_rad_s(step_rad: float, rate_hz: float) -> float:
-    """Standard deviation of the slope of a line through LINE_S of positions that are rounded to a step, [rad/s]."""
+    """Standard deviation of the slope of a line fitted to LINE_S of rounded positions, [rad/s]."""
     n = max(3, round(LINE_S * rate_hz) + 1)
     return step_rad / ROUNDED * math.sqrt(12 / (n * (n * n - 1))) * rate_hz
 
 
 def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    """Findings of velocities whose steps are wider than all speeds near stiction: a joint that creeps has none."""
+    """Findings of velocities whose step exceeds all speeds near stiction, so that a creeping joint reads 0."""
     if any(map(derives_velocity, recordings)):
         return []  # derived already
     found = []
@@ -263,50 +265,50 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
     return found
 
 
-# --- Isolated spikes: a few samples that leap from their neighbours and back, as no drive, arm or encoder can.
+# --- Isolated spikes: a few samples that jump away from their neighbours and back.
 
 
 LONGEST_S = 0.012
-"""A run that is no longer is a spike, as a single sample is: stops and impacts move the torque for 30 ms and more."""
+"""Longest spike of the torque, [s]; a single sample always may be one. Stops and impacts last 30 ms and more."""
 LONGEST_IMPOSSIBLE_S, LONGEST_IMPOSSIBLE_ROWS = 0.3, 300
-"""Positions that leap and leap back, and velocities that no position follows, are none of an arm's for so long."""
+"""Longest spike of positions that jump back, and of velocities that the position does not follow, [s]."""
 RETURNED = 0.35
-"""The leap back is the leap but for this share."""
+"""Largest relative difference between a jump and the jump back."""
 USUAL = 99.0
-"""Percentile of the leaps and returns of a recording: noise, steps of a current, chatter of an encoder."""
+"""Percentile of a recording's jumps that counts as usual: noise, steps of a current, chatter of an encoder."""
 TIMES_USUAL = 6.0
 """White noise of a million samples reaches 2.5 times its own percentile."""
 SHARE = 0.5
-"""A torque or velocity leaps by that share of all it usually does, or it is no matter."""
-TOLD_BEYOND = 1.5
-"""... and only beyond so much of the normal range, as BEYOND: within, it moves no limit."""
+"""Smallest jump of a torque or velocity that matters, as a share of its normal range."""
+REPORTED_BEYOND = 1.5
+"""... and its least distance from the normal range, counted as BEYOND: a jump within it changes no limit."""
 SPARSE = 2.0
 """Times SHARE, where a single sample is longer than LONGEST_S."""
 LEAST_STEPS = 3.0
-"""A leap is of more steps than this, where a signal has steps ..."""
+"""A jump has more steps than this, where a signal has steps ..."""
 LEAST_NM = 0.01
-"""... and of a larger share of what the strongest joint usually does: a joint that holds still has no range."""
+"""... and exceeds this share of the strongest joint's normal range, since a joint at rest has no range."""
 LEAST_RAD_S = 0.1
 LEAST_RAD, FASTEST_RAD_S2 = 1e-3, 200.0
-"""A position leaps further than that, and than an impact could accelerate it within a sample."""
+"""Smallest jump of a position, [rad]; it must also exceed what an impact causes within a sample."""
 NORMAL = 0.5
 """Percentiles (this and 100 less it) between which a signal's normal range lies: repeated spikes do not widen it."""
 BEYOND = 5.0
-"""A fault beyond so many times the normal range, from its middle in halves of it. A joint that mostly carries little
-reaches 3 times in a hard stop."""
+"""Distance from the middle of the normal range, in half ranges, from which a spike is a fault. A lightly loaded joint
+reaches 3 in a hard stop."""
 SPEED_RAD_S = 20.0
-"""No joint of an arm turns faster: a position that does would be taken for a collision."""
+"""No joint turns faster, [rad/s]: such a jump of position would raise a collision alarm."""
 DRIVE = 1.5
-"""Times the robot file's limit of effort: more than a drive's short peak."""
-UNHEARD = 20.0
-"""Times half the normal range: a fault whatever its length, if it begins or ends by a leap and is rare."""
+"""Multiple of the robot file's effort limit that exceeds a drive's short peak."""
+EXTREME = 20.0
+"""Multiple of half the normal range: a fault of any length if it is rare and begins or ends with a jump."""
 RARE = 1e-3
-"""Share of the samples, or FEW_ROWS."""
+"""Largest share of the samples that is rare, or FEW_ROWS."""
 FEW_ROWS = 10
 GAP = 3.0
-"""Steps of more than three periods: what happens across them is no leap."""
+"""Steps of more than three periods: a change across them is no jump."""
 LARGEST = 1e6
-"""Of any signal, whatever its unit."""
+"""Largest accepted magnitude of any signal, in any unit."""
 LISTED = 3
 UNITS = {"tau": "Nm", "q": "rad", "dq": "rad/s"}
 NAMES = {"tau": "torque", "q": "position", "dq": "velocity"}
@@ -314,7 +316,7 @@ NAMES = {"tau": "torque", "q": "position", "dq": "velocity"}
 
 @dataclass(frozen=True)
 class Spikes:
-    """Of one signal of one joint in one recording."""
+    """Spikes of one signal of one joint in one recording."""
 
     signal: str
     joint: int
@@ -326,14 +328,14 @@ class Spikes:
 
 @dataclass(frozen=True)
 class Normal:
-    """What a joint's signal usually is, over all recordings."""
+    """Normal range of one signal of one joint over all recordings."""
 
     middle: float
     half: float
 
 
 def normal_ranges(recordings: Sequence[Recording]) -> dict[str, list[Normal]]:
-    """Of each signal and joint, the same weight to each sample; for many recordings, a share of the samples of each."""
+    """Normal ranges of each signal and joint. Each sample has the same weight; many recordings are subsampled."""
     found: dict[str, list[Normal]] = {}
     stride = max(1, sum(r.samples for r in recordings) // 200_000)
     for signal in UNITS:
@@ -360,7 +362,7 @@ def spikes_of(
     least = {"tau": LEAST_NM * max(x.half for x in normal["tau"]), "dq": LEAST_RAD_S, "q": LEAST_RAD}
     for signal in UNITS:
         if signal == "dq" and derives_velocity(recording):
-            continue  # it adds nothing to the position, and a count of the position is a leap of it
+            continue  # it adds no information, and one count of the position is a jump of the velocity
         values = getattr(recording, signal)[rows]
         for j in range(len(recording.joints)):
             limit = float("inf")
@@ -391,7 +393,7 @@ def _of_signal(
     if signal == "dq":
         runs = [(a, b) for a, b in runs if b - a <= short or not _followed(x, q, period, a, b)]
     far = np.abs(x - normal.middle)
-    runs += _unheard(far, leap, normal.half, limit)
+    runs += _extreme_runs(far, leap, normal.half, limit)
     if not runs:
         return None
     spiked = np.zeros(len(x), dtype=bool)
@@ -401,7 +403,7 @@ def _of_signal(
     good = np.maximum.accumulate(np.where(spiked, -1, np.arange(len(x))))
     before = x[np.where(good[at] >= 0, good[at], int(np.argmin(spiked)))]
     beyond = float(far[at].max()) / max(normal.half, 1e-12)
-    if signal != "q" and beyond < TOLD_BEYOND:
+    if signal != "q" and beyond < REPORTED_BEYOND:
         return None
     fault = beyond > BEYOND or float(np.abs(x[at]).max()) > DRIVE * limit
     if signal == "q":
@@ -410,14 +412,13 @@ def _of_signal(
 
 
 def _usual(leap: np.ndarray) -> float:
-    """USUAL percentile of what leaps and comes back at once."""
+    """USUAL percentile of jumps that come back at once."""
     a, b = leap[:-1], leap[1:]
     return float(np.percentile(np.where((a < 0) != (b < 0), np.minimum(np.abs(a), np.abs(b)), 0.0), USUAL))
 
 
 def _runs(leap: np.ndarray, least: float, longest: int) -> list[tuple[int, int]]:
-    """First row and row after the last, of runs that begin and end by leaps of at least so much, the second undoing
-    the first."""
+    """First row and row after the last of runs between two opposite jumps of at least this size."""
     found: list[tuple[int, int]] = []
     at = np.flatnonzero(np.abs(leap) > least)
     rows, sizes = at.tolist(), leap[at].tolist()
@@ -441,9 +442,9 @@ def _followed(dq: np.ndarray, q: np.ndarray, period: float, first: int, last: in
     return abs(went - expected) < abs(went - beside)
 
 
-def _unheard(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> list[tuple[int, int]]:
-    """Runs far beyond everything, however long or at an end, that a leap begins or ends."""
-    beyond = (far > UNHEARD * half) | (far > max(DRIVE * limit, BEYOND * half) + half)
+def _extreme_runs(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> list[tuple[int, int]]:
+    """Runs far outside the normal range, of any length, that begin or end with a jump."""
+    beyond = (far > EXTREME * half) | (far > max(DRIVE * limit, BEYOND * half) + half)
     if half == 0 or not beyond.any() or beyond.sum() > max(FEW_ROWS, RARE * len(far)):
         return []
     jump = np.r_[0.0, np.abs(leap), 0.0]
@@ -455,13 +456,13 @@ def _unheard(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> li
 
 
 def spike_findings(recording: Recording, spikes: Sequence[Spikes], normal: dict[str, list[Normal]]) -> list[Finding]:
-    """One a joint: a spike of the position makes one of the velocity that is derived from it."""
+    """Findings of spikes, one a joint: a spike of the position also appears in the velocity derived from it."""
     found = []
     for j in sorted({s.joint for s in spikes}):
         own = [s for s in spikes if s.joint == j]
         evidence = "; ".join(_described(recording, s, normal[s.signal][j]) for s in own)
         severity: Severity = "fault" if any(s.severity == "fault" for s in own) else "warning"
-        advice = "a lost or mixed-up message, or a glitch of a sensor: cut these moments out, or record anew"
+        advice = "a lost or mixed-up message, or a glitch of a sensor: cut these moments out, or record again"
         found.append(
             Finding("spike", severity, recording.joints[j], f"'{recording.name}': {evidence}", advice, recording.name)
         )
@@ -483,8 +484,8 @@ def _described(recording: Recording, spikes: Spikes, normal: Normal) -> str:
 
 
 def without_spikes(recording: Recording, spikes: Sequence[Spikes]) -> Recording:
-    """The recording with its spikes bridged by straight lines, for the checks that follow; what is beyond LARGEST
-    all the same is cut off there, so that their sums stay finite."""
+    """The recording with its spikes interpolated linearly, for the following checks. Values beyond LARGEST are clipped,
+    so that sums stay finite."""
     beyond = {signal for signal in UNITS if np.abs(getattr(recording, signal)).max(initial=0) > LARGEST}
     if not spikes and not beyond:
         return recording

@@ -30,7 +30,7 @@ FILE_NAME = "split.json"
 class Split:
     """File names of a dataset's recordings, relative to its folder; a name stands in one set only.
 
-    Any number of each: whoever has one recording lists one. Twenty are the rule of split_recordings alone.
+    Each list may have any length; only split_recordings requires twenty recordings.
 
     Raises:
         ConfigError: a name that stands twice, or is not a plain file name.
@@ -41,7 +41,7 @@ class Split:
     test: tuple[str, ...]
     collisions: tuple[str, ...] = ()
     calibration: tuple[str, ...] = ()
-    """Free motion that only limits are found on; none: a dataset of the paper's kind."""
+    """Free motion for limits only; none in datasets of the paper's kind."""
 
     def __post_init__(self) -> None:
         where: dict[str, str] = {}
@@ -124,7 +124,7 @@ def load_split(folder: Place | str) -> Split:
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
     for key in content:
-        if key != "format" and key not in SETS:  # an ignored list would leave its set silently empty
+        if key != "format" and key not in SETS:  # ignoring a misspelt set would leave it empty
             raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")
     for set_name in SETS:
         if set_name in OPTIONAL and set_name not in content:
@@ -143,13 +143,13 @@ def load_split(folder: Place | str) -> Split:
     return split
 
 
-# --- Recordings one after the other, however long: in stretches that fit into memory, the next one read meanwhile.
+# --- Recordings in stretches that fit into memory; the next stretch is read ahead.
 
 
 HEADS_AT_A_TIME = 8
-"""Heads of files that are read at a time: what a store takes is waiting."""
+"""Number of file headers read in parallel, since stores have a high latency."""
 FOR_LIMITS = ("temperature", "contact")
-"""All that limits and the cheap checks need beside t, q, dq and tau."""
+"""Optional signals that limits and the quick checks need."""
 
 
 def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMITS) -> list[Callable[[], Recording]]:
@@ -187,7 +187,7 @@ def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: 
 
 
 def ahead(loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
-    """What they load, in their order; while one is used the next is read, and no more than that one."""
+    """Load in order; while one recording is used, the next one is read, and no further one."""
     if not loaders:
         return
     with ThreadPoolExecutor(1) as pool:
@@ -207,10 +207,10 @@ ROBOT_FILES = ("robot.xml", "robot.urdf")
 
 @dataclass(frozen=True)
 class Dataset:
-    """A folder of recordings, and which of them serves for what."""
+    """A folder of recordings and their split into sets."""
 
     folder: Place
-    """Where the recordings and the robot file lie."""
+    """Folder of the recordings and the robot file."""
     split: Split
     """Names of the recordings' files, by the set that they belong to."""
 
@@ -225,15 +225,15 @@ class Dataset:
         return self.recordings("train")
 
     def files(self, set_name: str) -> list[Place]:
-        """Their files."""
+        """Files of the set's recordings."""
         return [self.folder / name for name in getattr(self.split, set_name)]
 
     def loaders(self, set_name: str) -> list[Callable[[], Recording]]:
-        """The same, each loaded when called."""
+        """Loaders of the set's recordings."""
         return [partial(load_recording, file) for file in self.files(set_name)]
 
     def stretches(self, set_name: str) -> list[Callable[[], Recording]]:
-        """The same for limits: in stretches where a recording is long, without signals that limits do not need."""
+        """Loaders for limits: long recordings in stretches, without signals that limits do not need."""
         return stretches(self.files(set_name))
 
     def robot_file(self, given: Place | None) -> Path:

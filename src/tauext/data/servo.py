@@ -22,12 +22,12 @@ FROM_AMPERES = "N m: amperes times given torque constants"
 
 
 def in_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether some were imported as currents whose constants were unknown."""
+    """Whether any recording holds currents with unknown torque constants."""
     return _unscaled(recordings, AMPERES)
 
 
 def from_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether some were imported as currents and multiplied by given constants, which may be corrected yet."""
+    """Whether any recording holds currents times given constants, which training may correct."""
     return _unscaled(recordings, FROM_AMPERES)
 
 
@@ -45,7 +45,7 @@ def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
 
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
-"""What of a servo's report makes its torque, beside position and velocity."""
+"""Signals of a servo from which its torque is computed, beside position and velocity."""
 CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
 UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
 """An unknown servo: its torque is in units of the duty, or of the current, times a constant that
@@ -59,7 +59,7 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
         q: positions (samples, joints), [rad]: their smallest step is the encoder's, where the description has none.
 
     Raises:
-        ConfigError: the torque comes from the goal, and the gain of the position controller is not known.
+        ConfigError: the torque comes from the goal, and the gain of the position controller is unknown.
     """
     servo = arm.servo
     assert servo is not None

@@ -73,7 +73,7 @@ def tool(visit: Content, against: str, link: str) -> Cell:
 
 
 def findings(visit: Content) -> Cell:
-    """Codes of the check, faults first."""
+    """Codes of the check's findings, faults first."""
     listed = sorted(visit["findings"], key=lambda one: one["severity"] != "fault")
     if not listed:
         return Cell("–", 0.0, word=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext.errors import ConfigError
 
-# --- What a leader's motors give a hand to feel of what the follower touches: nothing in free motion, never energy.
+# --- Feedback torque of a leader's motors from contacts of the follower: 0 in free motion, and passive.
 
 
 PerJoint = float | tuple[float, ...]

@@ -47,7 +47,7 @@ class RecordCount:
 class RecordSink:
     """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; files that are there are never overwritten.
 
-    `contact` is the monitor's own word: 1 where an alarm stands, 0 where it is healthy and none does, else -1, unknown;
+    `contact` follows the monitor: 1 where an alarm stands, 0 where it is healthy and none does, else -1, unknown;
     training takes what is 0, with margins around what is 1. Torques are in the unit that the bundle takes. A sample
     costs the loop a copy; a thread writes.
     """

@@ -1,5 +1,5 @@
 """Robot files: URDF or MJCF to the rigid-body tree that the core computes with.
 
-In goes a robot file and a choice of joints. Out come links, frames, capsules and torque limits, or a URDF written from
+Input: a robot file and a choice of joints. Output: links, frames, capsules and torque limits, or a URDF written from
 them. It imports `files` and the core.
 """

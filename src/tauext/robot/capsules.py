@@ -1,4 +1,4 @@
-"""What links look like: capsules as near as can be to the robot file's collision geometry."""
+"""Shapes of links: capsules fitted to the robot file's collision geometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tauext.files.provenance import write_json
 from tauext.robot.load import compiled, placed_bodies
 from tauext.robot.write import PAYLOAD
 
-# --- Shapes of parts of links: capsules, or surfaces that are to become some.
+# --- Shapes of parts of links: capsules, or surface points to fit capsules to.
 
 
 AROUND = 16
@@ -41,7 +41,7 @@ class Shape:
     """(n,) that each stands for, [m^2]."""
 
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> Shape:
-        """Turned, then shifted."""
+        """The shape rotated, then shifted."""
         points = None if self.points is None else self.points @ rotation.T + place
         return replace(self, start=rotation @ self.start + place, end=rotation @ self.end + place, points=points)
 
@@ -95,7 +95,7 @@ def ellipsoid(half_m: np.ndarray) -> Shape:
 
 
 def mesh(vertices: np.ndarray, faces: np.ndarray) -> Shape:
-    """Middles of its triangles."""
+    """Surface points of a mesh: centres of its triangles."""
     corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     return surface(corners.mean(axis=1), areas)
@@ -181,7 +181,7 @@ def _origin(origin: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray]
 
 
 def _found(name: str, path: Path) -> Path:
-    """The mesh file that a URDF names."""
+    """Find the mesh file that a URDF names."""
     if Path(name).suffix.lower() not in READ_FORMATS:
         raise ValueError(f"{name}: meshes are read from {', '.join(READ_FORMATS)}")
     local = name.removeprefix("file://").removeprefix(PACKAGE)
@@ -254,7 +254,7 @@ def split(points: np.ndarray, areas: np.ndarray, most: int) -> list[tuple[np.nda
 
 
 def halves(points: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Which points are of the first of two groups around middles of their own."""
+    """Points of the first of two clusters, (n,) bool."""
     along = main_axis(points, areas)
     at = (points - np.average(points, axis=0, weights=areas)) @ along
     first = at > np.median(at)
@@ -273,7 +273,8 @@ def main_axis(points: np.ndarray, areas: np.ndarray) -> np.ndarray:
 
 
 def fitted(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """By least squares of the distance of the points from the capsule's surface; the last is its root mean square."""
+    """Fit a capsule by least squares of the points' distance from its surface; last returned is the root mean
+    square."""
     middle, along = np.average(points, axis=0, weights=areas), main_axis(points, areas)
     at = (points - middle) @ along
     across = np.linalg.norm(points - middle - at[:, None] * along, axis=1)
@@ -295,7 +296,7 @@ def fitted(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 MOST_A_LINK = 8
-"""More would cost a ranking time without improving it: the largest are kept."""
+"""Largest number of capsules: more would slow the ranking without improving it, so the largest are kept."""
 
 
 Ends = tuple[list[float], list[float], float]
@@ -307,7 +308,7 @@ class BodyCapsules:
     bodies: dict[str, list[Ends]]
     """By the body's or link's name, in its axes."""
     notes: list[str]
-    """What could not be read, in sentences."""
+    """Shapes that could not be read, one sentence each."""
 
 
 def body_capsules(path: str | os.PathLike[str]) -> BodyCapsules:
@@ -332,7 +333,7 @@ def body_capsules(path: str | os.PathLike[str]) -> BodyCapsules:
 
 
 def write_shapes(source: Path, folder: Path) -> BodyCapsules:
-    """Keep the shapes of a robot file beside the one that a dataset gets of it; returns them.
+    """Write the shapes of a robot file beside the dataset's copy of it, and return them.
 
     Raises:
         RobotError: the file cannot be read.
@@ -347,7 +348,7 @@ def write_shapes(source: Path, folder: Path) -> BodyCapsules:
 
 
 def read_shapes(path: Path) -> BodyCapsules:
-    """What write_shapes() kept.
+    """Read the file that write_shapes() wrote.
 
     Raises:
         RobotError: it is damaged.
@@ -364,7 +365,7 @@ def read_shapes(path: Path) -> BodyCapsules:
         return BodyCapsules(bodies, [str(note) for note in kept["notes"]])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RobotError(
-            f"{path}: is no file of shapes ({type(error).__name__}: {error}); import the data anew"
+            f"{path}: not a file of shapes ({type(error).__name__}: {error}); import the data again"
         ) from error
 
 

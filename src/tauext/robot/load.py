@@ -55,7 +55,7 @@ def choose_joints(
     else:
         for name in joints:
             if list(joints).count(name) > 1:
-                raise RobotError(f"{where}: joint {name!r} is asked for twice; every joint stands once")
+                raise RobotError(f"{where}: joint {name!r} is named twice; name every joint once")
             if name in locked:
                 raise RobotError(f"{where}: joint {name!r} is both in use and locked at {locked[name]}; choose one")
         chosen = [index[name] for name in joints]
@@ -119,8 +119,8 @@ def make_tree(
 ) -> Tree:
     """The tree whose q = 0 is the pose `qpos`, in which joints in use stand at 0 and the others where they are locked.
 
-    All is read off that one pose in the base frame: MuJoCo has then dealt with joint offsets, reference positions and
-    several joints on one body.
+    All quantities are read in the base frame at that pose, where MuJoCo has resolved joint offsets, reference positions
+    and several joints on one body.
 
     Raises:
         RobotError: a link that moves has no mass, or a number of it makes no sense.
@@ -180,7 +180,7 @@ def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], li
 
     Args:
         path: URDF or MJCF that the tree is of.
-        tree: says which joints are in use.
+        tree: defines which joints are in use.
     """
     model = compiled(path, keep_fixed=True)
     choice = choose_joints(model, [link.joint_name for link in tree.links], {}, str(path))
@@ -196,7 +196,7 @@ def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], li
 
 
 def posed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    """Where everything is in this pose."""
+    """MuJoCo's data at this pose."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -257,7 +257,7 @@ def _set_inertia(
     link.inertia = six_of(inertia).tolist()
 
 
-# --- What ties joints together so that a tree of independent joints no longer describes the arm.
+# --- Constraints between joints, which a tree of independent joints cannot represent.
 
 
 def check_constraints(model: mujoco.MjModel, joint_ids: list[int], where: str) -> None:
@@ -314,11 +314,11 @@ def _check_tendon(model: mujoco.MjModel, tendon: int, joint_ids: list[int], carr
     if joints & set(joint_ids) or len(links) > 1:
         name = model.tendon(tendon).name
         raise RobotError(
-            f"{where}: tendon {name!r} has armature and moves joints in use; rotor inertia must stand at a joint"
+            f"{where}: tendon {name!r} has armature and moves joints in use; rotor inertia must be given at a joint"
         )
 
 
-# --- Read a URDF: without what is only seen or touched, with the rotor inertia that its transmissions state.
+# --- Read a URDF without visual and collision elements, with the rotor inertia of its transmissions.
 
 
 _DROPPED = ("visual", "collision", "material", "limit", "safety_controller")
@@ -438,7 +438,7 @@ def load_tree(
 
 
 def movable_joints(path: str | os.PathLike[str]) -> list[str]:
-    """Joints that a robot file lets choose from, depth first: named hinges and slides that follow no other joint.
+    """Joints of a robot file that can be in use, depth first: named hinges and slides that follow no other joint.
 
     Raises:
         RobotError: the file is missing or cannot be read.
@@ -480,7 +480,7 @@ def compiled(path: Path, keep_fixed: bool = False) -> mujoco.MjModel:
 
 @contextmanager
 def no_mujoco_warnings() -> Iterator[None]:
-    """MuJoCo would print them and write a file in the current folder; what matters of them is checked and refused."""
+    """MuJoCo would print them and write a file in the current folder; relevant problems are checked separately."""
     mujoco.set_mju_user_warning(lambda text: None)
     try:
         yield

@@ -25,7 +25,7 @@ NO_MODEL_MASS_KG = 1e-9
 
 @dataclass(frozen=True)
 class Payload:
-    """What a link carries, rigidly."""
+    """Rigid load of a link."""
 
     link: str
     mass_kg: float
@@ -44,7 +44,7 @@ def write_robot(
 ) -> Path:
     """Copy a URDF or MJCF into a folder as robot.urdf or robot.xml, with what was given put in; returns its path.
 
-    Without anything to put in a URDF is copied byte for byte. An MJCF is written anew as MuJoCo sees it, without shapes
+    Without anything to put in a URDF is copied byte for byte. An MJCF is rewritten from MuJoCo's model, without shapes
     and meshes, whose files would be missing.
 
     Args:

@@ -33,7 +33,7 @@ from tauext.train.held_peaks import KeptPeaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
 
 SCALE_SHARE = 0.2
-"""Of the calibration recordings, where the error scale is fitted anew."""
+"""Share of the calibration recordings for refitting the error scale."""
 NO_CALIBRATION = (
     "needs calibration recordings, which the dataset has none of; `tauext simulate --calibration-hours 24` makes some"
 )
@@ -137,7 +137,7 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
 
 
 def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
-    """Say what was impossible in the recordings; the facts for the provenance.
+    """Report impossible samples of the recordings; returns the facts for the provenance.
 
     Raises:
         TrainingError: too many samples were.
@@ -171,8 +171,8 @@ def calibrate_bundle(
 ) -> tuple[PromisedLimits, dict]:
     """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
 
-    A killed process is gone on with, by a file beside `out`, the bundle that will be written; whoever writes it calls
-    `remove_checkpoint`.
+    A checkpoint beside `out`, the bundle to be written, lets a killed process resume. The caller that writes the bundle
+    calls `remove_checkpoint`.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.
@@ -202,7 +202,7 @@ def calibrate_bundle(
 def kept_peaks(
     out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
 ) -> KeptPeaks | None:
-    """What a killed process found in these files with this bundle; None: nothing is kept."""
+    """Checkpoint of a killed process for these files and this bundle; None: none."""
     if out is None or not all(isinstance(load, partial) for load in loaders):
         return None
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
@@ -223,5 +223,5 @@ def checkpoint_file(out: Place) -> Path:
 
 
 def remove_checkpoint(out: Place) -> None:
-    """The bundle is written."""
+    """Delete the checkpoint; the bundle is written."""
     checkpoint_file(out).unlink(missing_ok=True)

@@ -354,9 +354,8 @@ def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> 
     return out
 
 
-# --- Limits that one moment carries: an end-of-program stop, a touch nobody labelled, a glitch, or the truth.
-#
-# Such a limit stays: large errors of free motion are what limits are for. But the moment is reported.
+# --- Limits that one moment carries: an end-of-program stop, an unlabelled touch, a glitch, or the truth.  Such a limit
+# stays: large errors of free motion are what limits are for. But the moment is reported.
 
 
 CODE = "one-moment-limit"
@@ -385,7 +384,7 @@ class Moment:
         return replace(self, limit_nm=factor * self.limit_nm + by_nm, without_nm=factor * self.without_nm + by_nm)
 
     def sentence(self, unit: str = "Nm") -> str:
-        """In words, for a person who is to look there."""
+        """Text for a person who inspects it."""
         return (
             f"warning: {CODE} ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, sets its limit "
             f"{self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it {self.without_nm:.3g} {unit}. If "

@@ -50,8 +50,8 @@ from tauext.train.wrench import fit_wrench
 
 
 ENOUGH_S = 540.0
-"""From so much motion on an arm's own errors say more of it than other arms' do: from there on short recordings ask for
-no reserve of friction either (train/limits.py)."""
+"""Time of motion from which an arm's own errors determine its limits better than the fleet's, [s]. From this time on,
+short recordings need no friction reserve either."""
 LEAST_SIZE, LARGEST_SIZE = 0.5, 2.0
 """A minute's errors do not show that an arm is twice as quiet as the fleet; one that is twice as loud is reported."""
 
@@ -66,7 +66,7 @@ def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
 
 
 def sizes(rows: Rows, scale: _core.ErrorScaleSettings) -> np.ndarray:
-    """How large each joint's errors are beside those that a scale announces in the same motion, (n,)."""
+    """Ratio of each joint's errors to those that a scale predicts for the same motion, (n,)."""
     used = [FEATURES.index(kind) for kind in scale.features]
     F, n = rows.features[:, :, used], rows.error_nm.shape[1]
     sliding, near = (
@@ -113,7 +113,7 @@ def put_fleet_scale(
 
 
 def put_fleet_limits(bundle: _core.Bundle, errors: FleetErrors, alarm: AlarmConfig) -> tuple[str, dict]:
-    """Put the fleet's limits into the bundle; what they rest on, in words, and the facts."""
+    """Put the fleet's limits into the bundle; their basis as text, and the facts."""
     set_limits(bundle, LevelLimits(errors.sliding_limit_nm, errors.near_stiction_limit_nm), alarm)
     bundle.contact_sliding_limit_nm = errors.contact_sliding_limit_nm.tolist()
     bundle.contact_near_stiction_limit_nm = errors.contact_near_stiction_limit_nm.tolist()
@@ -218,7 +218,7 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
 def unseen_motion(
     job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None
 ) -> tuple[list[Recording | Judged], list[Judged]]:
-    """Free motion that the bundle was not trained on, and motion that its prior's stand-ins were not."""
+    """Free motion that neither the bundle nor its cross-validation priors were trained on."""
     by_fit = fit is not None and not bundle.has_network
     # What was cut off to validate was trained on in the end where no network ships.
     unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
@@ -266,7 +266,7 @@ def set_supported_limits(
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
     promised = None
     try:
-        # A few dozen peaks say little of how far their tail reaches; the factor below stands for that.
+        # A few dozen peaks determine the tail poorly; the factor below accounts for that.
         at_most_seen = bundle.error_scale.follows
         promised = promised_limits(
             bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen
@@ -317,7 +317,7 @@ def factor_after(seen_s: float, most: float) -> float:
 
 
 def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) -> None:
-    """Say of moments that carry a limit what the limits are with and without them, as the limits were raised.
+    """Add to the facts the limits with and without decisive moments, as the limits were raised.
 
     Args:
         facts: of the limits.

@@ -92,7 +92,7 @@ LEAST_LEVER_NM = 1e-6  # of a kilogram: a smaller lever does not determine the m
 
 
 def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
-    """Let the bundle take a load where a model can carry one, and say why not where none can.
+    """Let the bundle accept a load if its model can carry one; otherwise report the reason.
 
     The frame is the robot file's (robot.load_frame), or the last link's of an arm that was found in the motion and that
     each half of it finds again. The largest mass is the one whose weight at that frame takes a drive to its limit at

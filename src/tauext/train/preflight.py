@@ -21,7 +21,7 @@ def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequ
 
     Raises:
         ConfigError: a code that does not exist, or a joint.
-        FaultyDataError: a fault that nobody accepted.
+        FaultyDataError: a fault that is not accepted.
     """
     expect_codes(accept, given.training[0].joints)
     given.expect_joints()

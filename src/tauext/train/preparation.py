@@ -282,7 +282,7 @@ def reach_s(config: TrainConfig) -> float:
     return config.observer.window_s + config.warm_up_s
 
 
-# --- What the arm can do at most, and the recordings without the samples that say more.
+# --- Bounds of the arm, and the recordings without samples beyond them.
 
 
 AT_LIMIT = 0.999
@@ -317,8 +317,8 @@ def possible_motion(
 ) -> PossibleMotion:
     """Leave impossible samples out, and find torque constants on what is left.
 
-    Bounds are in the unit of the bundle's answers, which follows from the constants: those are fitted to what is
-    possible in the recordings' own unit, which no drive limit speaks of.
+    Bounds are in the unit of the bundle's answers, which follows from the constants: those are fitted in the
+    recordings' own unit, for which there is no drive limit.
 
     Args:
         training: at least one.
@@ -423,7 +423,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Job:
-    """One training under way: what is asked, on what, and what its steps have found so far."""
+    """State of a training: settings, data, and results of the steps so far."""
 
     tree: Tree
     case: ModelCase

@@ -49,7 +49,7 @@ class PromisedLimits:
     contact_hold_s: float
     promise: Promise
     budget: FalseAlarmBudget
-    """What the limits were set for: what was asked, or the smallest that the recordings support."""
+    """Budget of the limits: the requested one, or the smallest that the recordings support."""
     tails: dict
     """Facts of every fit, by joint and region."""
     moments: list[Moment] = field(default_factory=list)

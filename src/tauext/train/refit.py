@@ -1,4 +1,4 @@
-"""A new bundle from an old one and some motion of today."""
+"""Refit a bundle to recent motion."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def agreeing(joints: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days
 
 
 def distance(joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> float:
-    """Standard deviations between what the joint showed and what the others let expect."""
+    """Distance between the joint's value and the others' expectation, in standard deviations."""
     mean, spread = predicted(joint, others, log_factor, error, days)
     return abs(float(log_factor[joint]) - mean) / float(np.hypot(spread, error[joint]))
 
@@ -155,7 +155,7 @@ def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any]
     for region, limit_nm in zip(REGIONS, usual_nm, strict=True):
         tail = limits["tails"].get(f"{name} {region}")
         if tail is None:
-            return "open: the bundle does not say what its limit rests on"
+            return "open: the bundle does not state the basis of its limit"
         over = of_joint.limit_factor * tail["threshold_nm"] / limit_nm
         count, hours = peaks_over(found, joint, region, over), found.used_s / 3600
         if not is_kept(count, hours, tail["rate_per_hour"]):
@@ -179,7 +179,7 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
 
 
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
-    """What of the old promise may be believed, and what it takes to make it anew, in words."""
+    """Text: which part of the old promise holds, and what a new promise needs."""
     if not promised(limits):
         return "The bundle's limits promise nothing, and still do not."
     asked = limits["promise"]["asked"]
@@ -208,7 +208,7 @@ class JointReport:
     unit: str
     moved_s: float
     error_ratio: float | None
-    """Of today's left-out error by the standard error that the motion announced; None: nobody knew one."""
+    """Ratio of today's left-out error to the predicted standard error; None: unknown."""
     error_ratio_upper: float | None
     limit_factor: float
     sigma_factor: float
@@ -252,7 +252,7 @@ class Touch:
     """Too many for touches: they are the joint's error, and its limits were raised by them."""
 
     def sentence(self) -> str:
-        """In words, for a person who is to look there."""
+        """Text for a person who inspects it."""
         what = "raised its limits" if self.counted else "was left out as a touch"
         return (
             f"{self.joint}: {self.from_s:.1f} to {self.to_s:.1f} s of '{self.recording}' is {self.limit_share:.1f} "
@@ -269,9 +269,9 @@ class Refitted:
     touches: list[Touch]
     used_s: float
     memory_s: float
-    """How long errors stay what they are: samples nearer to each other say the same."""
+    """Correlation time of errors, [s]."""
     promise: str
-    """Whether the old one may be believed, in words."""
+    """Text: whether the old promise holds."""
 
     def facts(self) -> dict:
         """All of it for JSON."""
@@ -443,7 +443,7 @@ def refit_recordings(
 
 
 def expected_of(found: _core.Refit, days: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """What the joints that moved say of the others; see expectations."""
+    """Expected friction of the other joints from those that moved; see `expectations`."""
     factor, error = np.array([one.coulomb for one in found.joints]).T
     return expectations(factor, error, np.array([one.moved_s for one in found.joints]), days)
 

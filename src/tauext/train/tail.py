@@ -67,7 +67,7 @@ tabulate, done once for all with 60,000 samples of 100. For 50 or 200 it is with
 
 
 class TooFewPeaks(TrainingError):
-    """A tail of which too few peaks were seen to say anything."""
+    """Too few peaks to fit a tail."""
 
     def __init__(self, peaks: int) -> None:
         super().__init__(
@@ -295,9 +295,8 @@ def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> 
     return brentq(missing, 0, high, rtol=1e-5)
 
 
-# --- What a calibration may promise: false alarms in so many hours, and the hours of data that it takes to say so.
-#
-# False alarms in free motion are taken as a Poisson process: rare, and those less than 0.5 s apart counted as one.
+# --- Promises of a calibration: false alarms in a number of hours, and the hours of data that support them.  False
+# alarms in free motion are taken as a Poisson process: rare, and those less than 0.5 s apart counted as one.
 
 
 @dataclass(frozen=True)

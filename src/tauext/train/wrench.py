@@ -22,7 +22,7 @@ from tauext.data.recording import Recording
 from tauext.train.error_scale import Judged, judge
 
 CLIP = 3.0
-"""One large error must not decide what joints have in common."""
+"""Bound of z, so that a single large error does not determine the correlation."""
 LEAST_SHRINK = 0.05
 """A: a correlation of 0.95 at most, since what an hour showed is not for good."""
 HELD = 0.95
@@ -135,7 +135,7 @@ def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def residual(
     bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
 ) -> float:
-    """Likewise of what such a wrench leaves unexplained; 1 where it leaves nothing."""
+    """The same factor for the residual that a wrench does not explain; 1: no residual."""
     wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
     freedom = wrenches["freedom"]
     if freedom.max() < 1:

@@ -35,7 +35,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
 
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
-    """What was trained and found, as plain JSON."""
+    """Results of the training, as plain JSON."""
     config = job.config.resolved()
     facts: dict[str, Any] = {
         "recipe": config.recipe,
@@ -60,7 +60,7 @@ MODEL_SHARE = 0.05
 """Constants that were found by comparing with a model's weights inherit what its masses are off by together; a data
 sheet's leave out cables, covers and tools."""
 LEAST_SHARE = 0.01
-"""No constant is found better: so much changes with the magnets' temperature."""
+"""Smallest error of a constant, since constants change with the magnets' temperature."""
 
 
 def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
@@ -90,7 +90,7 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
 
 
 def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
-    """Capsules of the robot file's links; those that it has no shape of are guessed where they are asked for."""
+    """Put capsules of the robot file's links into the bundle; links without a shape get estimated capsules on use."""
     bundle.capsules, notes = link_capsules(robot, job.tree)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]

@@ -108,7 +108,7 @@ class Arm:
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
     serial: str = ""
-    """Identity of the arm: entries of one serial, here or in another file, are one arm at several dates. Default: name."""
+    """Identity of the arm: entries of one serial, here or in another file, are one arm. Default: name."""
     date: str = ""
     """Day of its recordings, YYYY-MM-DD; empty: not given."""
 

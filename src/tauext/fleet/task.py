@@ -178,7 +178,7 @@ class Task:
     folder: str
     """Folder of its complete output; absolute."""
     inputs: dict[str, str]
-    """Everything that the output depends on, by readable names: digests of contents, settings, hashes of tasks before it."""
+    """All that the output depends on, by readable names: digests of contents, settings, hashes of earlier tasks."""
     work: dict[str, Any] = field(default_factory=dict)
     """Arguments of the stage: places and settings. The content of a place is an input, its path is not."""
     build: str = field(default_factory=build)

@@ -71,7 +71,7 @@ void bind_coverage(nb::module_& m) {
             for (std::size_t k = 0; k < q.shape(0); ++k) s.see({q.data() + k * n, n});
           },
           nb::arg("q"), "Marks the cells of positions (samples, joints) as seen.")
-      .def("look", &look, nb::arg("q"), nb::arg("dq"),
+      .def("look", &evaluate, nb::arg("q"), nb::arg("dq"),
            "Distance of each sample from the training motion: share (0 to 1), what (Unseen), joint, other (-1: none).");
   settings.attr("CELLS") = Coverage::kCells;
   settings.attr("PAIR_CELLS") = Coverage::kPairCells;

@@ -271,6 +271,20 @@ def test_velocity_delay_is_measured_to_a_millisecond(six, late_s):
     assert compare(stretches([shift(r) for r in six.made.recordings]), 0).lag_s == pytest.approx(late_s, abs=1e-3)
 
 
+def test_positions_divided_by_57_are_found_by_the_velocity(six):
+    """Radians imported as degrees: the positions hardly move, so their derivative is slower than any arm's motion."""
+    recordings = [replace(r, q=r.q * np.pi / 180) for r in six.made.recordings]
+    found = [f for f in examine(recordings, six.urdf).findings if f.code == "velocity-unit"]
+    assert {f.joint for f in found} == set(recordings[0].joints)
+    assert all("the position is in rad and was imported as degrees" in f.evidence for f in found)
+
+
+def test_a_joint_at_rest_with_a_noisy_velocity_has_no_unit(six):
+    rng = np.random.default_rng(0)
+    still = [replace(r, q=r.q * 0 + 1e-5 * rng.standard_normal(r.q.shape)) for r in six.made.recordings]
+    assert compare(stretches([replace(r, dq=rng.standard_normal(r.q.shape)) for r in still]), 0) is None
+
+
 def test_one_wide_joint_is_not_in_degrees(six):
     """A wrist may wind up: only two such joints, or a speed that no joint has, are degrees."""
     wound = [replace(r, q=r.q + np.eye(6)[5] * 16.0) for r in six.made.recordings]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.check.finding import Finding
+from tauext.check.finding import NEGATE_EFFORT, Finding
 from tauext.check.fit import CONSTANT, FRICTION, JointFit, Rows, columns_of, robust_solve, spread_of, torque_rows
 from tauext.check.motion import MOVING_RAD_S, Stretch
 from tauext.data.recording import Recording
@@ -115,7 +115,7 @@ def sign_findings(
                 [f"friction resists with {vote.friction_nm_s:.3g} {unit}s/rad, must be > 0"] if fit.friction_nm else []
             )
             parts += [f"gravity factor {factor:.3g} ± {error:.1g}"] if factor else []
-            found.append(Finding("effort-sign", "fault", joint, "; ".join(parts), "negate the effort at import"))
+            found.append(Finding("effort-sign", "fault", joint, "; ".join(parts), NEGATE_EFFORT))
     return found
 
 
@@ -188,8 +188,8 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
         if inertial and inertial_error < 0.3 * abs(inertial):
             evidence += f", {inertial:.3g} ± {inertial_error:.1g} times its inertial torque"
         advice = (
-            f"a current or another unit: multiply by {1 / factor:.3g} (the torque constant, if it is a current); or a "
-            "payload that is not in the model, where factors grow towards the tip"
+            f"a current or another unit: multiply by {1 / factor:.3g} (for a current, this is its torque constant in "
+            "Nm/A); or a payload that is not in the model, where factors grow towards the tip"
         )
         found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     return found

@@ -394,7 +394,7 @@ def _of_currents(found: Sequence[Finding]) -> list[Finding]:
     """Warnings instead of faults: training finds torque constants, and without them the size of gravity is weak
     evidence."""
     return [
-        replace(f, severity="warning", advice=f"the effort is a current, whose constant `train` finds; else {f.advice}")
+        replace(f, severity="warning", advice=f"none for a current, whose constant `train` finds; else {f.advice}")
         if f.code in OF_CURRENTS
         else f
         for f in found

@@ -7,6 +7,8 @@ from typing import Literal
 
 Severity = Literal["fault", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "note")
+NEGATE_EFFORT = "negate the effort at import (`sign = -1` in [signals.tau])"
+"""Remedy of every `effort-sign`."""
 
 CODES = {
     "backlash": "a joint has play between its motor and what it moves",

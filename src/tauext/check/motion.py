@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.check.finding import Finding
+from tauext.check.finding import NEGATE_EFFORT, Finding
 from tauext.data.recording import Recording
 from tauext.data.servo import torque_unit
 
@@ -159,6 +159,8 @@ FACTOR_OFF = 0.1
 LEAST_CORRELATION = 0.9
 LEAST_SPEED_RAD_S = 0.02
 """RMS, [rad/s]: below, noise is compared with noise."""
+MUCH_FASTER = 3
+"""A recorded velocity this many times LEAST_SPEED_RAD_S is no noise, also where the position hardly moves."""
 DEGREES = 180 / math.pi
 
 
@@ -174,7 +176,7 @@ class VelocityFit:
 def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> VelocityFit | None:
     """Recorded velocity of `joint` against the derivative of position of joint `of`, itself if None.
 
-    None: the joint does not move.
+    None: the joint does not move. If it moves slowly, a fit needs a much faster recorded velocity that correlates.
     """
     of = joint if of is None else of
     rate = float(np.median([s.rate_hz for s in stretches]))
@@ -185,13 +187,15 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
         true, recorded = low_pass(s.dq[:, of], cutoff, s.rate_hz), low_pass(s.dq_raw[:, joint], cutoff, s.rate_hz)
         if len(true) > 4 * reach:
             pairs.append((true, recorded))
-    inner = np.concatenate([true[reach:-reach] for true, _ in pairs]) if pairs else np.zeros(1)
-    power = float(inner @ inner)
-    if power / len(inner) < LEAST_SPEED_RAD_S**2:
-        return None
 
     def later(k: int) -> np.ndarray:
         return np.concatenate([recorded[reach + k : len(recorded) - reach + k] for _, recorded in pairs])
+
+    inner = np.concatenate([true[reach:-reach] for true, _ in pairs]) if pairs else np.zeros(1)
+    power = float(inner @ inner)
+    slow = power / len(inner) < LEAST_SPEED_RAD_S**2
+    if slow and (not power or float(np.mean(later(0) ** 2)) < (MUCH_FASTER * LEAST_SPEED_RAD_S) ** 2):
+        return None
 
     stride = max(1, reach // 20)
     coarse = range(-reach, reach + 1, stride)
@@ -200,6 +204,8 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
     recorded = later(shift)
     factor = float(inner @ recorded / power)
     correlation = float(abs(inner @ recorded) / max(math.sqrt(power) * float(np.linalg.norm(recorded)), 1e-12))
+    if slow and correlation < LEAST_CORRELATION:
+        return None
     # what is left of the lag, to first order: recorded = factor (true - lag d(true)/dt)
     slope = np.concatenate([np.gradient(true)[reach:-reach] for true, _ in pairs])
     left = float((inner - recorded / factor) @ slope / (slope @ slope)) if factor else 0.0
@@ -222,7 +228,8 @@ def velocity_findings(
         elif abs(size * DEGREES - 1) < FACTOR_OFF:
             positions[j] = DEGREES
             evidence = f"{relation}: 1 / 57.3, so that positions are in degrees and velocities in rad/s"
-            found.append(Finding("degrees", "fault", joint, evidence, "convert positions to radians at import"))
+            advice = "convert positions to radians at import; or the velocity is in rad/s and was imported as deg/s"
+            found.append(Finding("degrees", "fault", joint, evidence, advice))
         elif fit.factor < 0:
             found.append(Finding("velocity-sign", "fault", joint, relation, "negate the velocity at import"))
         elif abs(size - 1) > FACTOR_OFF:
@@ -254,7 +261,7 @@ def _unlike(stretches: Sequence[Stretch], joints: Sequence[str], j: int, relatio
 
 def _guess(size: float) -> str:
     known = (
-        (DEGREES, "it is in deg/s"),
+        (DEGREES, "it is in deg/s, or the position is in rad and was imported as degrees"),
         (60 / (2 * math.pi), "it is in turns a minute"),
         (1 / (2 * math.pi), "in turns a second"),
     )
@@ -330,7 +337,7 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
         k = int(np.argmax(np.abs(gravity[:, j])))
         several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} {unit} apart)" if len(q) > 1 else ""
         evidence = f"at rest the effort is {tau[k, j]:.4g} {unit} where gravity takes {gravity[k, j]:.4g} Nm{several}"
-        advice = "negate the effort at import"
+        advice = NEGATE_EFFORT
         if (wrong | ~loaded.any(axis=0)).all():
             advice += "; or the arm hangs: then give its gravity direction"
         found.append(Finding("effort-sign", "fault", joints[j], evidence, advice))

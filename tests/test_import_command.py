@@ -81,7 +81,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     code, out, _ = run(capsys, workplace)
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
-        "3 sources without contact: each split by time (train 80%, test 20%) with a gap of 2 s" in out
+        "3 sources without labelled contacts: each split by time (train 80%, test 20%) with a gap of 2 s" in out
         and "validation is empty: train finds limits on training motion that it leaves out of the fit in turn" in out
     )
     found = spans(workplace)
@@ -364,7 +364,7 @@ def test_plans_follow_the_number_of_sources():
     assert {c.set_name: sum(o.set_name == c.set_name for o in claims) for c in claims} == {
         "collisions": 2, "train": 6, "validation": 1, "test": 1,
     }  # fmt: skip
-    assert said[0] == "8 sources without contact, split as whole recordings"
+    assert said[0] == "8 sources without labelled contacts, split as whole recordings"
     with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time into parts"):
         plan(described, {"run": RawFacts(8.0, False)}, {})
 

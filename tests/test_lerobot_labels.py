@@ -236,6 +236,8 @@ def test_what_cannot_be_labelled_is_refused_in_words(place, tmp_path):
         label_dataset(place / "v3.0", bundle, parse_arm(arms.ARM.replace("UNIT", "rad")), tmp_path / "out")
     with pytest.raises(ConfigError, match="is not empty"):
         label_dataset(place / "v3.0", bundle, arm, place)
+    with pytest.raises(RecordingError, match="data: is not a LeRobot dataset: it has no meta/info.json"):
+        label_dataset(place / "data", bundle, arm, tmp_path / "out")
     with pytest.raises(ConfigError, match="is inside the dataset"):
         label_dataset(place / "v3.0", bundle, arm, place / "v3.0/labelled")
     info = json.loads((place / "v3.0/meta/info.json").read_text())

@@ -123,7 +123,7 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
         ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
         ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
-        (("--new-reactions", "reactions.toml"), "reactions.toml: is there already"),
+        (("--new-reactions", "reactions.toml"), "reactions.toml: already exists"),
         (("--new-profiles", "p.toml", *SOURCE), "only write a template"),
         (("watching.tauext", "--source", "feetech:/dev/ttyACM0"), "--source feetech:PORT needs --bus FILE"),
         (("watching.tauext", "--source", "damiao:can0"), "--source damiao:CAN needs --bus FILE"),

@@ -65,6 +65,11 @@ NEXT = [
     (("check", "--data", "x.csv"), ["tauext import --new arm.toml --source x.csv"]),
     (("show", "x.csv"), ["x.csv", "tauext import"]),
     (("show", "data"), ["is a dataset folder", "tauext check --data data"]),
+    (
+        ("label", "--dataset", "data", "--bundle", "arm.toml", "--arm", "watching.tauext", "--out", "l"),
+        ["watching.tauext: is a bundle, not a TOML file"],
+    ),
+    (("import", "--source", "x.csv", "--arm", "lone.parquet", "--out", "l"), ["lone.parquet: is not a text file"]),
     (("trian", "--data", "data"), ["there is no command 'trian'; did you mean 'train'?"]),
     (("demo", "--headless-seconds", "five"), ["--headless-seconds", "'five'", "a number"]),
     (("simulate", "--out", "x", "--seed", "one"), ["--seed", "'one'", "a whole number"]),

@@ -43,7 +43,7 @@ def test_results_that_are_there_are_replaced_with_a_word(tmp_path, capsys):
     (out / "results.json").write_text("old")
     assert main(command) == 0
     told = capsys.readouterr()
-    assert f"{out / 'results.json'} is there already and will be replaced" in told.err and "replaced" not in told.out
+    assert f"{out / 'results.json'} already exists and will be replaced" in told.err and "replaced" not in told.out
     assert json.loads((out / "results.json").read_text())["format"] == 1
 
 

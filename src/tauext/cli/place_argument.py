@@ -62,7 +62,7 @@ def print_replaced(*outputs: Place) -> None:
     """Print on stderr which of these files exist and will be replaced."""
     for path in outputs:
         if path.is_file():
-            print(f"tauext: {path} is there already and will be replaced", file=sys.stderr)
+            print(f"tauext: {path} already exists and will be replaced", file=sys.stderr)
 
 
 # --- A bundle that is made of another one: what its name may be, and its run file, which is copied along.

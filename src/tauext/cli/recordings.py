@@ -80,7 +80,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     from tauext.robot.load import movable_joints
 
     if path.exists():
-        raise ConfigError(f"{path}: is there already; choose another name or remove it")
+        raise ConfigError(f"{path}: already exists; choose another name or remove it")
     expect_new_file(path)
     guessed, streams = Guess(), {}
     if sources:

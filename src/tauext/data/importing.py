@@ -33,7 +33,7 @@ from tauext.robot.write import Payload, write_placeholder, write_robot
 
 
 WHOLE_FROM = 6
-"""So many sources without contact or more are split as whole recordings; fewer are cut by time."""
+"""So many sources without labelled contacts or more are split as whole recordings; fewer are cut by time."""
 WHOLE_SETS = ("train", "validation", "test")
 FREE_SHARES = {"train": 0.8, "test": 0.2}
 TOUCHED_SHARES = {"train": 0.75, "collisions": 0.25}
@@ -92,14 +92,14 @@ def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[st
     if len(free) >= WHOLE_FROM:
         split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
         claims += [Claim(set_name, name) for set_name in WHOLE_SETS for name in getattr(split, set_name)]
-        notes.append(f"{len(free)} sources without contact, split as whole recordings")
+        notes.append(f"{len(free)} sources without labelled contacts, split as whole recordings")
     else:
         shares = FREE_SHARES if free else TOUCHED_SHARES
         spans = [(name, 0.0, raws[name].duration_s) for name in free or touched]
         claims += _by_time(arm, spans, shares, short)
         listed = ", ".join(f"{set_name} {share:.0%}" for set_name, share in shares.items())
         count = f"{len(spans)} source{'s' * (len(spans) > 1)}"
-        kind = "without contact" if free else "with contacts, as all are"
+        kind = "without labelled contacts" if free else "with contacts, as all are"
         notes.append(
             f"{count} {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between the parts; test and "
             "training come from one run, so errors on the test set flatter"

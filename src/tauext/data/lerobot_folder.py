@@ -95,6 +95,8 @@ def open_folder(path: Path) -> LerobotFolder:
         [feature["dtype"] for feature in features.values()]  # each has one
         if not 0 < fps <= 1e6:
             raise ValueError(f"fps = {fps:g} must be above 0")
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path}: is not a LeRobot dataset: it has no {INFO}") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{path / INFO}: cannot be read as LeRobot's ({type(error).__name__}: {error})") from error
     if not re.match(r"v3\.|v2\.1$", str(version)):

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origi
 
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
+from tauext.files.kind import is_bundle
 from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
 
@@ -172,7 +173,10 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
         return parse_toml(read_text(path), path)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file{advice and f'; {advice}'}") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        kind = "is a bundle, not a TOML file" if is_bundle(path) else "is not a text file in UTF-8"
+        raise ConfigError(f"{path}: {kind}") from error
+    except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
 
 
@@ -187,7 +191,7 @@ def parse_toml(content: str, path: Place) -> dict[str, Any]:
 def write_template(path: Path, content: str) -> None:
     """Write a template; nothing is overwritten."""
     if path.exists():
-        raise ConfigError(f"{path}: is there already; choose another name or remove it")
+        raise ConfigError(f"{path}: already exists; choose another name or remove it")
     try:
         with atomic_write(path) as part:
             part.write_text(content, encoding="utf-8")

@@ -13,7 +13,7 @@ from made_recordings import Drive, made_motion
 from tauext.cli import main
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
-from tauext.data.servo import AMPERES
+from tauext.data.servo import AMPERES, FROM_AMPERES
 
 
 @pytest.fixture
@@ -109,6 +109,24 @@ def test_a_current_is_in_amperes_and_warnings_are_counted_as_they_are_shown(caps
         assert f"{shown} {severity}{'s' * (shown != 1)}" in text.splitlines()[-1]
     assert main(["show", str(tmp_path / "run.parquet")]) == 0
     assert "largest tau [A]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("torque", "remedy"),
+    [
+        (AMPERES, "-> no action is needed: `train` fits the torque constants. Factors"),
+        (FROM_AMPERES, '-> the torque constant of the import is wrong ("unknown" lets `train` fit it); else'),
+    ],
+)
+def test_the_remedy_of_a_scale_depends_on_who_knows_the_torque_constant(capsys, tmp_path, torque, remedy):
+    (tmp_path / "robot.urdf").write_text(urdf(six_axis()))
+    (recording,) = made_motion(
+        six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1, drive=Drive(nm_per_a=(12.0,) * 6)
+    ).recordings
+    save_recording(replace(recording, name="run", provenance={"torque": torque}), tmp_path / "run.parquet")
+    main(["check", "--data", str(tmp_path / "run.parquet"), "--robot", str(tmp_path / "robot.urdf")])
+    text = capsys.readouterr().out
+    assert "warning: effort-scale (" in text and remedy in text
 
 
 def test_training_prints_its_phases(capsys, tmp_path):

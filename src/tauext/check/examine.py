@@ -271,7 +271,8 @@ def _examine(
             motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
         )
         torque_found = without_scale(torque_found, joints, efforts)
-        found += _of_currents(torque_found) if in_amperes(recordings) or from_amperes(recordings) else torque_found
+        unknown = in_amperes(recordings)
+        found += _of_currents(torque_found, unknown) if unknown or from_amperes(recordings) else torque_found
     elif tree is not None:
         found += pose_findings(recordings, tree, joints)
     plays = [play_of(recordings, j) for j in range(len(joints))]
@@ -390,15 +391,25 @@ def _torque(
     return found, rows, fits, lags, tree, lag_s
 
 
-def _of_currents(found: Sequence[Finding]) -> list[Finding]:
+def _of_currents(found: Sequence[Finding], unknown: bool) -> list[Finding]:
     """Warnings instead of faults: training finds torque constants, and without them the size of gravity is weak
-    evidence."""
-    return [
-        replace(f, severity="warning", advice=f"none for a current, whose constant `train` finds; else {f.advice}")
-        if f.code in OF_CURRENTS
-        else f
-        for f in found
-    ]
+    evidence.
+
+    Args:
+        unknown: the import gave no torque constants.
+    """
+
+    def advice(finding: Finding) -> str:
+        if not unknown:
+            return f'the torque constant of the import is wrong ("unknown" lets `train` fit it); else {finding.advice}'
+        if finding.code == "effort-scale":
+            return (
+                "no action is needed: `train` fits the torque constants. Factors that grow towards the tip may also be "
+                "a payload that is not in the model"
+            )
+        return f"no action is needed if torque constants explain it, which `train` fits; else {finding.advice}"
+
+    return [replace(f, severity="warning", advice=advice(f)) if f.code in OF_CURRENTS else f for f in found]
 
 
 def _scale(

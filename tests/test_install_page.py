@@ -64,13 +64,6 @@ def test_every_extra_for_users_is_in_the_table_and_no_other():
     assert named == set(PROJECT["optional-dependencies"]) - FOR_DEVELOPERS
 
 
-def test_the_commands_of_the_library_are_those_of_the_quickstart_in_cpp():
-    quickstart = (ROOT / "docs" / "quickstarts" / "cpp.md").read_text()
-    part = PAGE[PAGE.index("## As a C++ library") :]
-    for command in re.findall(r"^    (\S.*)$", part, re.MULTILINE):
-        assert f"{command}\n" in quickstart, command
-
-
 def test_every_make_target_of_the_page_is_there():
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = re.findall(r"(?:^    |`)make ([a-z-]+)", PAGE, re.MULTILINE)

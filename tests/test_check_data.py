@@ -23,7 +23,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.servo import FROM_AMPERES
 from tauext.errors import ConfigError, FaultyDataError
-from tauext.progress import Silent
+from tauext.progress import Silent, WallTimes
 from tauext.robot.load import load_tree
 from tauext.train.calibrate import recalibrate
 from tauext.train.stage import train_bundle
@@ -118,6 +118,28 @@ def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, 
     assert json.loads(out.with_suffix(".run.json").read_text())["checks"] == kept(out)
     assert main(["show", str(out)]) == 0
     assert "accepted in training: spike of joint2" in capsys.readouterr().out
+
+
+def test_the_wall_time_of_every_phase_is_printed_and_written(data, tmp_path, capsys, unexamined):
+    assert train(data, tmp_path / "a.tauext") == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("a: took ") and " s" in last
+    times = json.loads((tmp_path / "a.wall_time_s.json").read_text())
+    names = ["read", "check", "prepare", "observe", "fit", "gate", "calibrate", "write"]
+    assert list(times) == [f"{name}_s" for name in names]  # recipe observer trains no network
+    assert all(seconds >= 0 for seconds in times.values())
+    assert float(last.split()[2]) == pytest.approx(sum(times.values()), abs=0.06)
+
+
+def test_phases_add_up_and_those_of_no_length_are_left_out_of_the_sentence():
+    times = WallTimes({"check": 1.25, "gate": 0.0})
+    with times.phase("gate"):
+        pass
+    with pytest.raises(ConfigError), times.phase("write"):
+        raise ConfigError("full disk")
+    assert list(times.facts()) == ["check_s", "gate_s", "write_s"] and times.facts()["check_s"] == 1.25
+    assert times.sentence() == "took 1.3 s: check 1.2"
+    assert WallTimes().sentence() == "took 0.0 s"
 
 
 @pytest.mark.parametrize(

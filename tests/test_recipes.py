@@ -73,6 +73,7 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     facts = json.loads(bundle.provenance)
     assert facts["recipe"] == "viscous" and facts["prior"]["friction"]["elbow"]["viscous_nm_s_rad"] > 2.0
     assert [term.kind.name for term in bundle.prior.terms] == ["constant", "viscous"] * 2 and not bundle.has_network
+    assert heard.sentences[-1].startswith("viscous: took ")
     made = motion(20.0, seed=2)
     said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
     healthy = said["health"] == OK

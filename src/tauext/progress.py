@@ -1,9 +1,11 @@
-"""Progress reports of stages: sentences and counts. Nothing here prints."""
+"""What a stage reports while it works: sentences, progress, and wall times. A stage prints nothing itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from typing import Protocol
 
 Show = Callable[[int, int, str], None]
@@ -31,3 +33,33 @@ class Silent:
 
 
 SILENT = Silent()
+
+
+@dataclass
+class WallTimes:
+    """Wall time of each phase of a stage, [s], in the order in which the phases began: `with times.phase("fit"): ...`.
+
+    Phases do not nest. A phase that runs twice counts both times.
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Add the time inside the context to the phase of this name."""
+        self.seconds.setdefault(name, 0.0)
+        started = time.monotonic()
+        try:
+            yield
+        finally:
+            self.seconds[name] += time.monotonic() - started
+
+    def facts(self) -> dict[str, float]:
+        """For the file of wall times: NAME_s by phase."""
+        return {f"{name}_s": round(seconds, 3) for name, seconds in self.seconds.items()}
+
+    def sentence(self) -> str:
+        """`took 9.5 s: check 1.2, fit 8.3`; phases shorter than 0.05 s are left out."""
+        parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= 0.05]
+        total = f"took {sum(self.seconds.values()):.1f} s"
+        return f"{total}: {', '.join(parts)}" if parts else total

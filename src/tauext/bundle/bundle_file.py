@@ -15,6 +15,7 @@ from tauext.files.kind import why_no_bundle
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import json_of
 from tauext.files.provenance import json_text
+from tauext.progress import WallTimes
 
 # --- Bundles from their files.
 
@@ -63,13 +64,14 @@ def expect_text(bundle: _core.Bundle) -> None:
         raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
 
 
-def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, wall_time: dict) -> None:
+def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, times: WallTimes) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
     The bundle is written last: if it exists, its run file exists.
 
     Args:
         facts: the bundle's provenance; the run file contains them too, with the loss history.
+        times: wall times of the phases so far; writing the bundle is added as the phase `write`.
 
     Raises:
         ConfigError: one of them cannot be written.
@@ -79,9 +81,10 @@ def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHi
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_files(*beside, path) as (run_part, wall_part, part):
-            run_part.write_text(json_text(facts | {"loss_history": history}))
-            wall_part.write_text(json_text(wall_time))
-            bundle.save(str(part))
+            with times.phase("write"):
+                run_part.write_text(json_text(facts | {"loss_history": history}))
+                bundle.save(str(part))
+            wall_part.write_text(json_text(times.facts()))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
     except _core.CoreError as error:

@@ -90,7 +90,8 @@ def train(
     """Train on a dataset's free motion, set the limits, and write one bundle.
 
     The data are checked first, as by `tauext check`; a second training on the same data skips the checks. A fault
-    refuses the training unless it is accepted. Warnings are printed and stored in the bundle.
+    refuses the training unless it is accepted. Warnings are printed and stored in the bundle. The last line on stderr
+    is the wall time of each phase; NAME.wall_time_s.json beside the bundle holds it, too.
 
     Args:
         data: dataset folder, made by `tauext import` or `tauext simulate`.

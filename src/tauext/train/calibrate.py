@@ -27,7 +27,7 @@ from tauext.files.copies import at_home
 from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
-from tauext.progress import SILENT, Reporter
+from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.held_peaks import KeptPeaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
@@ -91,7 +91,7 @@ def recalibrate(
     if refit_error_scale:
         settings["refit_error_scale"] = True
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
-    write_bundle(loaded, out, facts, history, {"calibrate_s": time.monotonic() - started})
+    write_bundle(loaded, out, facts, history, WallTimes({"calibrate": time.monotonic() - started}))
     remove_checkpoint(out)
     return promised
 

@@ -44,17 +44,21 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
     """
     if not job.motion.network:
         return None
-    scaling = find_scaling(setup, job.motion.training)
+    with job.times.phase("windows"):
+        scaling = find_scaling(setup, job.motion.training)
     with job.report.progress(f"train {job.name}") as show:
 
         def report(p: Progress) -> None:
             show(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
 
         try:
+            with job.times.phase("windows"):
+                training = build_windows(setup, scaling, job.motion.training)
+                validation = build_windows(setup, scaling, job.motion.validation)
             trained = train_network(
                 setup,
-                build_windows(setup, scaling, job.motion.training),
-                build_windows(setup, scaling, job.motion.validation),
+                training,
+                validation,
                 job.config,
                 checkpoint_path=at_home(job.out).with_suffix(CHECKPOINT),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
@@ -65,6 +69,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
                 raise
             job.notes.append(f"prior only: {error}")
             return None
+    job.times.seconds["train"] = trained.seconds
     return ScaledNetwork(scaling, trained)
 
 

@@ -34,7 +34,7 @@ from tauext.fit.bundle_writing import build_setup, reference_recording
 from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.fit.training_set import Setup, signal_bounds
-from tauext.progress import Reporter
+from tauext.progress import Reporter, WallTimes
 from tauext.recipes import Recipe
 from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
@@ -440,6 +440,8 @@ class Job:
     """What was found, for provenance: the steps add to it."""
     like: FleetPrior | None = None
     """The fleet prior of this type; None: the arm is by itself."""
+    times: WallTimes = field(default_factory=WallTimes)
+    """Wall times of the training's phases."""
 
     @property
     def name(self) -> str:

@@ -29,7 +29,7 @@ from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.fleet_prior import CLOSE, FleetPrior
-from tauext.progress import SILENT, Reporter
+from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.held_peaks import REGIONS, separate_peaks
 from tauext.train.tail import FalseAlarmBudget, Promise, duration, is_kept
 
@@ -396,7 +396,7 @@ def refit_bundle(
     if words:
         facts["refitted"]["rejected"] = asdict(rejected.summary())
     refitted.bundle.name = out.stem
-    write_bundle(refitted.bundle, out, facts, history, {"refit_s": time.monotonic() - started})
+    write_bundle(refitted.bundle, out, facts, history, WallTimes({"refit": time.monotonic() - started}))
     return refitted
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from tauext._core import Bundle
@@ -19,7 +19,7 @@ from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.network_training import apply_gate
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
-from tauext.progress import SILENT, Reporter
+from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import (
     expect_like,
@@ -150,10 +150,15 @@ def train_bundle(
     case, note = chosen_case(case, robot_file)
     if note:
         report.say(note)
-    training, validation = dataset.training(), dataset.recordings("validation")
+    times = WallTimes()
+    with times.phase("read"):
+        training, validation = dataset.training(), dataset.recordings("validation")
     given = Given(robot_file, PAPER_CASES[case], training, validation, dataset.stretches("calibration"))
-    checked = check_data(dataset, given, config, accept, report) if check else None
-    train_on_recordings(given, config, out, report, checked, like, accept)
+    checked = None
+    if check:
+        with times.phase("check"):
+            checked = check_data(dataset, given, config, accept, report)
+    train_on_recordings(given, config, out, report, checked, like, accept, times)
     return load_bundle(out)
 
 
@@ -165,6 +170,7 @@ def train_on_recordings(
     checked: dict | None = None,
     like: FleetPrior | None = None,
     accept: Sequence[str] = (),
+    times: WallTimes | None = None,
 ) -> None:
     """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
 
@@ -178,36 +184,44 @@ def train_on_recordings(
         checked: findings of the checks (check_data), for provenance; None: none were made.
         like: the fleet prior of this type; None: the arm is by itself.
         accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
+        times: wall times of the phases before, such as the checks; those of the training are added.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, motion that a monitor rejects, or a loss that diverges.
     """
-    job = prepare(given, config, out, report, like)
+    times = WallTimes() if times is None else times
+    with times.phase("prepare"):
+        job = replace(prepare(given, config, out, report, like), times=times)
     if checked is not None:
         job.facts["checks"] = checked
     job.say("observing the motion")
-    setup = observe(job)
+    with times.phase("observe"):
+        setup = observe(job)
     if like is not None:
         expect_like(job, setup)
         job.facts["like"] = like_facts(like)
         job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
     if config.row.fit is not None:
         job.say("fitting friction and model")
-    fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
-    if config.resolved().observer.gain_per_s == "auto" and fit is not None:
-        job.say("choosing the observer gain")
-        setup, fit = choose_gain(job, setup, fit)
+    with times.phase("fit"):
+        fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
+        if config.resolved().observer.gain_per_s == "auto" and fit is not None:
+            job.say("choosing the observer gain")
+            setup, fit = choose_gain(job, setup, fit)
     # Before a network is trained for hours: what a monitor rejects does not depend on it.
-    rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
+    with times.phase("observe"):
+        rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
     if words := rejected.warning("its own training motion", accept):
         job.facts["rejected"] = asdict(rejected.summary())
         job.notes.append(words)
     network = fit_network(job, with_fit(setup, fit))
-    bundle = assemble(job, with_fit(setup, fit), network)
-    if config.row.gated:
-        bundle, fit = gate(job, bundle, setup, fit)
-    complete(job, bundle, given.robot, setup, fit)
+    with times.phase("gate"):
+        bundle = assemble(job, with_fit(setup, fit), network)
+        if config.row.gated:
+            bundle, fit = gate(job, bundle, setup, fit)
+    with times.phase("calibrate"):
+        complete(job, bundle, given.robot, setup, fit)
     write(job, bundle, network)
 
 

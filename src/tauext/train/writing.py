@@ -23,15 +23,15 @@ from tauext.train.preparation import Job
 
 
 def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
-    """Write all three, or none; the notes are reported, too."""
+    """Write all three, or none; notes and wall times are reported, too."""
     for note in job.notes:
         job.say(note)
     bundle.servo = servo_of_recordings(job.training)
     history = [list(entry) for entry in network.trained.history] if network else []
-    seconds = network.trained.seconds if network else 0.0
-    write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, {"train_s": seconds})
+    write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, job.times)
     remove_checkpoint(job.out)
     at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
+    job.say(job.times.sentence())
 
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:

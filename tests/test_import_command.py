@@ -270,7 +270,7 @@ def test_a_robot_file_without_changes_is_copied_and_a_wrong_name_refused(tmp_pat
     assert write_robot(path, folder, {}).read_bytes() == path.read_bytes()
     with pytest.raises(RobotError, match="no link 'tool'; "):
         write_robot(path, folder, {}, Payload("tool", 1.0, (0, 0, 0), (0,) * 6))
-    with pytest.raises(RobotError, match="no joint 'joint9'; near to it: joint"):
+    with pytest.raises(RobotError, match="no joint 'joint9'; similar: joint"):
         write_robot(path, folder, {"joint9": (1.0, 1.0)})
 
 

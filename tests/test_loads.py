@@ -112,7 +112,7 @@ def test_where_links_branch_the_way_goes_on_to_a_usual_name_or_ends(tmp_path):
     assert load_frame(path, load_tree(path), "camera").name == "camera"
     inner = load_frame(path, load_tree(path), "joint3_link")
     assert inner.link == 2
-    with pytest.raises(RobotError, match="'base' is no link that a joint in use moves; they are joint1_link"):
+    with pytest.raises(RobotError, match="'base' is no link that a joint in use moves; those are joint1_link"):
         load_frame(path, load_tree(path), "base")
 
 

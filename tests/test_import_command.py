@@ -82,7 +82,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
         "3 sources without contact: each split by time (train 80%, test 20%) with a gap of 2 s" in out
-        and "validation is empty: train finds limits on training motion that it leaves out of the fit in turn" in out
+        and "validation is empty: train finds limits by cross-validation on the training motion" in out
     )
     found = spans(workplace)
     assert "validation" not in found

@@ -198,7 +198,7 @@ def test_the_broken_last_line_of_a_csv_is_left_out_and_counted(tmp_path):
     assert len(streams[""][1]["time"]) == 50
     assert source.counts == {"lines with a wrong number of cells left out": 1}
     path.write_text(csv_text() + "1,2\n" * 9)
-    with pytest.raises(RecordingError, match="9 of 59 lines have not 5 cells"):
+    with pytest.raises(RecordingError, match="9 of 59 lines lack the 5 cells"):
         read(path)
 
 

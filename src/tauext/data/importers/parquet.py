@@ -18,10 +18,10 @@ BROKEN = (pa.ArrowException, OSError)
 
 
 def open_parquet(path: Path) -> list[RawRecording]:
-    """Every column of numbers as it is named, every list of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
+    """Read columns of numbers under their names, lists of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
 
     Raises:
-        RecordingError: now or while it is read: damaged, or without numbers.
+        RecordingError: on opening or reading: damaged, or without numbers.
     """
     with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
         names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
@@ -37,7 +37,7 @@ def open_parquet(path: Path) -> list[RawRecording]:
 
 
 def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
-    """The file's columns of these names, block by block.
+    """Yield the columns of these names, block by block.
 
     Raises:
         RecordingError: damaged, or a list of changing length.

@@ -95,7 +95,7 @@ def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_
     assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)
     assert other["factor"] == sum(other["false"].values()) / other["promised"] and other["sentence"] in facts["notes"]
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
-    assert "Each recording was judged by limits from the others" in " ".join(capsys.readouterr().out.split())
+    assert "Each recording was evaluated with limits from the others" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_factor_of_minutes_grows_as_the_reserve_of_friction_fades():

@@ -262,7 +262,7 @@ def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused()
     )
     # A second of contact, half a second before it and a quarter after: of 6 s at 1 kHz.
     assert (whole.hours - rest.hours) * 3600 == pytest.approx(1.75, abs=0.003)
-    with pytest.raises(TrainingError, match="no recording holds any beyond the warm-up"):
+    with pytest.raises(TrainingError, match="no recording has any beyond the warm-up"):
         collect_peaks(bundle, [pushed("short", seconds=0.3, pushes=())], (0.0,), threads=1)
 
 

@@ -78,7 +78,7 @@ def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, mon
 
 def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path, monkeypatch):
     bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
-    assert any("every fifth of the motion" in note for note in facts["notes"])
+    assert any("each fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
     assert facts["limits"]["other_motion"] == {"sentence": NOT_MEASURED} and NOT_MEASURED in facts["notes"]
     other = motion(seed=7)

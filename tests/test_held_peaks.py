@@ -269,7 +269,7 @@ def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused()
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be one"),
+        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be equal"),
         (lambda: held_minimum(np.ones(3), np.ones(3, bool), -1), "hold_samples = -1 must be >= 0"),
         (lambda: PeakCollector(["a"], -0.1), "hold_s = -0.1 must be 0 to 60"),
         (lambda: PeakCollector(["a"], 0.0, gap_s=0.0), "gap_s = 0.0 must be > 0"),

@@ -189,7 +189,7 @@ def peak_places(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floo
     of_block = np.repeat(np.arange(len(starts)), ends - starts)
     largest = np.flatnonzero(value == np.maximum.reduceat(value, starts)[of_block])
     k = largest[np.unique(of_block[largest], return_index=True)[1]]
-    # What else is less than a gap away stands at the end of the block before and at the beginning of the next one.
+    # Other values less than a gap away are at the end of the block before and the beginning of the next one.
     first, last = np.searchsorted(t, t[k] - gap_ns, side="right"), np.searchsorted(t, t[k] + gap_ns, side="left")
     before, after = _largest_between(value, first, starts), _largest_between(value, ends, last)
     return at[k[(value[k] > before) & (value[k] >= after)]]

@@ -95,9 +95,7 @@ def test_several_joint_state_topics_must_be_named(tmp_path, kind):
     with pytest.raises(RecordingError, match=r"2 topics are of type .*: /left, /right; name the one"):
         open_raw(path)
     assert list(read(path, ["/right"])[1]) == ["/right"]
-    with pytest.raises(
-        RecordingError, match=r"no topic '/arm'; it holds /left \(sensor_msgs/JointState, messages: 5\)"
-    ):
+    with pytest.raises(RecordingError, match=r"no topic '/arm'; it has /left \(sensor_msgs/JointState, messages: 5\)"):
         open_raw(path, ["/arm"])
 
 

@@ -123,7 +123,7 @@ FAULTS = {
     "nameless joint": (put(joints=("elbow", "")), "joint name '' must be text, not empty"),
     "commands to a terminal": (
         put(joints=("elbow", "a\x1b[2J")),
-        r"joint name 'a\x1b[2J' holds characters that cannot",
+        r"joint name 'a\x1b[2J' has characters that cannot",
     ),
     "shared column": (put(joints=("a", "jts_a")), "joints 'a' and 'jts_a' would share the column tau_jts_a"),
     "timing": (put(torque_timing="late"), "torque_timing = 'late' must be one of held, instant, averaged"),

@@ -27,7 +27,7 @@ MOST_STEPS = 10**12
 
 @dataclass(frozen=True)
 class ModelCase:
-    """How the estimated model differs from the robot file: a model case, as the paper calls it."""
+    """Difference of the estimated model from the robot file; the paper calls it a model case."""
 
     name: str
     mass_factor: float = 1.0
@@ -113,7 +113,7 @@ class FreeMotionConfig:
 
 @dataclass(frozen=True)
 class AlarmConfig:
-    """How a joint over its limit raises an alarm, and the permitted rate of false alarms."""
+    """Conditions of an alarm, and the permitted rate of false alarms."""
 
     false_alarms: float = 1.0
     """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, limits and hold
@@ -199,7 +199,7 @@ class PriorConfig:
 
 @dataclass(frozen=True)
 class DriftConfig:
-    """How the monitor follows slow changes of friction and offset (recipes tauext and prior)."""
+    """The tracker of slow changes of friction and offset (recipes tauext and prior)."""
 
     time_constant_s: float = 120.0
     """Time constant of the drift tracker, [s], at least 1; 0: no tracker."""
@@ -220,8 +220,8 @@ class DriftConfig:
     most_frozen: float = 0.03
     """Largest share of free motion in which the tracker is paused; the threshold of |tau_ext| is raised to keep it."""
     friction_share: float = 0.4
-    """Largest sudden change of a joint's friction, as a share of it, that is followed within some strokes even during
-    contact, as on a cold morning (0: never; at most 1). Needs limits that follow the error."""
+    """Largest sudden change of a joint's friction that is followed within some strokes even during contact, as a share
+    (0: never; at most 1). It occurs on a cold morning. Needs limits that follow the error."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
@@ -276,7 +276,7 @@ class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
     recipe: RecipeName = "tauext"
-    """What is trained. tauext: presliding states, a prior fitted by ridge regression, and a network on its residual
+    """Method to train. tauext: presliding states, a prior fitted by ridge regression, and a network on its residual
     where that helps. prior: the same without a network. paper: windows, as published. dense: the paper's network,
     trained on longer sequences with a target at every step; far fewer steps. observer: no network at all, the plain
     momentum observer. For comparison: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
@@ -311,7 +311,7 @@ class TrainConfig:
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
-    """How limits are found. promised: from the permitted false alarms, on the dataset's calibration recordings.
+    """Method of finding limits. promised: from the permitted false alarms, on the dataset's calibration recordings.
     supported: for the fewest false alarms that validation recordings and held-out training motion support. paper: the
     largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised with
     calibration recordings and supported without."""
@@ -361,7 +361,7 @@ class TrainConfig:
         sound = known is None or all(1e-9 <= abs(constant) <= 1e9 for constant in known)
         require(sound, "torque_constants", known, "within 1e-9 and 1e9, or minus that")
         alone = known is None or self.fit_torque_constants is None
-        require(alone, "fit_torque_constants", self.fit_torque_constants, "left out beside torque_constants")
+        require(alone, "fit_torque_constants", self.fit_torque_constants, "left out with torque_constants")
         require(
             self.learning_rate is None or 0 < self.learning_rate <= 1e3,
             "learning_rate",

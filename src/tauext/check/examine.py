@@ -197,8 +197,8 @@ def examine(
 ) -> Diagnosis:
     """Run all checks on recordings of one arm in free motion.
 
-    A fault is corrected before the next step (time, spikes, degrees, order, sign, delay, gravity, payload), and a
-    recording that disagrees with the others is left out, so that one fault is one finding. Each check's module defines
+    Each fault is corrected before the next step (time, spikes, degrees, order, sign, delay, gravity, payload). A
+    recording that disagrees with the others is left out. So one fault gives one finding. Each check's module defines
     its thresholds, with reasons.
 
     Args:

@@ -83,7 +83,7 @@ def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> l
                 evidence = f"link '{link}': {problem}"
                 found.append(Finding("inertia-impossible", "fault", joint.get("name"), evidence, advice))
         if sum(masses.values()) == 0:
-            evidence = f"link '{name}' and what is fixed to it have no mass"
+            evidence = f"link '{name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
             found.append(Finding("mass-missing", "fault", joint.get("name"), evidence, advice))
     return found

@@ -32,8 +32,8 @@ class Columns:
 def find_columns(arm: Arm, raw: RawRecording) -> Columns:
     """Resolve every column that the description names; joints keep its order, by name where the file names them.
 
-    A signal's one name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from
-    1), or an array, whose elements are taken by joint name, or by index where it has as many as there are joints.
+    A signal's name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from 1).
+    It may also be an array; elements are used by joint name, or by index if their number is that of the joints.
 
     Raises:
         ConfigError: a column or topic is missing; the message lists similar names.
@@ -64,7 +64,7 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
     if topic:
         raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {raw.path.name}")
     if not there:
-        raise ConfigError(f"{raw.path.name}: it holds no messages to read [{table}] from")
+        raise ConfigError(f"{raw.path.name}: it has no messages to read [{table}] from")
     if len(there) > 1:
         listed = ", ".join(sorted(there))
         raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")
@@ -115,7 +115,7 @@ def _missing(arm: Arm, raw: RawRecording, table: str, name: str, there: Sequence
     hint = f"similar: {', '.join(near)}; " if near else ""
     left_out = "".join(f"; {note}" for note in raw.notes)  # arrays of another length are missing
     derive = '; columns = "" derives the velocity from the position' if table == "signals.dq" else ""
-    held = f"it holds {short_list(bases, 20)}{left_out}{derive}"
+    held = f"it has {short_list(bases, 20)}{left_out}{derive}"
     return ConfigError(f"{arm.path}: [{table}] '{name}' is not in {raw.path.name}; {hint}{held}")
 
 
@@ -309,7 +309,7 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
         rate_hz = recording.rate_hz
         number += 1
     if not number:
-        raise RecordingError(f"{raw.path}: it holds no samples")
+        raise RecordingError(f"{raw.path}: it has no samples")
 
 
 def _pieces(raw: RawRecording, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
@@ -428,7 +428,7 @@ def _piece(
     counts = Counter({text: n for text, n in counts.items() if n})
     done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
-        done.append(f"{facts['measured_hz']:.4g} samples a second are measurements of their own, the others hold them")
+        done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
     if facts["lost_share"] >= WORTH_REPORTING:
         done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if "velocity" in facts:

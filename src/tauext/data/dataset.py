@@ -245,7 +245,7 @@ class Dataset:
         for name in ROBOT_FILES:
             if (self.folder / name).is_file():
                 return local_robot(self.folder / name)
-        raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")
+        raise ConfigError(f"{self.folder}: it has no {' or '.join(ROBOT_FILES)}; give one with --robot")
 
 
 def load_dataset(folder: Place | str) -> Dataset:

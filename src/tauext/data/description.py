@@ -450,7 +450,7 @@ class Arm:
             )
         if servo.torque_from == "supply-current" and not {"q_des", "duty"} & set(self.signals):
             raise ConfigError(
-                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it takes that of [signals.duty], or "
+                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it uses that of [signals.duty], or "
                 "of goal minus position, [signals.q_des]; both are missing"
             )
 

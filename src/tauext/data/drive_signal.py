@@ -1,4 +1,4 @@
-r"""Play between a motor with its encoder and what it moves, from reversals.
+r"""Play between a motor with its encoder and its load, from reversals.
 
 After a reversal the motor crosses the play before it moves its load the other way. The position travels by the width
 while the drive carries only its own friction. Where gravity holds a gear at one flank, no play is crossed; an encoder

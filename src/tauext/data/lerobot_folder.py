@@ -105,13 +105,13 @@ def open_folder(path: Path) -> LerobotFolder:
     folder = LerobotFolder(path, info, {})
     if not folder.data_files():
         held = "data/chunk-*/file-*.parquet" if folder.version == "v3.0" else "data/chunk-*/episode_*.parquet"
-        raise RecordingError(f"{path}: it holds no {held}")
+        raise RecordingError(f"{path}: it has no {held}")
     with readable(path, "its episodes"):
         listed = list(_listed(folder))
     if not all(isinstance(n, int) for pair in listed for n in pair):
         raise RecordingError(f"{path}: an episode has no number or no length; copy it again")
     if not listed:
-        raise RecordingError(f"{path}: it holds no episode")
+        raise RecordingError(f"{path}: it has no episode")
     return LerobotFolder(path, info, dict(sorted(listed)))
 
 

@@ -313,7 +313,7 @@ def check_joints(joints: Any, here: str) -> tuple[str, ...]:
         if not isinstance(name, str) or not name:
             raise RecordingError(f"{here}: joint name {name!r} must be text, not empty")
         if not name.isprintable():
-            raise RecordingError(f"{here}: joint name {name!r} holds characters that cannot be printed")
+            raise RecordingError(f"{here}: joint name {name!r} has characters that cannot be printed")
     columns: dict[str, str] = {}
     for name in names:
         if names.count(name) > 1:

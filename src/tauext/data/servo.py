@@ -22,12 +22,12 @@ FROM_AMPERES = "N m: amperes times given torque constants"
 
 
 def in_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether any recording holds currents with unknown torque constants."""
+    """Whether any recording has currents with unknown torque constants."""
     return _unscaled(recordings, AMPERES)
 
 
 def from_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether any recording holds currents times given constants, which training may correct."""
+    """Whether any recording has currents times given constants, which training may correct."""
     return _unscaled(recordings, FROM_AMPERES)
 
 

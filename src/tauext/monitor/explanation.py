@@ -25,7 +25,7 @@ from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame
 MEANING = {
     "not finite": "a position, velocity or torque was NaN, infinite or absurdly large; look at the driver and at the "
     "conversion of its values",
-    "wrong size": "the sample did not hold one value for each joint; look at what puts the samples together",
+    "wrong size": "the sample did not have one value for each joint; look at the code that makes the samples",
     "late sample": "a sample was older than the one before it and was left out; look at the order in which they come",
     "time backwards": "the time stamps went back by more than one network period; look at the clock that makes them",
     "missing sample": "the loop ran and no new sample had come; look at the connection to the arm",
@@ -351,7 +351,7 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     """Explain a flight, one paragraph a line, from the headline to samples left out.
 
     Args:
-        kept: samples that the flight's recording holds, (samples,) bool.
+        kept: samples in the flight's recording, (samples,) bool.
     """
     kind = event_kind(flight)
     lines = [headline(flight, source, kind)]
@@ -464,7 +464,7 @@ def left_out(flight: Flight, kept: np.ndarray, source: FlightSource) -> list[str
     gone = np.flatnonzero(~kept)
     if len(gone) == 0:
         return []
-    plural = "samples that a recording cannot hold are" if len(gone) > 1 else "sample that a recording cannot hold is"
+    plural = "samples that do not fit a recording are" if len(gone) > 1 else "sample that does not fit a recording is"
     lines = [f"{len(gone)} of {len(kept)} {plural} left out (values that are not finite, or a time not later):"]
     for row in gone[:MOST_SAMPLES_SHOWN].tolist():
         t_ns = int(flight["t_ns"][row])

@@ -136,7 +136,7 @@ class Loop:
 
     def use_profile(self, name: str, by: str) -> None:
         if self._profiles is None:
-            raise ConfigError(f"profile {name!r}: there are none; `tauext monitor --profiles FILE` reads some")
+            raise ConfigError(f"profile {name!r}: no profiles are loaded; `tauext monitor --profiles FILE` reads some")
         self._profiles.named(name)
         self._requests.put(lambda: self._switch(name, by))
 

@@ -130,11 +130,11 @@ def _reaction(path: Place, table: Any, keys: dict[str, Key]) -> Reaction:
     of_touch = [key for key in ("touch", "links", "newtons_over") if getattr(reaction, key) is not None]
     if of_touch and not {"collision", "contact"} & set(reaction.on):
         raise ConfigError(
-            f"{here} {' and '.join(of_touch)} cannot hold for {', '.join(reaction.on)}; on needs collision or contact"
+            f"{here} {' and '.join(of_touch)} cannot apply to {', '.join(reaction.on)}; on needs collision or contact"
         )
     given = [key for key in ACTIONS if table.get(key) not in (None, False)]
     if len(given) != 1:
-        what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
+        what = f"{' and '.join(given)} are given" if given else "no action is given"
         raise ConfigError(f"{here} {what}; it must be one of {', '.join(ACTIONS)}")
     return reaction
 

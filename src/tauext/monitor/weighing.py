@@ -305,16 +305,16 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
     if found.mass_error_kg > UNKNOWN_KG:
         return [
-            f"no weight shows there: gravity never pulls a load at {where} against a joint that weighs it; is the load "
-            "fixed to a link farther out (--frame)?"
+            f"no weight is visible there: gravity never pulls a load at {where} against a joint that weighs it; is the "
+            "load fixed to a link farther out (--frame)?"
         ]
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":
-        return [f"no load shows: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
+        return [f"no load is visible: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
     if found.verdict == "lifts":
         lift = -found.fits["load"].values[0]
-        return [f"what shows pulls up, as {lift:.2f} {kg} less would: no load, or one that the bundle was trained with"]
+        return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no load, or one present in training"]
     if found.verdict == "contact":
         return [contact_sentence(found, unit)]
     if found.verdict == "unclear":

@@ -19,9 +19,8 @@ from tauext.files.checkpoint import Checkpoint
 from tauext.train.error_scale import Judged, errors, no_free_motion
 
 # --- Held minimum: the error that remains behind a hold time.
-#
-# An alarm rises at sample k when |tau_ext| of a joint has been over its limit L at all samples since one that is
-# `hold_s` old or older. Equivalently, the held minimum exceeds L:
+# An alarm rises at sample k when |tau_ext| of a joint was over its limit L at all samples since one that is `hold_s`
+# old or older. Equivalently, the held minimum exceeds L:
 #
 # .. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
 #

@@ -255,8 +255,8 @@ def set_supported_limits(
 
     If the motion is too short for that, the largest error is used. Both are raised, since minutes do not contain all
     changes of friction with temperature and time: limits that follow the error by `factor_after` and a share of the
-    friction, constant ones by a share of the friction at the speed that a joint stays below for 95 % of its motion.
-    Returns the basis as text, and facts.
+    friction, constant ones by a share of the friction at the 95 % quantile of a joint's speed. Returns the basis as
+    text, and facts.
 
     Args:
         rows: errors of the error scale's fit, for testing the promise in other motion.

@@ -181,7 +181,7 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
     """Message: which part of the old promise holds, and what a new promise needs."""
     if not promised(limits):
-        return "The bundle's limits promise nothing, and still do not."
+        return "The bundle's limits have no promise, before and after."
     asked = limits["promise"]["asked"]
     budget = FalseAlarmBudget(asked["alarms"], asked["hours"])
     new = Promise(budget, used_s / 3600, confidence=limits["promise"]["confidence"])

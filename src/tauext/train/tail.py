@@ -61,8 +61,8 @@ GOODNESS_A2 = np.array(
         [0.383, 0.544, 0.759, 0.940, 1.122, 1.376, 2.066],
     ]
 )
-"""Anderson and Darling's A² (a row a shape, a column a p) that samples of a generalised Pareto distribution exceed with
-probability p when shape and scale are fitted to them within SHAPES. The table is the parametric bootstrap of
+"""Anderson and Darling's A² (a row a shape, a column a p), exceeded with probability p by samples of a generalised
+Pareto distribution. Shape and scale are fitted to them within SHAPES. The table is the parametric bootstrap of
 [Choulakian2001]_ with 60,000 samples of 100. For 50 or 200 it is within 3 %, near the lower bound 10 %."""
 
 
@@ -139,9 +139,9 @@ class Tail:
         200 exceedances it is about 10 % higher. A bootstrap would need random numbers and hundreds of fits; this is a
         sum on a grid. For peaks of Gaussian noise, a generalised Pareto tail only in the limit, it held in 91 to 98.
 
-        If the recordings are long enough for the rate without a distribution (3/rate hours for 95 %), the peak that
-        must lie above x_rho [Garwood1936]_ is a further bound, and the only one below the threshold. If they are
-        shorter, the level is at least the largest peak.
+        Recordings of 3/rate hours (for 95 %) bound the rate without a distribution: the peak that must lie above x_rho
+        [Garwood1936]_ is then a further bound, and the only one below the threshold. If they are shorter, the level is
+        at least the largest peak.
 
         Raises:
             ConfigError: rate is not > 0, or confidence not from 0.5 to below 1.

@@ -4,8 +4,8 @@ With z = tau_ext / sigma of rows of free motion not used in training, clipped at
 
 .. math:: R = (1 - a)\,\hat R + a\,1, \qquad a = \max\left(A, \frac{n}{n + T}\right),
 
-with T seconds of motion, since errors a second apart are about independent. The radius is the factor on variances for
-which 95 % of the errors of force and moment, whose true values are 0 in free motion, lie within the 95 % ellipsoid.
+with T seconds of motion, since errors a second apart are about independent. The radius is the factor on variances that
+puts 95 % of the errors within the 95 % ellipsoid. Errors are force and moment in free motion, where the truth is 0.
 Unlike a mean, it covers heavy tails.
 """
 

@@ -44,7 +44,7 @@ def open_csv(path: Path) -> list[RawRecording]:
     The first line names the columns (a leading # is ignored); if it is all numbers, they are `column1`, `column2`...
     Empty cells are NaN. A line with too few or too many cells is left out and counted.
 
-    Columns `name0`, `name1`... hold the joint names of a sensor_msgs/JointState, and `position0` becomes
+    Columns `name0`, `name1`... have the joint names of a sensor_msgs/JointState, and `position0` becomes
     `position[NAME]`, `velocity0` and `effort0` too. Columns `sec` and `nanosec` are the stamps. `ros2 topic echo --csv`
     writes these columns without a header; such a file is recognised by its first line.
 

@@ -27,7 +27,7 @@ def open_parquet(path: Path) -> list[RawRecording]:
         names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
         others = [field.name for field in file.schema_arrow if not _is_numeric(field.type)]
     if not names:
-        raise RecordingError(f"{path}: no column holds numbers; its columns are {', '.join(others)}")
+        raise RecordingError(f"{path}: no column has numbers; its columns are {', '.join(others)}")
     notes = [f"columns without numbers left out: {short_list(others)}"] if others else []
 
     def blocks() -> Iterator[RawSignals]:

@@ -117,7 +117,7 @@ def any_messages(topic: str, raw: Sequence[bytes], deserialize: Deserialize) -> 
     for message in map(deserialize, raw):
         numbers = dict(_numbers(message, ""))
         if rows and tuple(numbers) != names:
-            raise RecordingError(f"topic {topic}: its messages hold arrays of changing length; they must stay the same")
+            raise RecordingError(f"topic {topic}: its messages have arrays of changing length; they must stay the same")
         names = tuple(numbers)
         rows.append(list(numbers.values()))
         t_ns.append(stamp_ns(message))
@@ -207,19 +207,19 @@ def chosen_topics(path: Path, connections: Iterable[Any], topics: Sequence[str])
         count = there.get(connection.topic, ("", 0))[1]
         there[connection.topic] = (connection.msgtype, count + connection.msgcount)
     if not there or not any(count for _, count in there.values()):
-        raise RecordingError(f"{path}: the bag is empty: it holds no messages")
+        raise RecordingError(f"{path}: the bag is empty: it has no messages")
     listed = ", ".join(f"{t} ({kind.replace('/msg/', '/')}, messages: {n})" for t, (kind, n) in sorted(there.items()))
     for topic in topics:
         if topic not in there:
-            raise RecordingError(f"{path}: no topic '{topic}'; it holds {listed}")
+            raise RecordingError(f"{path}: no topic '{topic}'; it has {listed}")
         if not there[topic][1]:
-            raise RecordingError(f"{path}: topic '{topic}' has no messages; the bag holds {listed}")
+            raise RecordingError(f"{path}: topic '{topic}' has no messages; the bag has {listed}")
     if topics:
         return tuple(topics)
     found = [topic for topic, (kind, count) in there.items() if kind == JOINT_STATE and count]
     if not found:
         raise RecordingError(
-            f"{path}: no topic of type sensor_msgs/JointState with messages; it holds {listed}. A trajectory is "
+            f"{path}: no topic of type sensor_msgs/JointState with messages; it has {listed}. A trajectory is "
             "planned motion, not measured; another topic with measured signals can be named in arm.toml (topic = ...)"
         )
     if len(found) > 1:
@@ -344,7 +344,7 @@ def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         if not found:
-            raise RecordingError(f"{path}: it holds no metadata.yaml and no .db3 or .mcap file; it is no ROS 2 bag")
+            raise RecordingError(f"{path}: it has no metadata.yaml and no .db3 or .mcap file; it is no ROS 2 bag")
         return found, [f"no metadata.yaml: read {', '.join(p.name for p in found)}"]
     try:
         named = _named_files(metadata)

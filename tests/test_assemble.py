@@ -347,7 +347,7 @@ def test_a_wrong_description_is_refused_by_key_value_and_rule(mistake):
 def test_columns_that_are_not_there_are_named_with_what_is_near():
     t_ns, q, dq, tau = motion(joints=2)
     source = a_source(t_ns, q=q, qd=dq, torque=tau)
-    with pytest.raises(ConfigError, match=r"\[signals.dq\] 'dq' is not in run.csv; near to it: .*derives the velocity"):
+    with pytest.raises(ConfigError, match=r"\[signals.dq\] 'dq' is not in run.csv; similar: .*derives the velocity"):
         one(source, arm())
     source = a_source(t_ns, q=np.c_[q, q], dq=dq, tau=tau)
     with pytest.raises(ConfigError, match=r"its elements are 0, 1, 2, 3; \[robot\] names .* by \"q\[{index}\]\""):

@@ -295,7 +295,7 @@ def test_bad_input_is_refused(six, tmp_path):
     with pytest.raises(ConfigError, match="no recording to check"):
         examine([])
     other = replace(six.made.recordings[0], joints=tuple("abcdef"))
-    with pytest.raises(ConfigError, match="are of one arm"):
+    with pytest.raises(ConfigError, match="must be of one arm"):
         examine([six.made.recordings[0], other])
     with pytest.raises(RobotError, match="no such robot file"):
         examine(six.made.recordings, tmp_path / "gone.urdf")

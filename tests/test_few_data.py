@@ -78,7 +78,7 @@ def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, mon
 
 def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path, monkeypatch):
     bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
-    assert any("every fifth of the motion" in note for note in facts["notes"])
+    assert any("each fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
     assert facts["limits"]["other_motion"] == {"sentence": NOT_MEASURED} and NOT_MEASURED in facts["notes"]
     other = motion(seed=7)
@@ -95,7 +95,7 @@ def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_
     assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)
     assert other["factor"] == sum(other["false"].values()) / other["promised"] and other["sentence"] in facts["notes"]
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
-    assert "Each recording was judged by limits from the others" in " ".join(capsys.readouterr().out.split())
+    assert "Each recording was evaluated with limits from the others" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_factor_of_minutes_grows_as_the_reserve_of_friction_fades():

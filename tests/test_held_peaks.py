@@ -262,14 +262,14 @@ def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused()
     )
     # A second of contact, half a second before it and a quarter after: of 6 s at 1 kHz.
     assert (whole.hours - rest.hours) * 3600 == pytest.approx(1.75, abs=0.003)
-    with pytest.raises(TrainingError, match="no recording holds any beyond the warm-up"):
+    with pytest.raises(TrainingError, match="no recording has any beyond the warm-up"):
         collect_peaks(bundle, [pushed("short", seconds=0.3, pushes=())], (0.0,), threads=1)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be one"),
+        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be equal"),
         (lambda: held_minimum(np.ones(3), np.ones(3, bool), -1), "hold_samples = -1 must be >= 0"),
         (lambda: PeakCollector(["a"], -0.1), "hold_s = -0.1 must be 0 to 60"),
         (lambda: PeakCollector(["a"], 0.0, gap_s=0.0), "gap_s = 0.0 must be > 0"),

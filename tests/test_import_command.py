@@ -82,7 +82,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
         "3 sources without labelled contacts: each split by time (train 80%, test 20%) with a gap of 2 s" in out
-        and "validation is empty: train finds limits on training motion that it leaves out of the fit in turn" in out
+        and "validation is empty: train finds limits by cross-validation on the training motion" in out
     )
     found = spans(workplace)
     assert "validation" not in found
@@ -270,7 +270,7 @@ def test_a_robot_file_without_changes_is_copied_and_a_wrong_name_refused(tmp_pat
     assert write_robot(path, folder, {}).read_bytes() == path.read_bytes()
     with pytest.raises(RobotError, match="no link 'tool'; "):
         write_robot(path, folder, {}, Payload("tool", 1.0, (0, 0, 0), (0,) * 6))
-    with pytest.raises(RobotError, match="no joint 'joint9'; near to it: joint"):
+    with pytest.raises(RobotError, match="no joint 'joint9'; similar: joint"):
         write_robot(path, folder, {"joint9": (1.0, 1.0)})
 
 

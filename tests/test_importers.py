@@ -95,9 +95,7 @@ def test_several_joint_state_topics_must_be_named(tmp_path, kind):
     with pytest.raises(RecordingError, match=r"2 topics are of type .*: /left, /right; name the one"):
         open_raw(path)
     assert list(read(path, ["/right"])[1]) == ["/right"]
-    with pytest.raises(
-        RecordingError, match=r"no topic '/arm'; it holds /left \(sensor_msgs/JointState, messages: 5\)"
-    ):
+    with pytest.raises(RecordingError, match=r"no topic '/arm'; it has /left \(sensor_msgs/JointState, messages: 5\)"):
         open_raw(path, ["/arm"])
 
 
@@ -198,7 +196,7 @@ def test_the_broken_last_line_of_a_csv_is_left_out_and_counted(tmp_path):
     assert len(streams[""][1]["time"]) == 50
     assert source.counts == {"lines with a wrong number of cells left out": 1}
     path.write_text(csv_text() + "1,2\n" * 9)
-    with pytest.raises(RecordingError, match="9 of 59 lines have not 5 cells"):
+    with pytest.raises(RecordingError, match="9 of 59 lines lack the 5 cells"):
         read(path)
 
 

@@ -372,7 +372,7 @@ def test_a_file_is_read(tmp_path):
         (("= 1\n", "= -1\n"), "min_interval_s = -1 must be a number from 0 to 86400"),
         (('["true", "x"]', '"true x"'), "must be a list of texts"),
         (('["true", "x"]', "[]"), r"command = \[\] must be a list of texts"),
-        (('command = ["true", "x"]', ""), "nothing to do is given; it must be one of command, python, publish, stop"),
+        (('command = ["true", "x"]', ""), "no action is given; it must be one of command, python, publish, stop"),
         (('command = ["true", "x"]', 'command = ["a"]\nstop = true'), "command and stop are given"),
         (('command = ["true", "x"]', 'python = "lamp"'), 'python = .lamp. must be "module:function"'),
         (('command = ["true", "x"]', "python = 3"), 'python = 3 must be "module:function"'),

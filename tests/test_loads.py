@@ -112,7 +112,7 @@ def test_where_links_branch_the_way_goes_on_to_a_usual_name_or_ends(tmp_path):
     assert load_frame(path, load_tree(path), "camera").name == "camera"
     inner = load_frame(path, load_tree(path), "joint3_link")
     assert inner.link == 2
-    with pytest.raises(RobotError, match="'base' is no link that a joint in use moves; they are joint1_link"):
+    with pytest.raises(RobotError, match="'base' is no link that a joint in use moves; those are joint1_link"):
         load_frame(path, load_tree(path), "base")
 
 
@@ -323,7 +323,7 @@ def test_flights_know_what_the_arm_was_taken_to_carry(arm, tmp_path, capsys):
     assert "carries 1.9 kg, centre of mass 0.03 -0.04 0.08 m" in capsys.readouterr().out
     flight = load_flight(tmp_path / "f")  # of the alarm after the load was taken off too early
     assert [(one["t_ns"], one["mass_kg"]) for one in flight.facts["loads"]][-1] == (4_000_000_000, 0.0)
-    assert any("The arm was taken to carry" in line and "on nothing" in line for line in flight.explanation)
+    assert any("The load of the arm was set to" in line and "on nothing" in line for line in flight.explanation)
     assert any("fit a load of 1.9" in line for line in flight.explanation)
     assert dict(facts(flight))["carried"].endswith("s on") and "1.9 kg" in dict(facts(flight))["carried"]
 

@@ -193,7 +193,7 @@ FILE = '[[reaction]]\nname = "one"\non = {on}\n{rule}\nstop = true\n'
             "links = .'joint9'. must be a list of joints that carry",
         ),
         ('["collision"]', "newtons_over = -1", "newtons_over = -1"),
-        ('["fault"]', "newtons_over = 5", "newtons_over cannot hold for fault; on needs collision or contact"),
+        ('["fault"]', "newtons_over = 5", "newtons_over cannot apply to fault; on needs collision or contact"),
     ],
 )
 def test_a_file_binds_reactions_to_places_and_refuses_what_cannot_be(tmp_path, on, rule, words):

@@ -303,4 +303,4 @@ def test_a_missing_column_is_named_with_its_neighbours_once_each(tmp_path, capsy
     assert main(["import", "--new", "arm.toml", "--source", "run.csv"]) == 0
     Path("run.csv").write_text("t,q_0,q_1,tau_0\n0,1,2,3\n0.01,1,2,3\n")
     assert main(["import", "--source", "run.csv", "--arm", "arm.toml", "--out", "data"]) == 2
-    assert "'tau_1' is not in run.csv; near to it: tau_0, q_1, t; " in capsys.readouterr().err
+    assert "'tau_1' is not in run.csv; similar: tau_0, q_1, t; " in capsys.readouterr().err

@@ -123,7 +123,7 @@ FAULTS = {
     "nameless joint": (put(joints=("elbow", "")), "joint name '' must be text, not empty"),
     "commands to a terminal": (
         put(joints=("elbow", "a\x1b[2J")),
-        r"joint name 'a\x1b[2J' holds characters that cannot",
+        r"joint name 'a\x1b[2J' has characters that cannot",
     ),
     "shared column": (put(joints=("a", "jts_a")), "joints 'a' and 'jts_a' would share the column tau_jts_a"),
     "timing": (put(torque_timing="late"), "torque_timing = 'late' must be one of held, instant, averaged"),
@@ -284,9 +284,9 @@ def extra(name: str):
 
 
 FILE_FAULTS = {
-    "no torque": (drop("tau_elbow"), "column 'tau_elbow' is missing; a signal stands for all joints (shoulder, elbow)"),
+    "no torque": (drop("tau_elbow"), "column 'tau_elbow' is missing; a signal has all joints (shoulder, elbow)"),
     "no times": (drop("t_ns"), "column 't_ns' is missing"),
-    "half a sensor": (drop("tau_jts_shoulder"), "column 'tau_jts_shoulder' is missing; a signal stands for all joints"),
+    "half a sensor": (drop("tau_jts_shoulder"), "column 'tau_jts_shoulder' is missing; a signal has all joints"),
     "half a temperature": (drop("temperature_elbow"), "column 'temperature_elbow' is missing"),
     "single floats": (
         replace("q_elbow", lambda c: c.cast(pa.float32())),
@@ -296,8 +296,8 @@ FILE_FAULTS = {
     "seconds": (replace("t_ns", lambda c: c.cast(pa.float64())), "column 't_ns' is double, must be int64"),
     "missing value": (replace("tau_elbow", at(9, None)), "tau_elbow at row 9 is missing; every sample must have a val"),
     "nan": (replace("tau_elbow", at(9, float("nan"))), "tau_elbow at row 9 is nan; every value must be finite"),
-    "unknown column": (extra("tau_wrist"), "column 'tau_wrist' is none of a recording's"),
-    "column twice": (extra("q_elbow"), "column 'q_elbow' stands there 2 times"),
+    "unknown column": (extra("tau_wrist"), "column 'tau_wrist' does not belong to a recording"),
+    "column twice": (extra("q_elbow"), "column 'q_elbow' occurs 2 times"),
     "degrees": (with_unit("q", "deg"), "the unit of q is 'deg', must be 'rad'"),
     "no torque unit": (metadata(units='{"t": "ns", "q": "rad", "dq": "rad/s"}'), "the unit of tau is 'missing'"),
     "units text": (metadata(units="rad"), "metadata 'units' is not JSON"),

@@ -238,7 +238,7 @@ def test_rotor_inertia_that_cannot_be_read_is_refused(tmp_path):
         load_tree(write(tmp_path, urdf(planar_rig()).replace('gear_ratio value="100', 'gear_ratio value="inf', 1)))
     two = '</joint><transmission name="t"><joint name="x"/><joint name="y"/>'
     two += '<actuator name="m"><rotor_inertia>1</rotor_inertia></actuator></transmission>'
-    with refused("rotor inertia in a transmission of 2 joints; it must have one"):
+    with refused("rotor inertia in a transmission of 2 joints; it must be one"):
         load_tree(write(tmp_path, urdf(planar_rig(), two.removeprefix("</joint>"))))
 
 
@@ -329,7 +329,7 @@ def test_joints_that_follow_others_must_be_locked(tmp_path):
         load_tree(write(tmp_path, text))
     assert names(load_tree(tmp_path / "arm.xml", locked={"elbow": 0.2})) == ["shoulder"]
     held = two_links(rest='<equality><joint joint1="b"/></equality>')
-    with refused("joint 'b' is held by an equality and is not independent: lock it"):
+    with refused("joint 'b' is fixed by an equality and is not independent: lock it"):
         load_tree(write(tmp_path, held))
 
 

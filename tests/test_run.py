@@ -401,7 +401,7 @@ def test_a_fault_says_its_cause_and_the_samples_that_the_files_leave_out(bundle,
     assert f"elbow there: q = {whole.q[3000, 1]:.5f} rad" in text and "tau = +nan Nm; one sample before:" in text
     assert "Last estimate, 1.0 ms before: shoulder " in text
     assert "the fault was gone after 0.012 s" in text
-    assert "12 of 1501 samples that a recording cannot hold are left out" in text
+    assert "12 of 1501 samples that do not fit a recording are left out" in text
     assert f"t_ns = {whole.t_ns[3000]} (3.000 s): q = [{whole.q[3000, 0]:.6g}, " in text and "and 2 more." in text
     assert flight.provenance["dropped_samples"] == 12
     with (tmp_path / f"{one.path.stem}.dropped.csv").open() as file:

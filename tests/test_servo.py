@@ -159,7 +159,7 @@ def test_a_wrong_table_is_refused_with_the_rule(text, message):
 
 def test_what_is_missing_is_named():
     without = HEAD.replace("current =", "voltage =").replace('unit = "mA"', 'unit = "V"')
-    with pytest.raises(ConfigError, match=r"is made of \[signals.current\], which is missing"):
+    with pytest.raises(ConfigError, match=r"needs \[signals.current\], which is missing"):
         parse_arm(without + 'torque_from = "supply-current"\n')
     with pytest.raises(ConfigError, match="type = 'sts9000' must be one of sts3215-7.4v"):
         parse_arm(HEAD.replace("sts3215-7.4v", "sts9000") + 'torque_from = "duty"\n')

@@ -47,8 +47,8 @@ SERVO_BUS = [
 ]
 CALIBRATION = [
     ("[", "not readable as JSON"),
-    ("[]", "must be motors by their names"),
-    ("{}", "must be motors by their names"),
+    ("[]", "must be motors by name"),
+    ("{}", "must be motors by name"),
     ('{"a": 3}', "motor 'a': is 3, must be a table"),
     (json.dumps({"a": {"id": 1}}), "motor 'a': drive_mode is missing"),
     (json.dumps({"a": ELBOW | {"range_min": 1.5}}), "'a': range_min = 1.5 must be a whole number"),

@@ -46,9 +46,9 @@ def test_fractions_that_are_not_shares_are_refused(fractions):
 
 
 def test_a_name_in_two_sets_or_with_a_folder_is_refused():
-    with pytest.raises(ConfigError, match="'a' stands in 'train' and in 'test'; a recording belongs to one set only"):
+    with pytest.raises(ConfigError, match="'a' is in 'train' and in 'test'; a recording belongs to one set only"):
         Split(train=("a",), validation=("b",), test=("a",))
-    with pytest.raises(ConfigError, match="'a' stands twice in 'train'"):
+    with pytest.raises(ConfigError, match="'a' is twice in 'train'"):
         Split(train=("a", "a"), validation=(), test=())
     with pytest.raises(ConfigError, match="must be a file name without a folder"):
         Split(train=("../a",), validation=(), test=())

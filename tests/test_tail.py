@@ -233,7 +233,7 @@ def test_the_summary_is_json():
 
 @pytest.mark.parametrize("count", [0, 1, 30])
 def test_too_few_peaks_are_refused_with_their_number(count):
-    with pytest.raises(TooFewPeaks, match=f"{count} peaks are too few to say how far the tail reaches: at least 31"):
+    with pytest.raises(TooFewPeaks, match=f"{count} peaks are too few to fit a tail: at least 31"):
         fit_tail(np.random.default_rng(0).random(count), 1.0)
 
 

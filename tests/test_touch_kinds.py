@@ -130,7 +130,7 @@ def test_a_file_binds_a_reaction_to_kinds(tmp_path):
     assert load_reactions(path, JOINTS)[0].touch == ("clamp", "unknown")
     for on, touch, words in (
         ('["collision"]', '["squeeze"]', "must be a list of kinds of touch: unknown, impact, push, clamp, load"),
-        ('["fault"]', '["clamp"]', "touch cannot hold for fault; on needs collision or contact"),
+        ('["fault"]', '["clamp"]', "touch cannot apply to fault; on needs collision or contact"),
         ('["collision"]', "[]", "must be a list of kinds of touch"),
     ):
         path.write_text(FILE.format(on=on, touch=touch))

@@ -136,9 +136,11 @@ def test_a_frame_where_no_joint_feels_a_weight_tells_no_mass(tmp_path, arm, free
     assert not found.mass_seen and found.mass_error_kg > 100
     command = [*saved(tmp_path, bundle, loaded_motion), "--frame", "joint1"]
     assert main(command) == 0
-    assert capsys.readouterr().out.startswith("no weight shows there: gravity never pulls a load at the link of joint1")
+    assert capsys.readouterr().out.startswith(
+        "no weight is visible there: gravity never pulls a load at the link of joint1"
+    )
     assert main([*command, "--known-kg", "1.6"]) == 2
-    assert "cannot set torque constants: no weight shows there" in capsys.readouterr().err
+    assert "cannot set torque constants: no weight is visible there" in capsys.readouterr().err
 
 
 def test_a_recording_given_twice_is_refused(tmp_path, arm, free_motion, loaded_motion, capsys):
@@ -173,7 +175,7 @@ def test_an_empty_hand_is_called_one(arm, free_motion):
     bundle = bundle_of(arm, free_motion)
     found = identify(bundle, load_frame(bundle), [see(bundle, free_motion)])
     assert found.verdict == "nothing"
-    assert "no load shows" in load_sentences(found, "it", "N m")[0]
+    assert "no load is visible" in load_sentences(found, "it", "N m")[0]
 
 
 def test_the_friction_that_a_load_adds_is_part_of_it(arm, free_motion):
@@ -296,7 +298,7 @@ def test_a_known_weight_tells_the_torque_constants(arm, loaded_motion, free_moti
 
 def test_an_empty_hand_sets_no_constants(arm, free_motion):
     bundle = bundle_of(arm, free_motion)
-    with pytest.raises(ConfigError, match=r"--known-kg 2 cannot set torque constants: no load shows"):
+    with pytest.raises(ConfigError, match=r"--known-kg 2 cannot set torque constants: no load is visible"):
         weigh_constants(bundle, load_frame(bundle), [see(bundle, free_motion)], 2.0)
 
 
@@ -414,7 +416,7 @@ def test_known_constants_are_taken_as_they_are(free_motion):
         known_constants((2.0,), [free_motion])
     with pytest.raises(ConfigError, match=r"torque_constants = \(0.0,\) must be within 1e-9 and 1e9"):
         TrainConfig(torque_constants=(0.0,))
-    with pytest.raises(ConfigError, match="left out beside torque_constants"):
+    with pytest.raises(ConfigError, match="left out with torque_constants"):
         TrainConfig(torque_constants=(1.0,), fit_torque_constants=True)
 
 

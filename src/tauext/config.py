@@ -19,15 +19,15 @@ PAPER_GAIN_PER_S = 20.0
 MOST_HIDDEN = 256
 """Units of a network that the core runs."""
 MOST_THREADS = 1024
-"""More than any processor has; each takes memory of its own."""
+"""Upper bound, above any processor's cores: every thread takes memory."""
 LARGEST_SEED = 2**63 - 1
 MOST_STEPS = 10**12
-"""Of a training: more would run for years on any machine."""
+"""Largest number of training steps: more would run for years on any machine."""
 
 
 @dataclass(frozen=True)
 class ModelCase:
-    """How the estimated model differs from the robot file: a model case, as the paper calls it."""
+    """Difference of the estimated model from the robot file; the paper calls it a model case."""
 
     name: str
     mass_factor: float = 1.0
@@ -50,7 +50,7 @@ PAPER_CASES = {
     )
 }
 
-# Choices that the help lists, from the tables; a type checker needs its choices written out, and takes any name.
+# Choices from the tables, as the help lists them. Type checkers need literal choices and accept any name here.
 if TYPE_CHECKING:
     CaseName = str
     RecipeName = str
@@ -63,9 +63,9 @@ class ObserverConfig:
     """The momentum observer and the rates of the chain."""
 
     gain_per_s: float | Literal["auto"] | None = None
-    """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: of 20, 50 and 100 the one that
-    finds a hit soonest, according to errors on left-out motion (recipes tauext and prior). None: auto for these two,
-    the paper's 20 for the others."""
+    """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: the one of 20, 50 and 100 that
+    detects a hit soonest, by the errors on left-out motion (recipes tauext and prior). None: auto for these two, the
+    paper's 20 for the others."""
     network_period_s: float = 0.01
     """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""
     window_s: float = 1.0
@@ -81,7 +81,7 @@ class ObserverConfig:
 
     @property
     def first_gain_per_s(self) -> float:
-        """K0 as a number, [1/s]: the paper's where it is still to be chosen."""
+        """K0 as a number, [1/s]; the paper's value while it is still to be chosen."""
         return self.gain_per_s if isinstance(self.gain_per_s, int | float) else PAPER_GAIN_PER_S
 
     def sample_period_ns(self, rate_hz: float) -> int:
@@ -99,12 +99,12 @@ class ObserverConfig:
 
 @dataclass(frozen=True)
 class FreeMotionConfig:
-    """What is left out of recordings with contacts; the motion between contacts is used."""
+    """Margins around labelled contacts; the motion between them is used."""
 
     before_s: float = 0.2
     """Time left out before a labelled contact, since labels may come late, [s]."""
     after_s: float = 1.0
-    """Time left out after a labelled contact, until filters and windows have forgotten it, [s]."""
+    """Time left out after a labelled contact, until it has left filters and windows, [s]."""
 
     def __post_init__(self) -> None:
         for name in ("before_s", "after_s"):
@@ -113,37 +113,37 @@ class FreeMotionConfig:
 
 @dataclass(frozen=True)
 class AlarmConfig:
-    """How a joint over its limit raises an alarm, and the permitted rate of false alarms."""
+    """Conditions of an alarm, and the permitted rate of false alarms."""
 
     false_alarms: float = 1.0
-    """Most false collisions that the whole arm may raise in the time in_hours; limits and hold time follow from it
-    where there are calibration recordings."""
+    """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, limits and hold
+    time follow from it."""
     in_hours: float = 8.0
     """Time in which at most false_alarms false collisions may occur, [h]."""
     confidence: float = 0.95
-    """Confidence with which the promise of false_alarms in in_hours is kept, 0.5 to below 1."""
+    """Confidence that false_alarms in in_hours is not exceeded, 0.5 to below 1."""
     contacts_an_hour: float = 2.0
-    """Most false contacts an hour that the whole arm may raise; a contact falls back by itself."""
+    """Largest number of false contacts of the whole arm an hour; a contact ends by itself."""
     holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
-    """Hold times of a collision among which the calibration chooses, [s]; a longer one allows lower limits."""
+    """Hold times of a collision from which calibration chooses, [s]; a longer one allows lower limits."""
     friction_reserve: float = 0.2
-    """Share of each joint's friction by which constant limits are raised where there are no calibration recordings:
-    minutes of one day do not show how friction changes with temperature and time."""
+    """Share of each joint's friction added to constant limits without calibration recordings: minutes of one day do not
+    show how friction changes with temperature and time."""
     minutes_factor: float = 1.4
-    """Factor on limits that follow the error where there are no calibration recordings, for the same reason; from T
-    minutes of motion 1 + (factor - 1)(1 - e^(-T/4)), since the reserve for friction covers the first ones."""
+    """Factor on limits that follow the error without calibration recordings, for the same reason. With T minutes of
+    motion it is 1 + (factor - 1)(1 - e^(-T/4)), since friction_reserve covers the first minutes."""
     after_contact_factor: float = 2.0
-    """Factor on the limits of a joint that was pushed while it was stuck, from the end of the contact until it has
-    slid: its friction does not follow from its motion (recipes tauext and prior); 1: none."""
+    """Factor on the limits of a joint pushed while stuck, from the end of the contact until the joint has slid: its
+    motion does not determine its friction (recipes tauext and prior); 1: none."""
     collision_hold_s: float = 0.01
-    """Time that a joint must stay over its collision limit before a collision is reported, where there are no
-    calibration recordings to choose it from, [s]."""
+    """Time that a joint must stay over its collision limit before a collision is reported, without calibration
+    recordings, [s]."""
     contact_hold_s: float = 0.0
     """Time that a joint must stay over its contact limit before a contact is reported, [s]; 0: the first sample
     reports it."""
     contact_release_s: float = 0.5
-    """Time for which no joint may have been over its limit before a contact is over, [s]: what observer and freed arm
-    still do in the first half second would otherwise sometimes count as another contact."""
+    """Time that all joints must stay within their limits before a contact ends, [s]. Observer and freed arm settle for
+    half a second, which would otherwise sometimes count as another contact."""
 
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
@@ -171,12 +171,12 @@ class PriorConfig:
     widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
     drop_widths: bool = True
-    """Leave out widths below the encoder's resolution, or that do not help on recordings left out of the fit."""
+    """Leave out widths below the encoder's resolution and those that do not help on held-out recordings."""
     region_width_rad: float = 0.003
-    """Way that a joint must slide after a turn before its limit for sliding holds, [rad]; until then it is near
-    stiction."""
+    """Distance that a joint must slide after a reversal before its limit for sliding applies, [rad]; until then it is
+    near stiction."""
     coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
-    """Smoothings of the sign of the speed, [rad/s]; the widest bends the viscous friction, which grows less than the
+    """Widths of the smoothed sign of the speed, [rad/s]; the widest models viscous friction that grows less than the
     speed."""
     most_ripples: int = 2
     """Largest number of motor and gear ripples fitted to each joint; 0: none."""
@@ -185,7 +185,7 @@ class PriorConfig:
     find_kinematics: bool = True
     """Without a model, find the arm's axes and link lengths from its motion."""
     follow_temperature: bool = True
-    """Let friction follow recorded joint temperatures if that helps on motion left out of the fit."""
+    """Let friction follow recorded joint temperatures if that helps on held-out motion."""
 
     def __post_init__(self) -> None:
         for name in ("widths_rad", "coulomb_speeds_rad_s"):
@@ -199,29 +199,29 @@ class PriorConfig:
 
 @dataclass(frozen=True)
 class DriftConfig:
-    """How the monitor follows slow changes of friction and offset (recipes tauext and prior)."""
+    """The tracker of slow changes of friction and offset (recipes tauext and prior)."""
 
     time_constant_s: float = 120.0
     """Time constant of the drift tracker, [s], at least 1; 0: no tracker."""
     size_share: float = 0.3
-    """Most that each of a joint's three drift coefficients may reach, as a share of its friction at 0.5 rad/s."""
+    """Bound of each of a joint's three drift coefficients, as a share of its friction at 0.5 rad/s."""
     least_size_nm: float = 0.1
     """Least bound of a drift coefficient, where size_share of the friction is smaller, [N m]."""
     rate_share_per_s: float = 1 / 60
-    """Most that a drift coefficient may change in a second, as a share of its bound."""
+    """Largest change of a drift coefficient in a second, as a share of its bound."""
     freeze_share: float = 0.5
-    """Share of its limit, above 0 and at most 1, over which the |tau_ext| of any joint stops the drift tracker from
-    learning."""
+    """Share of a joint's limit, above 0 and at most 1: the drift tracker pauses while |tau_ext| of any joint is above
+    it."""
     freeze_s: float = 1.0
-    """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
+    """Time for which the drift tracker stays paused after a joint was over freeze_share of its limit, [s]."""
     freeze_floor_share: float = 0.4
-    """Where limits follow the error they are so low in easy motion that drift itself is over them; |tau_ext| must also
-    be over this share of a coefficient's bound to stop the tracker."""
+    """To pause the tracker, |tau_ext| must also be above this share of a coefficient's bound. Limits that follow the
+    error are so low in easy motion that drift alone exceeds them."""
     most_frozen: float = 0.03
-    """Largest share of free motion in which the tracker stands still; |tau_ext| must be over as much as that takes."""
+    """Largest share of free motion in which the tracker is paused; the threshold of |tau_ext| is raised to keep it."""
     friction_share: float = 0.4
-    """Share of a joint's friction by which it may be off at once, as on a cold morning, and be followed within some
-    strokes to and fro, whatever touches the arm (0: never; at most 1). Needs limits that follow the error."""
+    """Largest sudden change of a joint's friction that is followed within some strokes even during contact, as a share
+    (0: never; at most 1). It occurs on a cold morning. Needs limits that follow the error."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
@@ -241,11 +241,10 @@ class FilterConfig:
     highpass and bandpass)."""
 
     high_pass_per_s: float = 5.0
-    """Cut-off of the first-order high-pass of recipes highpass and bandpass, [1/s]: what changes more slowly is taken
-    for a model error."""
+    """Cut-off of the first-order high-pass of recipes highpass and bandpass, [1/s]: slower changes count as model
+    error."""
     low_pass_per_s: float = 60.0
-    """Cut-off of the first-order low-pass of recipe bandpass, [1/s]; above the observer's gain, since the observer is
-    a low-pass itself."""
+    """Cut-off of the first-order low-pass of recipe bandpass, [1/s]; above the observer's gain, itself a low-pass."""
 
     def __post_init__(self) -> None:
         for name in ("high_pass_per_s", "low_pass_per_s"):
@@ -260,12 +259,12 @@ class FilterConfig:
 
 @dataclass(frozen=True)
 class EventsConfig:
-    """How alarms are compared with labels that may be wrong."""
+    """Comparison of alarms with labels that may be imprecise."""
 
     shortest_event_s: float = 0.0
-    """Length of the shortest labelled event that counts, [s]; shorter ones are neither an event nor free time."""
+    """Shortest labelled event that counts, [s]; shorter ones are neither an event nor free motion."""
     tolerance_s: float = 0.1
-    """Time before and after an event's label within which an alarm counts for the event and is no false alarm, [s]."""
+    """Time before and after an event's label in which an alarm counts for the event, [s]."""
 
     def __post_init__(self) -> None:
         for name in ("shortest_event_s", "tolerance_s"):
@@ -277,9 +276,9 @@ class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
     recipe: RecipeName = "tauext"
-    """What is trained. tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves
-    where it helps. prior: the same without a network. paper: windows, as published. dense: the paper's network from
-    longer sequences that teach a target at every step; far fewer steps. observer: no network at all, the plain
+    """Method to train. tauext: presliding states, a prior fitted by ridge regression, and a network on its residual
+    where that helps. prior: the same without a network. paper: windows, as published. dense: the paper's network,
+    trained on longer sequences with a target at every step; far fewer steps. observer: no network at all, the plain
     momentum observer. For comparison: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
     and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy:
     observers of other kinds."""
@@ -289,7 +288,7 @@ class TrainConfig:
     hidden: int = 20
     """Hidden units of the LSTM."""
     epochs: int | None = None
-    """Passes over all training windows, of recipe paper alone (None: 500); the others draw theirs at random."""
+    """Passes over all training windows, recipe paper only (None: 500); other recipes draw windows at random."""
     max_steps: int | None = None
     """Steps after which training stops (None: paper by its epochs; dense 45,000; tauext and feedforward 10,000)."""
     batch: int | None = None
@@ -298,9 +297,9 @@ class TrainConfig:
     """Step size of Adam, whose decay rates are 0.9 and 0.999; all recipes but paper rise to it and fall to zero (None:
     paper 0.001, dense, tauext and feedforward 0.01)."""
     targets: int = 100
-    """Targets that a sequence teaches after its burn-in of one window (recipes dense and tauext)."""
+    """Targets in a sequence after its burn-in of one window (recipes dense and tauext)."""
     gate_margin: float = 0.03
-    """Share by which the network must lower a joint's RMSE on validation recordings to be shipped for it (recipe
+    """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
     """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
@@ -312,34 +311,32 @@ class TrainConfig:
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
-    """How limits are found. promised: from the false alarms that the alarm options allow, on the dataset's calibration
-    recordings. supported: for the fewest false alarms that its validation recordings support, and a fit's
-    errors on training motion that was left out of it. paper: the largest errors on its validation recordings. auto:
-    paper for the recipes paper and dense; else promised where there are calibration recordings and supported where
-    there are none."""
+    """Method of finding limits. promised: from the permitted false alarms, on the dataset's calibration recordings.
+    supported: for the fewest false alarms that validation recordings and held-out training motion support. paper: the
+    largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised with
+    calibration recordings and supported without."""
     error_scale: OnOff | None = None
-    """Whether limits follow the error that the motion announces, or are constants (None: on for recipes tauext and
+    """Whether limits follow the error predicted from the motion or are constants (None: on for recipes tauext and
     prior, off for the others)."""
     fit_torque_constants: bool | None = None
-    """Take the recordings' tau for motor current or another multiple of torque, and find one constant a joint from the
-    model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
-    constants are corrected."""
+    """Treat the recordings' tau as motor current or another multiple of torque. Find one constant a joint, from the
+    model or from the arm's own motion. None: where the recordings are currents; given constants are corrected."""
     load_frame: str | None = None
     """Link (URDF) or body (MJCF) in whose frame the payload is given to the monitor. None: the last one that is
     fixed behind the last joint, such as tool0, else the last joint's own."""
     torque_constants: tuple[float, ...] | None = None
-    """Torque constants that are known, one a joint, N m a unit of the recordings' tau: taken as they are (`tauext load
-    --known-kg` finds some). None: --fit-torque-constants decides."""
+    """Known torque constants, one a joint, N m a unit of the recordings' tau, used unchanged (`tauext load --known-kg`
+    finds some). None: --fit-torque-constants decides."""
     torque_share: float = 0.05
-    """Standard error of the recordings' torques as a share of them, where training finds no constants: it bounds the
-    accuracy of forces (Monitor.wrench). Measured torques and makers' constants are off by 5 to 10 %; less for sensors
-    that were checked with weights."""
+    """Relative standard error of the recordings' torques where training finds no constants; it bounds the accuracy of
+    forces (Monitor.wrench). Measured torques and makers' constants are off by 5 to 10 %, sensors checked with weights
+    by less."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
-    """What is left out of recordings that hold contacts."""
+    """Margins around labelled contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     """Permitted rate of false alarms, and conditions of an alarm."""
     prior: PriorConfig = field(default_factory=PriorConfig)
-    """Terms of the prior, and how it is fitted."""
+    """Terms and fit of the prior."""
     drift: DriftConfig = field(default_factory=DriftConfig)
     """The tracker of slow changes."""
     filters: FilterConfig = field(default_factory=FilterConfig)
@@ -364,7 +361,7 @@ class TrainConfig:
         sound = known is None or all(1e-9 <= abs(constant) <= 1e9 for constant in known)
         require(sound, "torque_constants", known, "within 1e-9 and 1e9, or minus that")
         alone = known is None or self.fit_torque_constants is None
-        require(alone, "fit_torque_constants", self.fit_torque_constants, "left out beside torque_constants")
+        require(alone, "fit_torque_constants", self.fit_torque_constants, "left out with torque_constants")
         require(
             self.learning_rate is None or 0 < self.learning_rate <= 1e3,
             "learning_rate",
@@ -423,15 +420,15 @@ class FleetConfig:
     """Workers of a fleet's tasks. No output depends on it."""
 
     workers: int = 0
-    """Processes of this machine that work, one thread each; 0: one a core."""
+    """Worker processes on this machine, one thread each; 0: one a core."""
     retries: int = 2
     """Number of retries of a task whose worker died (killed, out of memory, node lost). A task that reports an error is
     not retried."""
     ray: str | None = None
-    """Let Ray distribute the tasks: the address of a cluster, auto for the one of this machine, or local to start one
-    here with --workers cores (needs the extra tauext[fleet]). None: processes of this machine."""
+    """Ray cluster that runs the tasks: its address, auto for this machine's, or local to start one with --workers cores
+    (needs the extra tauext[fleet]). None: processes of this machine."""
     task_gb: float = 0.0
-    """Memory that a task claims of a node of Ray, [GB]; 0: none is claimed, and cores alone count."""
+    """Memory that a task reserves on a node of Ray, [GB]; 0: none, and only cores count."""
 
     def __post_init__(self) -> None:
         most = f"0 (one a core) to {MOST_THREADS}"
@@ -447,7 +444,7 @@ class FleetConfig:
 
 
 def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:
-    """When r counts as warmed up, [s] after its start: what it started from has faded to e^-10.
+    """Time after which r counts as warmed up, [s]: its initial value has decayed to e^-10.
 
     That is 10/K0, or 10 over the rate of the low-pass behind the observer where that is slower (0: none). The velocity
     observer, where the inertia couples joints, takes longer.
@@ -462,7 +459,7 @@ def require(ok: bool, name: str, value: object, rule: str) -> None:
 
 
 def require_seed(seed: int) -> None:
-    """Raise ConfigError unless every generator takes this seed."""
+    """Raise ConfigError unless every random generator accepts this seed."""
     require(0 <= seed <= LARGEST_SEED, "seed", seed, f">= 0, at most {LARGEST_SEED}")
 
 
@@ -478,7 +475,7 @@ class StoreConfig:
     connect_s: float = 5.0
     """Time to establish a connection, [s]."""
     stall_s: float = 20.0
-    """Time without data after which a request is retried, [s]. A slow line sends something every second."""
+    """Time without data after which a request is retried, [s]. Even a slow line sends something every second."""
     tries: int = 4
     """Number of attempts of a request, with growing pauses, before the command fails."""
 

@@ -1,4 +1,4 @@
-"""Order, sign and zero of joints, direction of gravity, and a load that the file lacks."""
+"""Order, sign and zero of joints, direction of gravity, and a load missing in the robot file."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from tauext.robot.inertial import point_inertia, six_of, unit_loads, with_more_a
 
 
 LEAST_DEG = 10.0
-"""A mounting plate is level within a degree or two; the rest is for what the model has wrong."""
+"""Least angle. A mounting plate is level within a degree or two; the rest covers model errors."""
 GAIN = 1.0
-"""Sum over joints of the logarithm of how much the error falls."""
+"""Least gain: sum over joints of the log ratio of errors."""
 HALVED = 0.6
 
 
 def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> tuple[list[Finding], _core.Tree]:
-    """A finding where another direction fits far better; and the tree with the better one.
+    """Find a direction of gravity that fits far better; returns findings and the tree with that direction.
 
     Gravity torque is linear in the vector of free fall: three columns common to all joints, beside each joint's own
     inertia and friction.
@@ -77,17 +77,17 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
     return [Finding("gravity-direction", "fault", None, evidence, advice)], _core.Tree(list(tree.links), unit)
 
 
-# --- A rigid load at the last link that only the arm or only the model has.
+# --- A rigid load at the last link that the arm has and the model lacks, or the reverse.
 
 
 LEAST_KG = 0.3
-"""Less is a cable, or an error of the links."""
+"""Least mass; less is a cable or an error of the links."""
 SURE = 5.0
-"""Standard errors that the mass must exceed."""
+"""Least mass in standard errors."""
 LOAD_GAIN = 0.5
-"""Sum over the joints that gravity acts on of the logarithm of how much the error falls."""
+"""Least gain: sum over joints under gravity of the log ratio of errors."""
 FURTHEST_M = 0.6
-"""Of the load's centre of mass from the last joint: further out is no tool."""
+"""Largest distance of the load's centre of mass from the last joint; no tool is further out."""
 
 
 @dataclass(frozen=True)
@@ -111,21 +111,21 @@ def with_load(tree: _core.Tree, by: np.ndarray) -> _core.Tree:
 
 
 def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
-    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
+    """Torque of 1 kg, and of 1 kg m of first moment, at the last link: (rows, joints, 4).
 
     Args:
-        rows: of these stretches with this tree.
+        rows: rows of these stretches with this tree.
     """
     return np.stack([rows_of(stretches, loaded).model - rows.model for loaded in unit_loads(tree)], axis=2)
 
 
 def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
-    r"""Least squares of the joints together.
+    r"""Fit a load by least squares of all joints together.
 
     .. math:: \tau_i - \hat\tau_i = Z_i(m, m c) + J_i \ddot q_i + friction_i
 
-    with m and m c common to all joints, and J_i and friction their own. The load's own inertia about its centre of
-    mass is left out: of a hand's size it is a hundredth of m c^2 + rotor inertia.
+    with m and m c common to all joints, and J_i and friction of each joint. The load's inertia about its centre of mass
+    is neglected: for a hand it is a hundredth of m c^2 + rotor inertia.
     """
     shared = load_columns(stretches, tree, rows)
     target = rows.tau - rows.model
@@ -156,7 +156,7 @@ def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float],
 
 
 def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], unit: str) -> list[Finding]:
-    """A load of this mass, where it explains the torques of the joints that gravity acts on."""
+    """Finding of a load, if it explains the torques of the joints under gravity."""
     gain = load.gain(list(strong))
     sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
     if not strong or not sure or gain < LOAD_GAIN or np.linalg.norm(load.com_m) > FURTHEST_M:
@@ -170,24 +170,25 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], u
     if load.mass_kg > 0:
         advice = "add the tool or payload to the model, as a link fixed to the last one"
         return [Finding("payload-missing", "warning", joints[-1], "a load that the model lacks: " + evidence, advice)]
-    advice = "take the tool or hand that is not mounted out of the model"
+    advice = "remove the tool or hand that is not mounted from the model"
     return [Finding("payload-absent", "warning", joints[-1], "less load than the model has: " + evidence, advice)]
 
 
 def loaded(tree: _core.Tree, load: Load) -> _core.Tree:
-    """The tree with the load found, where that leaves the last link a mass."""
+    """Return the tree with the load, if the last link keeps a positive mass."""
     mass = max(load.mass_kg, 0.1 * tree.links[-1].mass - tree.links[-1].mass)
     return with_load(tree, np.r_[mass, mass * load.com_m])
 
 
-# --- A joint whose zero is elsewhere than the robot file's: gravity fits far better with its position shifted.
+# --- A joint whose zero differs from the robot file's: gravity fits far better with its position shifted.
 
 
 GRID_RAD = math.radians(15.0)
 LEAST_RAD = 0.05
-"""A calibrated arm's zero is right within a hundredth; a smaller offset may be an error of a rough model's masses."""
+"""Least offset. A calibrated arm's zero is right within 0.01 rad; smaller offsets may be errors of the model's
+masses."""
 RESISTS = 0.1
-"""From this share of the torque on, friction determines the torque's sign, and gravity must have the same."""
+"""Share of the torque's spread above which friction determines the torque's sign; gravity must then agree."""
 
 
 @dataclass(frozen=True)
@@ -203,10 +204,10 @@ class Offset:
 
 
 def best_offset(rows: Rows, tree: _core.Tree) -> Offset | None:
-    """The shift of one joint that makes gravity fit best, each joint's torque with a factor of its own.
+    """Find the shift of one joint with the best fit of gravity, with one factor a joint on torque.
 
-    Gravity is evaluated at the rows' own positions; inertia, which a shift changes little beside friction, stays.
-    None where no shift of LEAST_RAD is better than none.
+    Gravity is evaluated at the rows' own positions; inertia is unchanged, since a shift changes it little compared with
+    friction. None if no shift of LEAST_RAD or more is better.
     """
     others, signs = _rest(rows)
     zero = _log_errors(rows.gravity, others, signs)
@@ -229,7 +230,7 @@ def best_offset(rows: Rows, tree: _core.Tree) -> Offset | None:
 
 
 def _rest(rows: Rows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]:
-    """Of each joint a basis of all that is not gravity, and the torque without it; and the torque's sign, 0 unknown."""
+    """For each joint a basis without gravity and the torque orthogonal to it; and the torque's sign, 0: unknown."""
     parts, signs, resists = [], [], slice(CONSTANT, CONSTANT + FRICTION - 1)  # after the constant; gravity left out
     for j in range(rows.joints):
         columns, y = columns_of(rows, j), rows.tau[:, j]
@@ -246,7 +247,7 @@ def _rest(rows: Rows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]
 
 
 def _log_errors(gravity: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]], signs: list[float]) -> np.ndarray:
-    """Logarithm of each joint's robust error with this gravity, (joints,)."""
+    """Log of each joint's robust error with this gravity, (joints,)."""
     errors = np.empty(len(others))
     for j, (basis, y) in enumerate(others):
         x = gravity[:, j] - basis @ (basis.T @ gravity[:, j])
@@ -258,42 +259,42 @@ def _log_errors(gravity: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarr
     return errors
 
 
-# --- Joints in another order, axes that turn the other way, zeros that are elsewhere: what fits far better than given.
+# --- Other orders, reversed axes and shifted zeros that fit far better.
 
 
 SEARCH_S = 60.0
-"""Of motion, spread over all of it: the search fits dozens of arrangements."""
+"""Motion used, spread evenly, [s]: the search fits dozens of arrangements."""
 SEARCH_ROWS = 5000
-"""Of all pairs of joints, spread over all of the data."""
+"""Rows used for all pairs of joints, spread evenly."""
 WORSE = 1.15
 """... and none rises by more than this."""
 LEAST_EXPLAINED = 0.5
-"""What an effort explains of another joint's motion before the two can be called exchanged."""
+"""Least share of another joint's motion that an effort must explain to count as exchanged."""
 MOST_CHANGES = 3
 OFFSET_GAIN = 2.0
-"""As GAIN: a shift of one joint, the best of all, gains up to 1.3 by chance where a tool is missing in the model ..."""
+"""Least gain of a shift: the best one gains up to 1.3 by chance if a tool is missing in the model ..."""
 OFFSET_LEAD = 0.15
-"""... and it gains so much more for each joint than an arrangement, a load or a tilted base."""
+"""... and least excess, a joint, over the gain of an arrangement, a load or a tilted base."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """Of what the joints are called and which way they turn."""
+    """Change of the joints' order and signs."""
 
     code: str
     description: str
     names: list[str]
-    """Of the joints that it changes."""
+    """Names of the changed joints."""
     order: list[int]
-    """Of the joints as they are, by what they become."""
+    """Present index of each joint in the new order."""
     sign: np.ndarray
 
     def of(self, stretch: Stretch) -> Stretch:
-        """The stretch as it would be."""
+        """Return the changed stretch."""
         return stretch.changed(lambda x: np.ascontiguousarray(self.sign * x[:, self.order]))
 
     def of_rows(self, rows: Rows) -> Rows:
-        """Rows of such stretches, but for the model's torques: all else is odd in the motion, or constant."""
+        """Return the changed rows without the model's torques; all other columns are odd in the motion or constant."""
         friction = rows.friction[:, self.order].copy()
         friction[:, :, 1:] *= self.sign[:, None]
         names = ("q", "dq", "tau", "acceleration")
@@ -301,11 +302,11 @@ class Change:
 
 
 Best = tuple[float, Change | None, np.ndarray, np.ndarray]
-"""Gain of a change, itself, None: there is none, the ratio of errors and the errors."""
+"""Gain, change (None: none), ratio of errors, and errors."""
 
 
 def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) -> list[Stretch]:
-    """A share of every stretch, so many seconds in all; where that leaves too few rows the longest one, whole."""
+    """Cut every stretch to a share, `seconds` in all; with too few rows, return the longest one whole."""
     share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
 
     parts = [s.changed(lambda x: x[: max(1, round(share * len(x)))]) for s in stretches]
@@ -314,7 +315,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
 
 
 def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
-    """Torques that fit the motion of another joint; and for each joint the column that holds its torque."""
+    """Find torques that fit another joint's motion; also returns for each joint the column of its torque."""
     n, every = rows.joints, max(1, len(rows.time_s) // SEARCH_ROWS)
     rows = rows.taken(slice(None, None, every))
     errors = np.empty((n, n))  # log error of torque column k as that of joint j
@@ -334,8 +335,8 @@ def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding],
     for j in wrong:
         error, own = (100 * np.exp(errors[j, k]) for k in (column[j], j))
         evidence = (
-            f"its motion explains the effort of '{joints[column[j]]}' but for {error:.0f} % of its spread, "
-            f"its own effort but for {own:.0f} %"
+            f"its motion explains the effort of '{joints[column[j]]}' except {error:.0f} % of its spread, "
+            f"its own effort except {own:.0f} %"
         )
         found.append(Finding("joint-order", "fault", joints[j], evidence, "map efforts by name at import"))
     return found, [int(k) for k in column]
@@ -344,7 +345,7 @@ def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding],
 def rearranged(
     stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
 ) -> tuple[list[Finding], list[Stretch]]:
-    """Findings, and the stretches as the robot file would have them."""
+    """Return findings, and the stretches in the robot file's order and signs."""
     found, few = [], search_stretches(stretches)
     stretches = list(stretches)
     rows = rows_of(few, tree)
@@ -396,14 +397,12 @@ def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: fl
         f"with {shift.text()} added to its positions the model's error falls to {ratio:.0%} at one joint and rises "
         f"at none ({gain:.1f} nats)"
     )
-    advice = (
-        "its zero is elsewhere than the robot file's: add that offset at import, or correct the file's joint origin"
-    )
+    advice = "its zero differs from the robot file's: add that offset at import, or correct the file's joint origin"
     return Finding("position-offset", "fault", joints[shift.joint], evidence, advice)
 
 
 def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows, now: np.ndarray) -> float:
-    """What a load that the model lacks, or another direction of gravity, gains."""
+    """Gain of a missing load or another direction of gravity."""
     trees = (loaded(tree, fit_load(stretches, tree, rows)), gravity_finding(stretches, tree, rows)[1])
     return max(-float(np.log(_errors(_with_model(rows, stretches, other)) / now).sum()) for other in trees)
 

@@ -68,11 +68,11 @@ from tauext.files.plain_file import FORMAT
 from tauext.progress import SILENT, Reporter
 from tauext.robot.write import is_placeholder
 
-# --- What was measured of every joint, findings or none.
+# --- Measured quantities of every joint.
 
 
 Facts = dict[str, float | str]
-"""Of one joint, by names that bear their units."""
+"""Measured quantities of one joint, by names with units."""
 
 
 def facts_of(
@@ -84,12 +84,12 @@ def facts_of(
     fits: Sequence[JointFit],
     lags: Sequence[tuple[float, float, float]],
 ) -> list[Facts]:
-    """One a joint: what could be measured.
+    """Collect the measured quantities, one entry a joint.
 
     Args:
         recordings: as recorded.
-        efforts: what each joint's tau is.
-        rows: that the fits were made of; None: there are none.
+        efforts: kind of each joint's tau.
+        rows: rows of the fits; None: no fits.
     """
     facts: list[Facts] = []
     noise = noise_nm(recordings)
@@ -142,8 +142,7 @@ def _play_facts(play: Play) -> Facts:
     return fact
 
 
-# --- Order of the checks: signals first, then motion, then torque against model; what is found is corrected for the
-# rest.
+# --- Order of the checks: signals, then motion, then torque against model. Faults are corrected for later checks.
 
 
 STEPS = (
@@ -164,7 +163,7 @@ OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Findings, the worst first, and the measured quantities of every joint."""
+    """Findings, worst first, and measured quantities of every joint."""
 
     joints: tuple[str, ...]
     findings: list[Finding]
@@ -198,21 +197,20 @@ def examine(
 ) -> Diagnosis:
     """Run all checks on recordings of one arm in free motion.
 
-    A fault is corrected before the next step (time, spikes, degrees, order, sign, delay, gravity, payload), and a
-    recording that disagrees with the others is left out, so that one fault is one finding. Each check's module defines
+    Each fault is corrected before the next step (time, spikes, degrees, order, sign, delay, gravity, payload). A
+    recording that disagrees with the others is left out. So one fault gives one finding. Each check's module defines
     its thresholds, with reasons.
 
     Args:
-        recordings: of the same joints; stretches labelled contact are left out of fits.
-        robot: URDF or MJCF; None: checks that need a model are left out.
+        recordings: of the same joints; labelled contacts are left out of fits.
+        robot: URDF or MJCF; None: skip checks that need a model.
         gravity: acceleration of free fall in the base frame; None: the file's.
-        called_free: names of recordings that are declared free of contact.
+        called_free: names of recordings declared free of contact.
         report: receives the progress.
 
     Raises:
         ConfigError: no recording, or recordings of different joints.
-        RobotError: there is no such robot file.
-    """
+        RobotError: the robot file is missing."""
     with report.progress("check") as show:
         diagnosis = _examine(
             recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step)
@@ -228,7 +226,7 @@ def _examine(
     called_free: Collection[str],
     begin: Callable[[str], None],
 ) -> Diagnosis:
-    """begin: is called with each of STEPS that there is something to do for."""
+    """Run the checks; `begin` is called with each of STEPS that applies."""
     begin("signals")
     joints = _same_joints(recordings)
     file = open_robot(robot, joints, gravity) if robot is not None else None
@@ -255,7 +253,7 @@ def _examine(
     recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
     if any(map(derives_velocity, recordings)):
-        units = [finding for finding in units if finding.code != "velocity-delay"]  # the window's, and meant
+        units = [finding for finding in units if finding.code != "velocity-delay"]  # an intended delay of the window
     found += units + odd + excitation_findings(recordings, motion)
     found += limit_findings(recordings, file) if file else []
 
@@ -265,7 +263,7 @@ def _examine(
     lags: list[tuple[float, float, float]] = []
     lag_s = 0.0
     if unsigned:
-        pass  # a torque without a sign admits no further check
+        pass  # no further check applies to a torque without a sign
     elif not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
         torque_found, rows, fits, lags, tree, lag_s = _torque(
             motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
@@ -291,7 +289,7 @@ def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
         if r.joints != recordings[0].joints:
             raise ConfigError(
                 f"recording '{r.name}' has the joints {', '.join(r.joints)}, '{recordings[0].name}' "
-                f"{', '.join(recordings[0].joints)}; recordings that are checked together are of one arm"
+                f"{', '.join(recordings[0].joints)}; recordings checked together must be of one arm"
             )
     return recordings[0].joints
 
@@ -315,7 +313,7 @@ def of_servos(odd: list[Finding], recordings: Sequence[Recording]) -> list[Findi
 
 
 def _alike(recordings: Sequence[Recording], odd: list[Finding]) -> tuple[list[Recording], list[Finding]]:
-    """The recordings that no finding concerns, and the findings."""
+    """Recordings without findings, and the findings."""
     names = {finding.recording for finding in odd}
     return [r for r in recordings if r.name not in names], odd
 
@@ -421,7 +419,7 @@ def _scale(
     lag_s: float,
     unit: str,
 ) -> tuple[list[Finding], _core.Tree]:
-    """Findings of a payload if it explains every factor, else of the factors; and the tree with the payload."""
+    """Findings of a payload if it explains all factors, else of the factors; and the tree with the payload."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
     found += far_findings(rows, joints, fits, unit)
     factors = scale_findings(joints, fits, judged)
@@ -458,7 +456,7 @@ COLUMNS = (
     ("gravity_factor", "tau by g", "", ".3f"),
     ("error_nm", "unexplained", TORQUE, ".2g"),
 )
-"""What was measured of a joint: name of the fact, its heading, unit and format."""
+"""Measured quantities of a joint: name, heading, unit and format."""
 
 
 def as_text(diagnosis: Diagnosis) -> str:
@@ -481,7 +479,7 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
     """Contents of check.txt and check.json.
 
     Args:
-        recordings: names of those that were examined.
+        recordings: names of the examined recordings.
         without_model: whether they were checked without a robot file.
     """
     text = as_text(diagnosis)
@@ -528,17 +526,17 @@ def _table(diagnosis: Diagnosis) -> list[str]:
     return [line(row) for row in [head, *rows]]
 
 
-# --- What there is to examine: recordings of a dataset, a folder or by name, and the robot file beside them.
+# --- Input: recordings of a dataset, a folder or by name, and the robot file beside them.
 
 
 MOST_MINUTES = 30.0
-"""Recordings beyond this time are left out evenly; half an hour suffices to detect wrong units."""
+"""Longest time examined, with recordings left out evenly; half an hour suffices to detect wrong units."""
 
 
 def gather(
     data: tuple[Place, ...], robot: Place | None, report: Reporter = SILENT
 ) -> tuple[list[Recording], set[str], Path | None]:
-    """Recordings, at most MOST_MINUTES of them; names of those that a dataset calls free; and the robot file.
+    """Load recordings, up to MOST_MINUTES; also returns names of those in free sets, and the robot file.
 
     Raises:
         ConfigError: nothing to check.
@@ -563,12 +561,12 @@ def gather(
     if not files:
         log = next((log for path in data if path.is_dir() and (log := first_log(path))), None)
         remedy = f"; {import_first(log)}" if log is not None else ""
-        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check{remedy}")
+        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) to check{remedy}")
     return _evenly(files, report), free, robot_file
 
 
 def _evenly(files: list[Place], report: Reporter) -> list[Recording]:
-    """Loaded, every second or third only where there are too many."""
+    """Load the recordings; of too many, every second or third."""
     heads = [describe(file) for file in files]
     minutes = sum(head.samples / head.rate_hz for head in heads) / 60
     stride = max(1, -int(-minutes // MOST_MINUTES))
@@ -580,19 +578,18 @@ def _evenly(files: list[Place], report: Reporter) -> list[Recording]:
     return recordings
 
 
-# --- The cheap checks: at one recording without any fit, and at all of them with one, so that hours pass in seconds.
+# --- Quick checks of every recording: without fits, and for contacts with one fit.
 
 
 OF_ALL = ("quantised", "smoothed", "saturated")
-"""Codes that need all recordings together: a joint may rest, or hold one torque, in a single recording."""
+"""Codes decided on all recordings together: a joint may rest, or hold one torque, in a single recording."""
 
 
 def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
-    """Unsigned efforts, clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the
-    worst first.
+    """Check one recording for unsigned efforts, clock, spikes, stuck and saturated signals, degrees and unit of time.
 
     Args:
-        torque_limits_nm: (joints,) of the robot file, infinite where it has none; None: no robot file.
+        torque_limits_nm: (joints,), infinite where the robot file has none; None: no robot file.
     """
     found, (corrected,) = time_findings([recording])
     efforts = efforts_of([corrected])
@@ -609,7 +606,7 @@ def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> l
 
 
 def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
-    """Findings of contacts without a label as in `examine`, on all of the recordings.
+    """Find contacts without a label, as examine() does, on all of the recordings.
 
     Args:
         recordings: of the same joints.

@@ -11,12 +11,12 @@ NEGATE_EFFORT = "negate the effort at import (`sign = -1` in [signals.tau])"
 """Remedy of every `effort-sign`."""
 
 CODES = {
-    "backlash": "a joint has play between its motor and what it moves",
+    "backlash": "a joint has play between its motor and its load",
     "clock-gaps": "samples are missing",
     "clock-irregular": "the steps between samples differ",
-    "coarse-velocity": "the velocity counts in steps coarser than the speed that its positions give",
-    "contact-in-free-motion": "contacts in a recording that is called free, labelled or found in the torque",
-    "current-signed": "a current that is called the supply's has a sign",
+    "coarse-velocity": "the velocity has coarser steps than the derivative of the positions",
+    "contact-in-free-motion": "contacts in a recording declared free, labelled or found in the torque",
+    "current-signed": "a current declared as the supply's has a sign",
     "degrees": "positions, or positions and velocities, are in degrees",
     "effort-duty": "the torque is the duty of a drive, or a load register",
     "effort-external": "the torque is already an external torque",
@@ -26,54 +26,53 @@ CODES = {
     "effort-scale": "the torque is the model's times a constant: a current, another unit",
     "effort-sign": "the torque is positive where it pushes in the negative direction",
     "excitation-low": "a joint moves too little",
-    "gravity-direction": "gravity points elsewhere than in the robot file",
+    "gravity-direction": "gravity has another direction than in the robot file",
     "inertia-impossible": "a link of the robot file has an inertia that no body can have",
-    "joint-axis": "an axis turns against the robot file's",
+    "joint-axis": "an axis is opposite to the robot file's",
     "joint-names": "joints are named otherwise than in the robot file",
-    "joint-order": "joints stand in another order",
+    "joint-order": "joints are in another order",
     "load-sign-bit": "the torque is a load register with its sign still in a bit",
     "mass-missing": "a moving link of the robot file has no mass",
     "model-unusable": "the robot file cannot be used",
     "never-moves": "no joint moves",
     "odd-recording": "a recording disagrees with the others in unit, sign, order, zero, scale or load",
-    "payload-absent": "the model carries something that is not mounted",
-    "payload-missing": "something is mounted that is not in the model",
+    "payload-absent": "the model has a load that is not mounted",
+    "payload-missing": "a load is mounted that is not in the model",
     "position-limit": "a position exceeds the robot file's limit",
-    "position-offset": "a joint's zero position is elsewhere than in the robot file",
+    "position-offset": "a joint's zero position differs from the robot file's",
     "quantised": "the torque has few levels",
-    "repeated-rows": "rows are equal to the row before",
-    "robot-file-changed": "the robot file is not the one that was recorded with",
-    "saturated": "many samples stand at one extreme value",
+    "repeated-rows": "rows repeat the row before",
+    "robot-file-changed": "the robot file differs from the one recorded with",
+    "saturated": "many samples have one extreme value",
     "smoothed": "the torque has less noise than a measurement can have",
     "spike": "a few samples lie far beyond their neighbours",
-    "stuck": "a signal stands still while its joint moves",
+    "stuck": "a signal is constant while its joint moves",
     "supply-current": "the torque is the current of a servo's supply, without a sign",
     "temperature-drift": "friction changes with time",
     "time-unit": "the time stamps are in another unit",
     "too-short": "the recordings are short",
-    "torque-delay": "the torque comes late, or early, against the motion",
+    "torque-delay": "the torque is late or early relative to the motion",
     "unsigned-torque": "the torque has no sign",
-    "velocity-delay": "the velocity comes late against the position",
+    "velocity-delay": "the velocity is late relative to the position",
     "velocity-mismatch": "the velocity is not the derivative of the position",
     "velocity-sign": "the velocity has the opposite sign",
     "velocity-unit": "the velocity is the derivative of the position times a constant",
 }
-"""Stable: scripts may rely on them."""
+"""Codes of findings and their meaning; stable, scripts may rely on them."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong or notable."""
+    """One fault, warning or note about data or robot file."""
 
     code: str
-    """A key of CODES."""
+    """Key of CODES."""
     severity: Severity
-    """fault: a bundle trained on these data is wrong. warning: it may be wrong or worse than necessary. note:
-    information."""
+    """fault: a bundle trained on these data is wrong. warning: it may be wrong or inaccurate. note: information."""
     joint: str | None
-    """None: all joints, or none in particular."""
+    """Joint concerned; None: all joints, or no single one."""
     evidence: str
-    """What was measured, in numbers."""
+    """Measured evidence, in numbers."""
     advice: str
     """The remedy."""
     recording: str | None = None

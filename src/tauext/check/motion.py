@@ -15,27 +15,27 @@ from tauext.check.finding import NEGATE_EFFORT, Finding
 from tauext.data.recording import Recording
 from tauext.data.servo import torque_unit
 
-# --- Recordings as evenly sampled stretches of smooth free motion: the input of every fit.
+# --- Recordings as evenly sampled stretches of smooth free motion, the input of every fit.
 
 
 LEAST_STRETCH_S = 2.0
-"""A shorter stretch holds hardly more than the ends of its filters."""
+"""Least length of a stretch; a shorter one is mostly filter transients."""
 POSITION_CUTOFF_HZ = 15.0
-"""Of the positions that are differentiated: above what an arm moves by, below what an encoder's steps make."""
+"""Cut-off for differentiating positions: above an arm's motion, below the noise of encoder steps."""
 FIT_CUTOFF_HZ = 5.0
-"""Of torque and model alike before they are compared: friction at a reversal and inertia still show, noise does not."""
+"""Cut-off of torque and model before comparison: it keeps friction at reversals and inertia, and removes noise."""
 FIT_ROWS_HZ = 25.0
 MOST_HZ, THINNED_CUTOFF_HZ = 250.0, 60.0
-"""Faster recordings are low-passed and thinned: no fit uses more than 15 Hz."""
+"""Rate to which faster recordings are low-passed and thinned; no fit uses more than 15 Hz."""
 MOVING_RAD_S = 0.02
-"""A slower joint rests."""
+"""Speed below which a joint rests."""
 CONTACT_MARGIN_S = 0.5
-"""Left out on both sides of a labelled contact: labels come late, and an arm springs back."""
+"""Time left out before and after a labelled contact: labels come late, and an arm springs back."""
 REPEATS_S = 0.25
-"""Rows that repeat for longer end a stretch."""
+"""Longest run of repeated rows within a stretch."""
 SIGNALS = ("q", "dq", "tau", "q_raw", "dq_raw")
 GAP_PERIODS = 5.0
-"""A step of so many periods ends a stretch: what is in between cannot be interpolated."""
+"""Step, in periods, that ends a stretch, as longer gaps cannot be interpolated."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class Stretch:
 
 
 PADDED_ROWS = 9
-"""With which the filter begins at either end."""
+"""Number of samples that pad the filter at either end."""
 
 
 def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
-    """Second-order Butterworth there and back over axis 0, no delay. Too high a cut-off, few rows: unchanged."""
+    """Apply a second-order Butterworth forwards and backwards over axis 0; unchanged if too fast or too short."""
     if cutoff_hz >= 0.45 * rate_hz or len(x) <= PADDED_ROWS:
         return x
-    from scipy.signal import sosfiltfilt  # 0.6 s to load, which most commands never need
+    from scipy.signal import sosfiltfilt  # takes 0.6 s to import, and most commands do not need it
 
     return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), x, axis=0)
 
@@ -103,13 +103,13 @@ def repeated_rows(recording: Recording) -> np.ndarray:
     repeated[1:] = True
     for x in (recording.q, recording.dq, recording.tau):
         for column in x.T:
-            at = np.flatnonzero(repeated)  # most rows are out after the first column
+            at = np.flatnonzero(repeated)  # most rows drop out after the first column
             repeated[at[column[at] != column[at - 1]]] = False
     return repeated
 
 
 def _whole(recording: Recording, contacts: bool) -> list[np.ndarray]:
-    """Rows of each stretch, repeats left out."""
+    """Rows of each stretch, without repeats."""
     keep = ~repeated_rows(recording)
     if recording.contact is not None and not contacts:
         touched = recording.time_s[recording.contact == 1]
@@ -123,7 +123,7 @@ def _whole(recording: Recording, contacts: bool) -> list[np.ndarray]:
         return []
     step_ns = np.median(np.diff(recording.t_ns)) if recording.samples > 1 else 1
     period_ns = max(step_ns, 1e9 / recording.rate_hz)
-    # rows left out in between are repeats (contacts leave a wider margin): the clock went on there
+    # rows left out in between are repeats, during which the clock continued
     longest_ns = np.where(np.diff(rows) > 1, max(REPEATS_S * 1e9, GAP_PERIODS * period_ns), GAP_PERIODS * period_ns)
     breaks = np.flatnonzero(np.diff(recording.t_ns[rows]) > longest_ns)
     return [part for part in np.split(rows, breaks + 1) if len(part) > 8]
@@ -158,7 +158,7 @@ LATE_S = 0.010
 FACTOR_OFF = 0.1
 LEAST_CORRELATION = 0.9
 LEAST_SPEED_RAD_S = 0.02
-"""RMS, [rad/s]: below, noise is compared with noise."""
+"""Least RMS of the velocity for a comparison, [rad/s]; below is noise."""
 MUCH_FASTER = 3
 """A recorded velocity this many times LEAST_SPEED_RAD_S is no noise, also where the position hardly moves."""
 DEGREES = 180 / math.pi
@@ -166,7 +166,7 @@ DEGREES = 180 / math.pi
 
 @dataclass(frozen=True)
 class VelocityFit:
-    """One joint's recorded velocity as factor times the derivative of its position, so much later."""
+    """Fit of one joint's recorded velocity to the derivative of its position, with factor and lag."""
 
     factor: float
     lag_s: float
@@ -174,7 +174,7 @@ class VelocityFit:
 
 
 def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> VelocityFit | None:
-    """Recorded velocity of `joint` against the derivative of position of joint `of`, itself if None.
+    """Compare the recorded velocity of `joint` with the derivative of position of joint `of`, itself if None.
 
     None: the joint does not move. If it moves slowly, a fit needs a much faster recorded velocity that correlates.
     """
@@ -206,7 +206,7 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
     correlation = float(abs(inner @ recorded) / max(math.sqrt(power) * float(np.linalg.norm(recorded)), 1e-12))
     if slow and correlation < LEAST_CORRELATION:
         return None
-    # what is left of the lag, to first order: recorded = factor (true - lag d(true)/dt)
+    # remaining lag, to first order: recorded = factor (true - lag d(true)/dt)
     slope = np.concatenate([np.gradient(true)[reach:-reach] for true, _ in pairs])
     left = float((inner - recorded / factor) @ slope / (slope @ slope)) if factor else 0.0
     return VelocityFit(factor, float(shift + np.clip(left, -stride, stride)) / rate, correlation)
@@ -215,7 +215,7 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
 def velocity_findings(
     stretches: Sequence[Stretch], joints: Sequence[str]
 ) -> tuple[list[Finding], list[VelocityFit | None], np.ndarray]:
-    """Findings, what was measured of each joint, and by what factor (joints,) positions are too large."""
+    """Return findings, the fit of each joint, and the factors (joints,) by which positions are too large."""
     found, positions = [], np.ones(len(joints))
     fits = [compare(stretches, j) for j in range(len(joints))]
     for j, (joint, fit) in enumerate(zip(joints, fits, strict=True)):
@@ -263,7 +263,7 @@ def _guess(size: float) -> str:
     known = (
         (DEGREES, "it is in deg/s, or the position is in rad and was imported as degrees"),
         (60 / (2 * math.pi), "it is in turns a minute"),
-        (1 / (2 * math.pi), "in turns a second"),
+        (1 / (2 * math.pi), "it is in turns a second"),
     )
     for factor, what in known:
         if abs(size / factor - 1) < 0.05:
@@ -271,20 +271,20 @@ def _guess(size: float) -> str:
     return ": motor side, perhaps" if size > 20 else ""
 
 
-# --- An arm at rest: the torque that holds it against the gravity of the model, pose by pose.
+# --- An arm at rest: torque against the model's gravity, pose by pose.
 
 
 REST_RAD = 0.01
-"""No joint turns by more in WINDOW_S."""
+"""Largest travel of a resting joint in WINDOW_S."""
 WINDOW_S = 1.0
 APART_RAD = 0.05
-"""Poses closer together are one."""
+"""Least distance of separate poses."""
 SEVERAL = 3
-"""From this number of poses on, what gravity leaves unexplained shows how much friction holds."""
+"""Fewest poses for estimating friction from the part that gravity does not explain."""
 LOADED, LOADED_OF_SEVERAL = 0.2, 0.05
-"""Gravity on a joint as a share of the arm's largest: a gear's friction holds a tenth of that."""
+"""Least gravity torque as a share of the arm's largest; a gear's friction holds a tenth of that."""
 ALIKE = 2.5
-"""Torque over gravity may differ so much between joints: friction, a tool, torque constants."""
+"""Largest ratio of torque over gravity between joints, from friction, a tool or torque constants."""
 ABOVE_FRICTION = 3.0
 
 
@@ -312,10 +312,10 @@ def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Sequence[str]) -> list[Finding]:
-    """Find joints at rest whose torque acts with gravity instead of against it; friction must not explain it.
+    """Find joints at rest whose torque acts with gravity instead of against it, beyond friction.
 
-    One pose or two: joints with much load, whose torque is of the size of gravity. More: also joints with less load, if
-    gravity with one factor explains their torques but for a third, which is then friction.
+    With one or two poses only joints with much load count, whose torque has the size of gravity. With more poses joints
+    with less load count too, if gravity with one factor explains all but a third of their torques.
     """
     q, tau = poses_of(recordings)
     unit = torque_unit(recordings)
@@ -345,6 +345,6 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
 
 
 def _of_one_size(factor: np.ndarray, loaded: np.ndarray) -> np.ndarray:
-    """Joints whose torque is to gravity as that of the other loaded joints; a single one: as 1."""
+    """Joints whose ratio of torque to gravity is that of the other loaded joints; for a single one, 1."""
     usual = float(np.median(np.abs(factor[loaded]))) if loaded.sum() > 1 else 1.0
     return (np.abs(factor) > usual / ALIKE) & (np.abs(factor) < usual * ALIKE)

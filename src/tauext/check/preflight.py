@@ -1,4 +1,4 @@
-"""Checks before training: how much data they read, which findings are cached, and which stop a training."""
+"""Checks before training: share of the data, cache of findings, and faults that stop a training."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from tauext.files.places import Place, is_stored
 from tauext.files.provenance import VERSION
 from tauext.progress import Reporter
 
-# --- How much of some motion a bundle's monitor rejects, and why.
+# --- Share of motion that a bundle's monitor rejects, and causes.
 
 
 WORTH_A_WARNING = 0.02
-"""Of the samples; beyond it results follow from less motion than was recorded."""
+"""Share of rejected samples that causes a warning: results then follow from less motion than was recorded."""
 TOO_MUCH = 0.2
-"""Beyond it they follow from other motion than was recorded."""
+"""Share that is an error: results would not represent the recorded motion."""
 REJECTED = "rejected"
-"""Code that accepts it."""
+"""Code that accepts this error."""
 REMEDIES = {
     "wrong rate": "import the recordings again, or state their mean rate (arm.toml, [time] rate_hz)",
     "torque saturated": "check the robot file's torque limits and the unit of tau",
     "encoder still": "check which column each joint's position comes from",
     "gap": "record without losing samples",
 }
-"""By cause; of any other one `tauext check` reports more."""
+"""Remedies by cause; for others `tauext check` has details."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class RejectedTime:
 class Rejected:
     """Counts the samples that are not healthy, by cause and recording.
 
-    Counted are the samples behind the first healthy one of each recording; a recording without any counts whole. The
-    warm-up after a fault is rejected, too, and counts for the fault.
+    Samples after the first healthy one of each recording count; a recording without any counts whole. The warm-up after
+    a fault counts for the fault.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Rejected:
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recordings: Iterable[Recording], threads: int) -> Self:
-        """What a monitor with this bundle rejects of these recordings."""
+        """Count the samples that a monitor with this bundle rejects in these recordings."""
         found = cls()
         for recording in recordings:
             estimates = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
@@ -86,13 +86,13 @@ class Rejected:
         return found
 
     def add(self, name: str, health: np.ndarray, causes: np.ndarray | None) -> None:
-        """Take in a recording: health and bits of the causes, (samples,)."""
+        """Add a recording: health and bits of the causes, (samples,)."""
         healthy = health == OK
-        first = int(healthy.argmax())  # 0 where none is
+        first = int(healthy.argmax())  # 0 if none
         bad = ~healthy[first:]
         bits = np.zeros(len(bad), np.uint32) if causes is None else causes[first:]
         if bad.any() and not healthy.any():
-            bad = bits != 0  # all but the warm-up, which has no cause
+            bad = bits != 0  # without the warm-up, which has no cause
         for cause, samples in zip(*np.unique(bits[bad], return_counts=True), strict=True):
             for text in _core.cause_names(int(cause)):
                 self._causes[text] = self._causes.get(text, 0) + int(samples)
@@ -113,10 +113,10 @@ class Rejected:
         )
 
     def warning(self, motion: str, accept: Collection[str] = (REJECTED,)) -> str:
-        """A sentence with cause, recording and remedy; empty where hardly anything is rejected.
+        """Message with cause, recording and remedy; empty if few samples are rejected.
 
         Args:
-            motion: what was rejected: `its own training motion`.
+            motion: name of the motion, such as `its own training motion`.
             accept: codes that are accepted.
 
         Raises:
@@ -134,20 +134,20 @@ class Rejected:
             f"'{worst.recording}'"
         )
         if self.share > TOO_MUCH and REJECTED not in accept:
-            raise TrainingError(f"{words}: {remedy}; --accept {REJECTED} goes on with the rest")
-        return f"{words}; the results follow from the rest alone: {remedy}"
+            raise TrainingError(f"{words}: {remedy}; --accept {REJECTED} continues with the rest")
+        return f"{words}; the results follow from the rest only: {remedy}"
 
 
 # --- Findings, cached by the content of the data, so that the same data are not checked twice.
 
 
 def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[Finding]:
-    """The cached findings for these parts, else those found now.
+    """Return the cached findings for these parts, or find and cache them.
 
     A damaged cache file is ignored. A cache that cannot be written is no error: the next call checks again.
 
     Args:
-        parts: all that the findings depend on but for the code of the checks, as digests or words.
+        parts: digests or text of everything that determines the findings, except the code of the checks.
     """
     text = json.dumps([VERSION, checks_version(), *parts])
     path = folder() / f"{hashlib.sha256(text.encode()).hexdigest()}.json"
@@ -172,7 +172,7 @@ def folder() -> Path:
 
 @cache
 def checks_version() -> str:
-    """Digest of the code of the checks: other code may find other things."""
+    """Digest of the code of the checks, on which findings depend."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
@@ -180,7 +180,7 @@ def checks_version() -> str:
 
 
 def digest_of(recording: Recording) -> str:
-    """Digest of all that the checks read of a recording."""
+    """Digest of everything in a recording that the checks read."""
     head = [recording.name, recording.joints, recording.rate_hz, recording.robot_sha256, recording.provenance]
     digest = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
     for signal in ("t_ns", "q", "dq", "tau", "temperature", "contact"):
@@ -190,7 +190,7 @@ def digest_of(recording: Recording) -> str:
 
 
 def file_digest(path: Place) -> str:
-    """Of a file's bytes, or what a store marks its content by; a file that cannot be read has the digest of none."""
+    """Digest of a file's bytes, or a store's content tag; an unreadable file has the digest of no content."""
     if is_stored(path):
         return version_of(path)
     digest = hashlib.sha256()
@@ -203,34 +203,34 @@ def file_digest(path: Place) -> str:
     return digest.hexdigest()
 
 
-# --- Use of findings: faults refuse the data, unless accepted; warnings are reported and kept.
+# --- Use of findings: faults are refused unless accepted; warnings are reported and stored.
 
 
 LISTED = 8
-"""Findings of one code whose evidence is listed; more are counted."""
+"""Most findings of a code with evidence listed; further ones are counted."""
 NARROW = 2
-"""Joints that are named one by one in what would accept a code; of more, all are meant."""
+"""Most joints named in a suggested --accept; with more, the code is accepted for all joints."""
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Faults and warnings of one set of recordings, notes left out."""
+    """Faults and warnings of one set of recordings, without notes."""
 
     findings: list[Finding] = field(default_factory=list)
 
     def faults(self) -> list[Finding]:
-        """Those that refuse the data unless accepted."""
+        """Faults, which must be accepted to use the data."""
         return [finding for finding in self.findings if finding.severity == "fault"]
 
     def facts(self, accept: Collection[str]) -> dict:
-        """For provenance, as plain JSON: what was accepted, and what was warned of."""
+        """Accepted faults and warnings for provenance, as plain JSON."""
         accepted = [finding for finding in self.faults() if is_accepted(finding, accept)]
         warnings = [finding for finding in self.findings if finding.severity == "warning"]
         return {"accepted": entries(accepted), "warnings": entries(warnings)}
 
 
 def entries(findings: Iterable[Finding]) -> list[dict]:
-    """One a code and joint: how many recordings it was found in, by name the first, and the first one's evidence."""
+    """Entries by code and joint: number of recordings, and name and evidence of the first one."""
     found: dict[tuple[str, str | None], dict] = {}
     for finding in findings:
         entry = found.setdefault(
@@ -244,17 +244,17 @@ def entries(findings: Iterable[Finding]) -> list[dict]:
 
 
 def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -> None:
-    """Raise ConfigError where a code is not one of a finding, or a joint not one of the arm.
+    """Raise ConfigError for an unknown code or joint.
 
     Args:
         accept: CODE or CODE:joint.
-        joints: None: not known yet.
+        joints: names of the joints; None: not known yet.
     """
     for text in accept:
         code, colon, joint = text.partition(":")
         if code not in CODES and text != REJECTED:
             known = ", ".join([*CODES, REJECTED])
-            raise ConfigError(f"accept = {text}: '{code}' is no code of a finding; they are {known}")
+            raise ConfigError(f"accept = {text}: '{code}' is no code of a finding; codes are {known}")
         if colon and joints is not None and joint not in joints:
             raise ConfigError(f"accept = {text}: there is no joint '{joint}'; the joints are {', '.join(joints)}")
 
@@ -265,13 +265,13 @@ def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
 
 
 def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequence[str], report: Reporter) -> dict:
-    """Report warnings and accepted faults, each once; the facts of each result, for provenance.
+    """Report warnings and accepted faults, each once; returns facts of each result for provenance.
 
     Args:
-        where: the data, for the message.
+        where: name of the data, for the message.
 
     Raises:
-        FaultyDataError: a fault that is not accepted; the message is a block with all of them.
+        FaultyDataError: a fault is not accepted; the message lists all of them.
     """
     findings = [finding for result in results.values() for finding in result.findings]
     refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
@@ -280,7 +280,7 @@ def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequen
         lines = [
             f"{where}: {count} fault{'' if count == 1 else 's'}, so these data are refused",
             *finding_lines(refused),
-            "  `tauext check --out DIR` draws them. To use them as they are, accept the faults; the bundle records it:",
+            "  `tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:",
             f"      --accept {' '.join(accepting(refused))}",
         ]
         raise FaultyDataError("\n".join(lines), refused)
@@ -292,7 +292,7 @@ def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequen
 
 
 def sentence(entry: dict) -> str:
-    """An entry of facts on one line."""
+    """Format an entry of facts on one line."""
     at = f" ({entry['joint']})" if entry["joint"] else ""
     more = f" (and {entry['count'] - 1} more)" if entry["count"] > 1 else ""
     return f"{entry['code']}{at}: {entry['evidence']}{more}"
@@ -326,36 +326,36 @@ def accepting(faults: Sequence[Finding]) -> list[str]:
 
 
 def by_code(findings: Sequence[Finding]) -> dict[str, list[Finding]]:
-    """In the order of the first of each code."""
+    """Group findings by code, in order of first occurrence."""
     found: dict[str, list[Finding]] = {}
     for finding in findings:
         found.setdefault(finding.code, []).append(finding)
     return found
 
 
-# --- All checks read a share of the training data; the cheap ones, and that for contacts, read every sample.
+# --- All checks read a share of the training data; quick checks and the check for contacts read every sample.
 
 
 MOST_MOVING_S = 180.0
-"""Of motion that all checks read, [s], the same share of each recording from its beginning on: order, axes, signs
-and scales show within half a minute, the cheap checks find what is rare."""
+"""Motion that all checks read, [s], the same share from the beginning of each recording. Order, axes, signs and scales
+show within half a minute; the quick checks find rare faults."""
 LEAST_MOVING_S = 20.0
-"""Of each recording, [s]: a shorter one shows too little to be compared with the others."""
+"""Least time of each recording, [s]: less is too little for a comparison with the others."""
 LEAST_ROWS = 200
-"""Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
+"""Least samples of each recording: with stamps in a wrong unit an hour may last seconds."""
 FITTED = ("effort-scale", "effort-motor-side")
-"""Codes that are no fault where training finds the factor."""
+"""Codes that are no fault if training finds the factor."""
 LESSER: Mapping[str, Severity] = {
-    "contact-in-free-motion": "note",  # is labelled: training and limits leave it out, and report it
+    "contact-in-free-motion": "note",  # labelled: training and limits leave it out and report it
     "smoothed": "warning",  # model and friction are right, limits too low for the raw signal
 }
-"""Severity in training of faults of these codes."""
+"""Severity of these codes in training."""
 TOO_FEW = ("too-short", "temperature-drift")
-"""Codes that a share of the recordings cannot decide."""
+"""Codes that cannot be decided on a share of the recordings."""
 RARE = ("spike",)
 """Codes that a share of the recordings may miss."""
 AT_A_TIME = 4
-"""Most recordings that are checked at a time."""
+"""Most recordings checked in parallel."""
 
 
 def check_training(
@@ -368,14 +368,14 @@ def check_training(
 ) -> CheckResult:
     """Run all checks on the data of a training; findings are cached by content.
 
-    Contacts that are labelled are left out of it, hence no fault.
+    Labelled contacts are left out of training, so they are no fault.
 
     Args:
-        recordings: for training and validation, as they will be used.
-        robot: the robot file; None: there is no model, and checks that need one are left out.
-        limits_nm: largest torque of each drive, (joints,); None: tau is in another unit, or nothing is known.
-        finds_constants: whether training finds the factor of tau, which is unknown before.
-        threads: 0: one a core. What is found does not depend on it.
+        recordings: for training and validation.
+        robot: the robot file; None: no model, and checks that need one are skipped.
+        limits_nm: largest torque of each drive, (joints,); None: unknown, or tau is in another unit.
+        finds_constants: whether training finds the factor of tau.
+        threads: number of threads, 0: one a core. The findings do not depend on it.
     """
     settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
     workers = _workers(threads)
@@ -407,11 +407,11 @@ def check_training(
 def check_calibration(
     files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter
 ) -> CheckResult:
-    """Run the cheap checks on every calibration recording; findings are cached by content.
+    """Run the quick checks on every calibration recording; findings are cached by content.
 
     Args:
         files: the recordings.
-        limits_nm: as of check_training.
+        limits_nm: see check_training().
     """
     workers = _workers(threads)
     with ThreadPoolExecutor(workers) as pool:
@@ -438,10 +438,10 @@ def check_for_bundle(
     threads: int,
     report: Reporter,
 ) -> dict[str, dict]:
-    """The cheap checks of recordings from which a bundle learns again; their facts under the name, for provenance.
+    """Run the quick checks on recordings that update a bundle; returns their facts under the name, for provenance.
 
     Raises:
-        ConfigError: a code that does not exist, or a joint.
+        ConfigError: an unknown code or joint.
         FaultyDataError: a fault that is not accepted.
     """
     expect_codes(accept, [link.joint_name for link in bundle.links])
@@ -450,7 +450,7 @@ def check_for_bundle(
 
 
 def shares(recordings: Sequence[Recording]) -> list[Recording]:
-    """The beginning of each, as long as its share of MOST_MOVING_S of motion takes; all where there is no more."""
+    """Cut each recording to its share of MOST_MOVING_S of motion, from the beginning; unchanged if they have less."""
     moving = [np.cumsum((np.abs(r.dq) > MOVING_RAD_S).any(axis=1)) / r.rate_hz for r in recordings]
     share = min(1.0, MOST_MOVING_S / max(1e-9, sum(float(m[-1]) for m in moving)))
     if share == 1.0:
@@ -465,9 +465,9 @@ def forgiven(finding: Finding) -> Finding:
 
 
 def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> list[Finding]:
-    """The findings of all checks, and of the cheap ones the faults that the others did not report, and what is rare.
+    """Combine the findings of all checks with the quick checks' further faults and rare warnings.
 
-    Other warnings that hold for one recording, and not for all of them together, are none.
+    Other warnings of a single recording are dropped.
     """
     reported = {(f.code, f.joint, f.recording) for f in general}
     found = list(general)
@@ -487,7 +487,7 @@ def _without_notes(findings: Iterable[Finding]) -> list[Finding]:
 def _in_parallel(
     tasks: Sequence[Callable[[], list[Finding]]], workers: int, title: str, report: Reporter
 ) -> list[list[Finding]]:
-    """Results in order; the first error ends all tasks."""
+    """Run the tasks; results come in order, and the first error ends all tasks."""
     with report.progress(title) as show, ThreadPoolExecutor(workers) as pool:
         futures: list[Future[list[Finding]]] = [pool.submit(task) for task in tasks]
         try:

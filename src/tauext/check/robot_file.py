@@ -1,4 +1,4 @@
-"""What the robot file has wrong: masses, inertias, frames, limits."""
+"""Faults of the robot file: masses, inertias, frames, limits."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from tauext.errors import RobotError
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.torque_limits import torque_limits
 
-# --- Masses, inertias, joints and their limits in a URDF, read as text, before loading may refuse it.
+# --- Masses, inertias, joints and limits in a URDF, read as XML, since loading may refuse it.
 
 
 MOVING = ("revolute", "continuous", "prismatic")
 TRIANGLE = 1e-3
-"""Share by which a principal inertia may exceed the sum of the others: files round."""
+"""Share by which a rounded principal inertia may exceed the sum of the others."""
 
 
 def read_xml(path: Path) -> ElementTree.Element | None:
-    """Root of a URDF; None where the file is none, an MJCF for instance, which MuJoCo checks itself."""
+    """Root of a URDF; None for other files, such as an MJCF, which MuJoCo checks itself."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -43,7 +43,7 @@ def moving_joints(root: ElementTree.Element) -> list[str]:
 
 
 def position_limits(root: ElementTree.Element | None, joints: Sequence[str]) -> np.ndarray:
-    """(joints, 2) lower and upper limit, [rad or m]; infinite where the file has none."""
+    """Lower and upper limits (joints, 2), [rad or m]; infinite where the file has none."""
     limits = np.tile([-math.inf, math.inf], (len(joints), 1))
     for joint in [] if root is None else root.findall("joint"):
         limit = joint.find("limit")
@@ -53,13 +53,13 @@ def position_limits(root: ElementTree.Element | None, joints: Sequence[str]) -> 
             low, high = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
         except ValueError:
             continue
-        if high > low:  # both 0: none are stated
+        if high > low:  # both 0 means no limits
             limits[list(joints).index(joint.get("name", ""))] = low, high
     return limits
 
 
 def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> list[Finding]:
-    """Masses and inertias of the links that these joints move."""
+    """Findings on masses and inertias of the links that these joints move."""
     if root is None:
         return []
     links = {link.get("name"): link for link in root.findall("link")}
@@ -83,7 +83,7 @@ def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> l
                 evidence = f"link '{link}': {problem}"
                 found.append(Finding("inertia-impossible", "fault", joint.get("name"), evidence, advice))
         if sum(masses.values()) == 0:
-            evidence = f"link '{name}' and what is fixed to it have no mass"
+            evidence = f"link '{name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
             found.append(Finding("mass-missing", "fault", joint.get("name"), evidence, advice))
     return found
@@ -130,7 +130,7 @@ def _impossible(link: ElementTree.Element) -> str | None:
 
 @dataclass(frozen=True)
 class RobotFile:
-    """tree is None where the file cannot be used: the findings have the reason."""
+    """A robot file; tree is None if the file cannot be used, and the findings state the reason."""
 
     tree: _core.Tree | None
     position_limits_rad: np.ndarray  # (joints, 2)
@@ -141,13 +141,11 @@ class RobotFile:
 def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | None = None) -> RobotFile:
     """Read a robot file for recordings of these joints.
 
-    Where the file has none of the names its joints are taken in the order of the file, as many as the recordings
-    have, and a warning reports it: a driver that names joints its own way is no reason to stop, and a wrong order
-    shows.
+    If the file has none of the names, its first joints are used in order, and a warning reports it. Drivers may use
+    other names, and later checks detect a wrong order.
 
     Raises:
-        RobotError: there is no such file.
-    """
+        RobotError: the file is missing."""
     if not path.is_file():
         raise RobotError(f"{path}: there is no such robot file; give a URDF or MJCF")
     root, names = read_xml(path), list(joints)
@@ -177,7 +175,7 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
 
 
 def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Finding]:
-    """Recordings that name another robot file by its content; those that name none are left alone."""
+    """Finding of recordings made with another robot file, by SHA-256; recordings without one are ignored."""
     now = robot_sha256(path)
     others = [r for r in recordings if r.robot_sha256 and r.robot_sha256 != now]
     if not others:
@@ -194,7 +192,7 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
 
 
 def _names(path: Path, otherwise: list[str]) -> list[str]:
-    """Joints of an MJCF file, or `otherwise` where it cannot be read: loading then reports the reason."""
+    """Joints of an MJCF file, or `otherwise` if unreadable; loading then reports the reason."""
     try:
         return [link.joint_name for link in load_tree(path).links]
     except RobotError:

@@ -1,4 +1,4 @@
-"""Servos: what their effort signal is, and play of joints."""
+"""Servos: kind of the effort signal, and play of joints."""
 
 from __future__ import annotations
 
@@ -13,62 +13,60 @@ from tauext.check.motion import DEGREES
 from tauext.data.drive_signal import LEAST_VISITS, Play, RestLaw, motion_of, rest_law, step_of, unsigned_visits
 from tauext.data.recording import Recording
 
-# --- What the effort of a servo arm is: an unsigned supply current, a duty or load, a phase current, or a torque.
+# --- Kind of a servo arm's effort: an unsigned supply current, a duty or load, a phase current, or a torque.
 
 
 Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", "sign bit", "goal"]
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
-"""The signal that a torque is made of, by [servo] torque_from."""
+"""Signal from which a torque is computed, by [servo] torque_from."""
 SQUARE = 1.5
-"""Exponent at rest above which an unsigned signal is proportional to the square of the duty, below to the duty
-itself."""
+"""Exponent at rest above which an unsigned signal is proportional to the square of the duty, else to the duty."""
 LEAST_LINEAR, MOST_LINEAR = 0.7, 1.4
 """Exponents of a signal that is proportional: rounding of small values bends the line."""
 FOLLOWS = 0.9
-"""Share of a signal's variance in motion that error of position and speed explain, for it to be the drive's own."""
+"""Least share of a drive signal's variance in motion explained by position error and speed."""
 BACK_EMF = 0.15
-"""What speed takes off as a share of what the error gives, from which on a motor's back-EMF is in the signal. At a
-third of its no-load speed a servo's current has lost a third; a duty has lost nothing."""
+"""Ratio of the effects of speed and position error from which a signal contains back-EMF. At a third of the no-load
+speed a servo's current has lost a third, a duty nothing."""
 ROUND = (1.0, 100.0, 1000.0)
-"""Full duty as a share, in per cent, or in the thousandths of a load register."""
+"""Full duty as a share, in per cent, or in thousandths of a load register."""
 LEAST_STEP, MOST_STEP = 5e-4, 0.02
 """Steps of a duty's register, as shares of the full duty: Feetech's load counts thousandths, Dynamixel's PWM 1/885. A
-stiff arm's torque follows the error of position, too, but in steps of its own or none."""
+stiff arm's torque also follows the position error, but with other steps or none."""
 DRAWN = 5000
-"""Points of a picture."""
+"""Most points in a figure."""
 PILED = 20
-"""Rows at exactly the full duty: a saturated drive, and no chance."""
+"""Fewest rows at exactly the full duty for a saturated drive."""
 OF_TORQUES = ("effort-scale", "effort-motor-side", "effort-limit", "payload-missing", "payload-absent")
-"""Codes of findings that hold for a torque in N m only."""
+"""Codes of findings that apply only to a torque in N m."""
 SIGN_BIT, FULL = 1024, 1000
 """Feetech's Present_Load: bit 10 is the sign, the rest is 0 to 1000."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What one joint's effort is, and the evidence."""
+    """Kind of one joint's effort, and the evidence."""
 
     kind: Kind
     visits: int = 0
-    """How often it comes down to zero in motion without ever crossing it."""
+    """Number of visits of zero in motion without crossing it."""
     law: RestLaw | None = None
     speed_share: float = 0.0
-    """What speed takes off in motion, as a share of what the error of position gives."""
+    """Ratio of the effects of speed and position error in motion."""
     signed: bool = False
     full: float = 0.0
-    """Where it saturates, in its unit; 0: it does not."""
+    """Value at which it saturates, in its unit; 0: none."""
     of: str | None = None
-    """The joint whose law it is, where its own cannot be determined."""
+    """Joint from which the law was taken, if its own cannot be determined."""
     made_from: str | None = None
-    """The signal that tau is made from according to [servo] of arm.toml, which this then describes. None: tau as
-    recorded."""
+    """Signal from which tau was computed according to [servo] of arm.toml, described here; None: tau as recorded."""
 
 
 def efforts_of(recordings: Sequence[Recording]) -> list[Effort]:
-    """What each joint's tau is, or what it was made from at import.
+    """Determine the kind of each joint's tau, or of its source signal at import.
 
-    Without the goal's positions a law at rest cannot be determined, and a duty resembles a torque unless it saturates.
-    A phase current is distinguished from a torque by its back-EMF alone.
+    Without goal positions a law at rest cannot be determined, and a duty resembles a torque unless it saturates. Only
+    back-EMF distinguishes a phase current from a torque.
     """
     found = [_effort(recordings, j) for j in range(len(recordings[0].joints))]
     with_law = [j for j, one in enumerate(found) if one.law is not None and one.kind in ("unsigned", "supply current")]
@@ -84,7 +82,7 @@ def efforts_of(recordings: Sequence[Recording]) -> list[Effort]:
 
 
 def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
-    """Findings of efforts that are no torque, or another signal than declared, with what to write in arm.toml."""
+    """Findings of efforts that are no torque or not the declared signal, with the entry for arm.toml."""
     found = []
     for joint, effort in zip(joints, efforts, strict=True):
         if effort.kind in ("unsigned", "supply current") and effort.made_from != "supply_current":
@@ -93,7 +91,7 @@ def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Fin
             evidence = (
                 f"whole numbers up to {FULL} and from {SIGN_BIT} to {SIGN_BIT + FULL}, none between: bit 10 is the sign"
             )
-            advice = "a load register as it is read: where it is above 1024, take that off and negate; and " + _DUTY
+            advice = "a raw load register: above 1024, subtract 1024 and negate; and " + _DUTY
             found.append(Finding("load-sign-bit", "fault", joint, evidence, advice))
         elif effort.kind == "duty" and effort.made_from is None:
             found.append(Finding("effort-duty", "warning", joint, _duty_evidence(effort), _DUTY))
@@ -102,20 +100,20 @@ def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Fin
             and effort.kind in ("torque", "phase current", "duty")
             and effort.signed
         ):
-            evidence = "it has both signs in motion, where the current of a supply is drawn and not given back"
-            advice = 'the current of the windings, then: set torque_from = "phase-current" in [servo] of arm.toml'
+            evidence = "it has both signs in motion, but a supply current is only drawn, not returned"
+            advice = 'it is the current of the windings: set torque_from = "phase-current" in [servo] of arm.toml'
             found.append(Finding("current-signed", "warning", joint, evidence, advice))
     return found
 
 
-_DUTY = 'set torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then taken off'
+_DUTY = 'set torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then subtracted'
 
 
 def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tuple[Sequence[Recording], set[int]]:
-    """The recordings with a sign to unsigned efforts, and linear in torque, so that the other checks get a torque.
+    """Give unsigned efforts a sign and make them linear in torque, for the other checks.
 
     Returns:
-        The recordings, and the joints whose effort could not be given a sign: findings of their torque are void.
+        The recordings, and the joints without a known sign, whose torque findings are void.
     """
     turned = [j for j, e in enumerate(efforts) if e.kind in ("unsigned", "supply current") and e.made_from is None]
     if not turned:
@@ -134,7 +132,7 @@ def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tup
 
 @dataclass(frozen=True)
 class Rest:
-    """One joint's effort at rest against goal minus position, for a picture."""
+    """One joint's effort at rest against goal minus position, for a figure."""
 
     error_rad: np.ndarray
     effort: np.ndarray
@@ -142,7 +140,7 @@ class Rest:
 
 
 def rests_of(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list[Rest | None]:
-    """One a joint where its effort is no torque and follows a law, else None."""
+    """Points for each joint whose effort is no torque and follows a law, else None."""
     found: list[Rest | None] = []
     for j, effort in enumerate(efforts):
         if effort.law is None or effort.kind == "torque":
@@ -162,7 +160,7 @@ def rests_of(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list
 
 
 def without_scale(found: Sequence[Finding], joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
-    """The findings without those that hold an effort against N m where it is known to be none."""
+    """Remove findings that compare efforts with N m where the effort is no torque."""
     other = {
         joint
         for joint, effort in zip(joints, efforts, strict=True)
@@ -172,7 +170,7 @@ def without_scale(found: Sequence[Finding], joints: Sequence[str], efforts: Sequ
 
 
 def is_drive(effort: Effort) -> bool:
-    """Whether it is the drive's own, which turns round before the joint leaves its stiction: no delay shows in it."""
+    """Whether the effort is a drive signal, which reverses before the joint leaves stiction and shows no delay."""
     return effort.kind != "torque" or effort.made_from is not None
 
 
@@ -195,7 +193,7 @@ def _effort(recordings: Sequence[Recording], j: int) -> Effort:
 
 
 def _signal(tau: Sequence[np.ndarray], recordings: Sequence[Recording], j: int) -> Effort:
-    """What a signal of one joint is, (samples,) of each recording."""
+    """Determine the kind of one joint's signal, (samples,) of each recording."""
     whole = np.concatenate(tau)
     if not whole.any():
         return Effort("torque")
@@ -228,7 +226,7 @@ def _speed_share(
     errors: Sequence[np.ndarray],
     moving: Sequence[np.ndarray],
 ) -> tuple[float, float]:
-    """What speed takes off the effort, as a share of what the error gives, and the share of variance explained."""
+    """Ratio of the effects of speed and position error on the effort, and the share of variance explained."""
     y = np.concatenate([x[moves] for x, moves in zip(tau, moving, strict=True)])
     e = np.concatenate([error[moves] for error, moves in zip(errors, moving, strict=True)])
     if len(y) < 100 or e.std() == 0:
@@ -243,7 +241,7 @@ def _speed_share(
 
 
 def _is_share(x: np.ndarray) -> bool:
-    """Whether it may be a share of a full duty: within 1, or counted in its hundredths or thousandths."""
+    """Whether a signal may be a share of full duty: within 1, or in hundredths or thousandths."""
     top = float(np.abs(x).max())
     full = next((f for f in ROUND if top <= f), None)
     if full is None or full == 1.0:
@@ -253,7 +251,7 @@ def _is_share(x: np.ndarray) -> bool:
 
 
 def _piled(x: np.ndarray, full: float) -> bool:
-    """Whether it reaches exactly the full duty, often, and never goes beyond."""
+    """Whether a signal often reaches exactly the full duty and never exceeds it."""
     size = np.abs(x)
     return bool(size.max() == full and np.count_nonzero(size == full) >= PILED)
 
@@ -270,26 +268,26 @@ def _is_square(effort: Effort) -> bool:
 
 
 def _unsigned(joint: str, effort: Effort) -> Finding:
-    visits = f"it comes down to zero {effort.visits} times in motion and never crosses it"
+    visits = f"it reaches zero {effort.visits} times in motion and never crosses it"
     if effort.law is None:
         advice = (
-            "the size of something without its sign. Record the goal's positions ([signals.q_des]), or the duty: the "
-            'sign is theirs; and where it is the supply\'s current, set torque_from = "supply-current" in [servo] of '
+            "a magnitude without sign. Record the goal's positions ([signals.q_des]) or the duty, which have the "
+            'sign; if it is the supply\'s current, set torque_from = "supply-current" in [servo] of '
             "arm.toml"
         )
         return Finding("unsigned-torque", "fault", joint, visits, advice)
     whose = f" (determined at '{effort.of}')" if effort.of else ""
-    law = f"at rest it goes with |goal - position|^{effort.law.exponent:.2f} ± {effort.law.exponent_error:.2f}{whose}"
+    law = f"at rest it follows |goal - position|^{effort.law.exponent:.2f} ± {effort.law.exponent_error:.2f}{whose}"
     if _is_square(effort):
         evidence = f"{visits}; {law}: {effort.law.gain:.3g} a rad², the current of the supply, duty squared"
         advice = (
             'set torque_from = "supply-current" in [servo] of arm.toml: its root, with the sign of goal - position or '
-            "of the duty, is what goes with torque"
+            "of the duty, is proportional to torque"
         )
         return Finding("supply-current", "fault", joint, evidence, advice)
     advice = (
-        "the size of a duty or of a phase current: read its sign (on Feetech's servos bit 10 of the load, bit 15 of "
-        'the current), or set torque_from = "goal" in [servo] of arm.toml'
+        "the magnitude of a duty or of a phase current: read its sign (on Feetech's servos bit 10 of the load, bit 15 "
+        'of the current), or set torque_from = "goal" in [servo] of arm.toml'
     )
     return Finding("unsigned-torque", "fault", joint, f"{visits}; {law}", advice)
 
@@ -298,8 +296,8 @@ def _duty_evidence(effort: Effort) -> str:
     parts = []
     if effort.law is not None:
         parts.append(
-            f"at rest and in motion it is {effort.law.gain:.4g} a rad of goal - position; speed takes "
-            f"{max(0.0, effort.speed_share):.0%} off, where a motor's current would lose its back-EMF"
+            f"at rest and in motion it is {effort.law.gain:.4g} a rad of goal - position; speed reduces it by "
+            f"{max(0.0, effort.speed_share):.0%}; a motor's current would lose its back-EMF"
         )
     if effort.full:
         parts.append(f"it saturates at exactly {effort.full:g}")
@@ -317,10 +315,10 @@ def play_findings(joints: Sequence[str], plays: Sequence[Play]) -> list[Finding]
             "note",
             joint,
             f"{play.width_rad:.2g} ± {play.error_rad:.1g} rad ({play.width_rad * DEGREES:.2g} ± "
-            f"{play.error_rad * DEGREES:.1g} degrees): after {play.turns} turns the position travels so far, in the "
-            f"mean, before the drive bears the {play.share:.0%} of its friction that lie behind the play",
-            "the gear carries nothing while it crosses its play, nor is a touch felt there; where the encoder sits "
-            "behind it there is more than is seen",
+            f"{play.error_rad * DEGREES:.1g} degrees): after {play.turns} reversals the position travels so far, on "
+            f"average, before the drive carries the {play.share:.0%} of its friction that lie behind the play",
+            "the gear carries no load while it crosses its play, so touches are not detected; if the encoder sits "
+            "behind the play, the true play is larger",
         )
         for joint, play in zip(joints, plays, strict=True)
         if play.width_rad > 0

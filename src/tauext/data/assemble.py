@@ -1,4 +1,4 @@
-"""Raw signals and a description of the arm to recordings; each records what was done to it."""
+"""Convert raw signals and a description of the arm to recordings; their provenance lists every conversion."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from tauext.data.recording import BRIDGE_STEPS, Recording, fitted_period_ns, fre
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
 from tauext.errors import ConfigError, RecordingError
 
-# --- Which columns of a raw recording each signal takes, joint by joint.
+# --- Columns of a raw recording that each signal uses, joint by joint.
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Names of the columns to read of every stream, and the place of each signal among them."""
+    """Names of the columns to read from every stream, and the indices of each signal's columns."""
 
     streams: dict[str, tuple[str, ...]]
     signals: dict[str, tuple[str, list[int]]]
-    """Signal, `contact` or `time`: its stream, and its columns' places in that stream's list."""
+    """Stream and column indices in that stream's list, by signal, `contact` or `time`."""
 
 
 def find_columns(arm: Arm, raw: RawRecording) -> Columns:
-    """Resolve every column that the description names; joints come in its order, by name where the file names them.
+    """Resolve every column that the description names; joints keep its order, by name where the file names them.
 
-    A signal's one name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from
-    1), or an array, whose elements are taken by joint name, or by index where it has as many as there are joints.
+    A signal's name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from 1).
+    It may also be an array; elements are used by joint name, or by index if their number is that of the joints.
 
     Raises:
-        ConfigError: a column or topic that is not there; the message names what is near.
+        ConfigError: a column or topic is missing; the message lists similar names.
     """
     there = raw.streams()
     wanted: dict[str, dict[str, None]] = {}
@@ -64,7 +64,7 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
     if topic:
         raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {raw.path.name}")
     if not there:
-        raise ConfigError(f"{raw.path.name}: it holds no messages to read [{table}] from")
+        raise ConfigError(f"{raw.path.name}: it has no messages to read [{table}] from")
     if len(there) > 1:
         listed = ", ".join(sorted(there))
         raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")
@@ -112,18 +112,19 @@ def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], ther
 def _missing(arm: Arm, raw: RawRecording, table: str, name: str, there: Sequence[str]) -> ConfigError:
     bases = list(dict.fromkeys(column.split("[")[0] for column in there))
     near = difflib.get_close_matches(name, dict.fromkeys([*there, *bases]), 3, 0.3)
-    hint = f"near to it: {', '.join(near)}; " if near else ""
-    left_out = "".join(f"; {note}" for note in raw.notes)  # an array of another length is not in it
+    hint = f"similar: {', '.join(near)}; " if near else ""
+    left_out = "".join(f"; {note}" for note in raw.notes)  # arrays of another length are missing
     derive = '; columns = "" derives the velocity from the position' if table == "signals.dq" else ""
-    held = f"it holds {short_list(bases, 20)}{left_out}{derive}"
+    held = f"it has {short_list(bases, 20)}{left_out}{derive}"
     return ConfigError(f"{arm.path}: [{table}] '{name}' is not in {raw.path.name}; {hint}{held}")
 
 
-# --- From what a recording counts in to rad, rad/s and N m at the joint, and the same in words.
+# --- Conversion from the recording's units to rad, rad/s and N m at the joint, and its description.
 
 
 def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.ndarray:
-    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added (rad where normalised)."""
+    """Convert to SI at the joint: sign · unit · (torque constant) · gear, plus a position's offset (rad if
+    normalised)."""
     if signal.unit == NORMALISED:
         values = _of_normalised(key, values, arm)
     factor = np.full(len(arm.robot.joints), SIGNALS[key].units[signal.unit])
@@ -139,7 +140,7 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
 
 
 def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
-    """Angles [rad] of LeRobot's normalised positions and goals; Dynamixel's bus does not turn them by drive_mode."""
+    """Angles [rad] of LeRobot's normalised positions and goals; Dynamixel's bus does not reverse them by drive_mode."""
     types = arm.servo.type if arm.servo is not None else ()
     turned = not any(name.startswith("x") for name in types)
     columns = [
@@ -152,7 +153,7 @@ def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def conversions(arm: Arm) -> list[str]:
-    """What in_si did, in words, where it did anything."""
+    """Sentences that list the conversions of in_si()."""
     lines = []
     for key, signal in arm.signals.items():
         is_current = signal.is_current and key == "tau"
@@ -179,7 +180,7 @@ def constant_unknown(arm: Arm) -> bool:
     return arm.signals["tau"].torque_constant == "unknown"
 
 
-# --- Signals of several clocks onto the stamps of one.
+# --- Signals of several clocks, merged onto the stamps of one.
 
 
 Table = tuple[np.ndarray, np.ndarray]
@@ -187,9 +188,10 @@ Table = tuple[np.ndarray, np.ndarray]
 
 
 def base_stream(tables: Mapping[str, Table], torque: str, essential: Sequence[str]) -> str:
-    """The stream whose stamps all others are brought to: the torque's, or one of the essential ones that is slower.
+    """The stream to whose stamps all others are interpolated: the torque's, or a slower essential one.
 
-    Interpolating a slow signal onto fast stamps would invent samples; slower: a sample period over 1.5 times as long.
+    Interpolating a slow signal onto fast stamps would invent samples. Slower means a sample period over 1.5 times as
+    long.
     """
     steps = {name: fitted_period_ns(tables[name][0]) if len(tables[name][0]) > 1 else 0.0 for name in essential}
     slowest = max(essential, key=lambda name: steps[name])
@@ -197,10 +199,10 @@ def base_stream(tables: Mapping[str, Table], torque: str, essential: Sequence[st
 
 
 def interpolated(t_ns: np.ndarray, table: Table, counts: Counter[str], name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Values (samples, columns) of another clock at these times, linear between neighbours, and where they are known.
+    """Interpolate values (samples, columns) of another clock linearly at these times; also returns where they are
+    known.
 
-    Unknown, (samples,) false: before its first or after its last sample, or between neighbours of more than 2.5 of its
-    sample periods.
+    Values are unknown (false) before the first and after the last sample, and in steps of more than 2.5 sample periods.
     """
     times, values = table
     if len(times) < 2:
@@ -222,7 +224,7 @@ def held(t_ns: np.ndarray, table: Table, unknown: float) -> np.ndarray:
     return np.where((before >= 0)[:, None], values[np.maximum(before, 0)], unknown)
 
 
-# --- Velocity from position, as a control loop can do it too: from samples so far.
+# --- Causal velocity from position, as in a control loop.
 
 
 def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.ndarray:
@@ -230,9 +232,9 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
 
     .. math:: dq_k = a\,dq_{k-1} + (1-a)\,(q_k - q_{k-1})/\Delta t, \quad a = e^{-2\pi f \Delta t}
 
-    It lags the true velocity by half a step and by 1/(2 pi f). It uses no future samples, so a monitor that derives it
-    the same way gets the same values. A step of more than 2.5 median steps restarts it; a first sample takes the
-    difference that follows it.
+    It lags the true velocity by half a step plus 1/(2 pi f). It uses no future samples, so a monitor that derives it
+    the same way gets the same values. A step of more than 2.5 median steps restarts the filter; a first sample uses the
+    next difference.
 
     Args:
         t_ns: (samples,), increasing, [ns].
@@ -256,7 +258,7 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
     return velocity
 
 
-# --- Raw signals and a robot description to recordings; whatever is done to the numbers is written into each.
+# --- Raw signals and a robot description to recordings; provenance lists every change of the numbers.
 
 
 PIECE_S = 600.0
@@ -264,9 +266,9 @@ PIECE_S = 600.0
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
 WORTH_REPORTING = 1e-3
-"""Share of lost samples from which on the loss is reported."""
+"""Share of lost samples from which the loss is reported."""
 LATE_S = 1.0
-"""A packet may come so much later than its stamp and still be sorted in, [s]."""
+"""Largest delay of a packet after its stamp at which it is still sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
 TORQUE_WORDS = {
     "phase-current": "current of the windings",
@@ -277,17 +279,17 @@ TORQUE_WORDS = {
 
 
 def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
-    """Recordings of a raw one, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
+    """Convert a raw recording to recordings in order of time; a long one gives several (PIECE_S, PIECE_ROWS).
 
-    Each is put in order, merged onto one clock, brought to rad, rad/s and N m at the joint, and
-    lists in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
+    Each is sorted, merged onto one clock and converted to rad, rad/s and N m at the joint. Its provenance lists the
+    changes (`done`: sentences; `counts`: numbers).
 
     Args:
-        rate_hz: nominal rate; 0: the description's, or else that of the fitted sample period.
+        rate_hz: nominal rate; 0: the description's, else that of the fitted sample period.
 
     Raises:
-        ConfigError: a column that the description names is not there.
-        RecordingError: the file is damaged, or what it gives is no recording.
+        ConfigError: a column that the description names is missing.
+        RecordingError: the file is damaged, or its content makes no valid recording.
     """
     columns = find_columns(arm, raw)
     rate_hz = rate_hz or arm.time.rate_hz
@@ -307,11 +309,11 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
         rate_hz = recording.rate_hz
         number += 1
     if not number:
-        raise RecordingError(f"{raw.path}: it holds no samples")
+        raise RecordingError(f"{raw.path}: it has no samples")
 
 
 def _pieces(raw: RawRecording, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
-    """Stamps and needed columns of every stream, cut where all have passed a piece's end, and if it is the last."""
+    """Yield pieces: stamps and needed columns of every stream up to a common time, and whether it is the last."""
     waiting: dict[str, list[Table]] = {stream: [] for stream in columns.streams}
     newest: dict[str, int] = {}
     begin: int | None = None
@@ -340,7 +342,7 @@ def _pieces(raw: RawRecording, arm: Arm, columns: Columns) -> Iterator[tuple[dic
 
 
 def _needed(raw: RawRecording, arm: Arm, columns: Columns, block: RawSignals, rows_read: int) -> Table | None:
-    """The block's stamps and the columns that are needed; None: it holds other joints' only."""
+    """The block's stamps and needed columns; None: it contains other joints only."""
     if block.stream not in columns.streams:
         return None
     names = columns.streams[block.stream]
@@ -375,7 +377,7 @@ def _joined(tables: list[Table]) -> Table:
 
 
 def _taken(tables: list[Table], end: int) -> Table:
-    """Rows before `end`; the others stay."""
+    """Remove and return the rows before `end`."""
     t_ns, values = _joined(tables)
     early = t_ns < end
     tables[:] = [(t_ns[~early], values[~early])]
@@ -391,7 +393,7 @@ def _piece(
     start_ns: int | None,
     rate_hz: float,
 ) -> Recording:
-    """One recording; its rate is that of the fitted period where 0 is given."""
+    """Make one recording; rate 0 means that of the fitted period."""
     facts: dict[str, Any] = {}
     tables = {stream: _cleaned(stream, table, arm, columns, counts) for stream, table in tables.items()}
     t_ns, taken = _merged(tables, columns, counts, facts)
@@ -411,7 +413,7 @@ def _piece(
         _make_torque(arm, t_ns, rate_hz, signals, facts)
     elif "dq" not in signals:
         low_pass = arm.signals["dq"].low_pass_hz
-        # A held position has the speed of its measurement: not 0, and then twice as much.
+        # Differencing held positions would give 0, then twice the speed; a held one keeps its measurement's speed.
         signals["dq"] = derived_velocity(t_ns[own], signals["q"][own], low_pass)[np.cumsum(own) - 1]
         facts["velocity"] = (
             f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
@@ -426,7 +428,7 @@ def _piece(
     counts = Counter({text: n for text, n in counts.items() if n})
     done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
-        done.append(f"{facts['measured_hz']:.4g} samples a second are measurements of their own, the others hold them")
+        done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
     if facts["lost_share"] >= WORTH_REPORTING:
         done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if "velocity" in facts:
@@ -453,7 +455,7 @@ def _piece(
 def _make_torque(
     arm: Arm, t_ns: np.ndarray, rate_hz: float, signals: dict[str, np.ndarray], facts: dict[str, Any]
 ) -> None:
-    """Velocity and torque of servos."""
+    """Compute velocity and torque of servos."""
     settings = servo_settings(arm, rate_hz, signals["q"])
     signals["dq"], signals["tau"] = velocity_and_torque(settings, t_ns, signals["q"], signals)
     facts["servo"] = servo_facts(settings)
@@ -465,7 +467,7 @@ def _make_torque(
 
 
 def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str]) -> Table:
-    """In order, finite where a joint's signal is concerned; repeated measurements kept or dropped."""
+    """Sort the rows, drop those with missing joint signals, and keep or drop repeated measurements."""
     t_ns, values = ordered(*table, counts)
     of_joints = [
         k for key, (at, places) in columns.signals.items() if at == stream and key in arm.signals for k in places
@@ -486,7 +488,7 @@ def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Coun
 def _merged(
     tables: dict[str, Table], columns: Columns, counts: Counter[str], facts: dict[str, Any]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Every signal at the stamps of one stream, (samples, joints) each."""
+    """Merge every signal onto the stamps of one stream, (samples, joints) each."""
     signals = {key: at for key, at in columns.signals.items() if key != "time"}
     essential = list(dict.fromkeys(signals[key][0] for key in MEASURED if key in signals))
     leading = signals["tau" if "tau" in signals else "q"][0]
@@ -513,7 +515,7 @@ def _merged(
 
 
 def _nominal_rate(t_ns: np.ndarray) -> float:
-    """From the fitted period; a whole number of Hz where that is within 1 %."""
+    """Rate of the fitted period, rounded to a whole number of Hz within 1 %."""
     if len(t_ns) < 2:
         raise RecordingError("a single sample has no rate: give it in arm.toml ([time] rate_hz)")
     rate_hz = 1e9 / fitted_period_ns(t_ns)
@@ -523,7 +525,7 @@ def _nominal_rate(t_ns: np.ndarray) -> float:
 def _contact(
     arm: Arm, raw: RawRecording, t_ns: np.ndarray, start_ns: int, label: np.ndarray | None
 ) -> np.ndarray | None:
-    """1, 0 or -1 by the label's values, 1 within the intervals given; free elsewhere only where there is no label."""
+    """Contact flags 1, 0 or -1 from the label's values; given intervals are 1, and without a label the rest is 0."""
     spans = arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name))
     if label is None and spans is None:
         return None

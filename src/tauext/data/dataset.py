@@ -20,7 +20,7 @@ from tauext.files.kind import why_no_dataset
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT, expect_format, read_json
 
-# --- Which recording belongs to which set: whole recordings only, so that no window is in two sets.
+# --- Split into sets of whole recordings, so that no window is in two sets.
 
 
 FILE_NAME = "split.json"
@@ -28,12 +28,12 @@ FILE_NAME = "split.json"
 
 @dataclass(frozen=True)
 class Split:
-    """File names of a dataset's recordings, relative to its folder; a name stands in one set only.
+    """File names of a dataset's recordings, relative to its folder; each name belongs to one set.
 
     Each list may have any length; only split_recordings requires twenty recordings.
 
     Raises:
-        ConfigError: a name that stands twice, or is not a plain file name.
+        ConfigError: a name occurs twice or is no plain file name.
     """
 
     train: tuple[str, ...]
@@ -57,13 +57,13 @@ class Split:
                         if where[name] == set_name
                         else f"in '{where[name]}' and in '{set_name}'"
                     )
-                    raise ConfigError(f"split: '{name}' stands {sets}; a recording belongs to one set only")
+                    raise ConfigError(f"split: '{name}' is {sets}; a recording belongs to one set only")
                 where[name] = set_name
 
 
 SETS = tuple(field.name for field in fields(Split))
 OPTIONAL = ("validation", "test", "collisions", "calibration")
-"""A list that is missing is empty; without validation recordings a part of the training recordings validates."""
+"""A missing list is empty; without validation recordings part of the training recordings validates."""
 
 
 def split_recordings(
@@ -73,19 +73,19 @@ def split_recordings(
     minimum: int = 20,
     collisions: Iterable[str] = (),
 ) -> Split:
-    """Draw by seed which recordings of free motion train, validate and test; no set is empty.
+    """Draw training, validation and test recordings of free motion by seed; no set is empty.
 
     The result does not depend on the order of `names`; inside a set they are sorted.
 
     Args:
         names: file names of recordings of free motion.
         fractions: shares of train, validation and test, > 0, summing to 1; counts are rounded.
-        minimum: fewer recordings than this are refused: with fewer than 20 one recording is more than a third of a
-            15 % set, and its luck is the result.
-        collisions: file names of recordings with contacts; they stay together.
+        minimum: fewer recordings are refused; below 20, one recording is more than a third of a 15 % set and dominates
+            it.
+        collisions: file names of recordings with contacts, all in that set.
 
     Raises:
-        ConfigError: too few recordings, fractions that break their rule, or a name twice.
+        ConfigError: too few recordings, invalid fractions, or a name occurs twice.
     """
     names = sorted(names)
     if len(fractions) != 3 or min(fractions) <= 0 or abs(sum(fractions) - 1) > 1e-9:
@@ -116,15 +116,15 @@ def load_split(folder: Place | str) -> Split:
     """Read a dataset folder's `split.json`; every file it lists exists.
 
     Raises:
-        ConfigError: no such file, not JSON, another format, a set missing or none of SETS, a name twice, a listed file
-            missing.
+        ConfigError: no such file, not JSON, another format, a set is missing or unknown, a name occurs twice, or a
+            listed file is missing.
     """
     folder = place_of(folder)
     path = folder / FILE_NAME
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
     for key in content:
-        if key != "format" and key not in SETS:  # ignoring a misspelt set would leave it empty
+        if key != "format" and key not in SETS:  # a misspelt set would otherwise be empty
             raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")
     for set_name in SETS:
         if set_name in OPTIONAL and set_name not in content:
@@ -143,7 +143,7 @@ def load_split(folder: Place | str) -> Split:
     return split
 
 
-# --- Recordings in stretches that fit into memory; the next stretch is read ahead.
+# --- Recordings in stretches that fit into memory, with read-ahead.
 
 
 HEADS_AT_A_TIME = 8
@@ -153,16 +153,16 @@ FOR_LIMITS = ("temperature", "contact")
 
 
 def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMITS) -> list[Callable[[], Recording]]:
-    """Load the recordings in these files one by one; one of more than ROW_GROUP samples comes in equal parts.
+    """Loaders of the recordings in these files; one of more than ROW_GROUP samples is split into equal parts.
 
-    Each part is a recording of its own, NAME-00, NAME-01, ..., as an import cuts what is too long: the chain warms up
-    in each. So the memory that is needed does not grow with the length of a recording.
+    Each part is a recording NAME-00, NAME-01, ..., as in an import; the chain warms up in each. Memory use does not
+    grow with the length of a recording.
 
     Args:
-        signals: optional ones to read; None: all.
+        signals: optional signals to read; None: all.
 
     Raises:
-        RecordingError: a file cannot be read, or is none.
+        RecordingError: a file cannot be read or is no recording.
     """
     with ThreadPoolExecutor(HEADS_AT_A_TIME) as pool:
         samples = [head.samples for head in pool.map(describe, files)]
@@ -179,7 +179,7 @@ def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMI
 
 
 def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: int, number: int) -> Recording:
-    """Samples first to end, end left out, as a recording NAME-number; its provenance has the origin."""
+    """Load samples first to end (exclusive) as a recording NAME-number; its provenance has the origin."""
     whole = load_recording(file, signals, (first, end))
     start_s = first / whole.rate_hz
     part = {"of": whole.name, "from_s": round(start_s, 6), "to_s": round(start_s + whole.duration_s, 6)}
@@ -187,7 +187,7 @@ def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: 
 
 
 def ahead(loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
-    """Load in order; while one recording is used, the next one is read, and no further one."""
+    """Load in order; while one recording is used, only the next one is read."""
     if not loaders:
         return
     with ThreadPoolExecutor(1) as pool:
@@ -212,14 +212,14 @@ class Dataset:
     folder: Place
     """Folder of the recordings and the robot file."""
     split: Split
-    """Names of the recordings' files, by the set that they belong to."""
+    """Names of the recordings' files, by set."""
 
     def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
         return list(ahead(self.loaders(set_name)))
 
     def training(self) -> list[Recording]:
-        """The training recordings; raise ConfigError where there are none."""
+        """Training recordings; raises ConfigError if there are none."""
         if not self.split.train:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
@@ -237,7 +237,7 @@ class Dataset:
         return stretches(self.files(set_name))
 
     def robot_file(self, given: Place | None) -> Path:
-        """The robot file given, or the one in the folder; of a store, a copy of it and of what it names."""
+        """Path of the given robot file or the folder's; from a store, of a copy with the files it names."""
         if given is not None:
             if not given.is_file():
                 raise ConfigError(f"{given}: there is no such robot file; give a URDF or MJCF")
@@ -245,7 +245,7 @@ class Dataset:
         for name in ROBOT_FILES:
             if (self.folder / name).is_file():
                 return local_robot(self.folder / name)
-        raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")
+        raise ConfigError(f"{self.folder}: it has no {' or '.join(ROBOT_FILES)}; give one with --robot")
 
 
 def load_dataset(folder: Place | str) -> Dataset:

@@ -1,4 +1,4 @@
-"""A robot and how its recordings are to be read: the meaning of each column, and what the robot file lacks."""
+"""Description of a robot and its recordings: the meaning of each column, and what the robot file lacks."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ NORMALISED = "normalised"
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
-# --- The tables of an arm.toml: a field is a key; its rule, default, example and docstring make reader and template.
+# --- Tables of an arm.toml: each field is a key; reader and template use its rule, default, example and docstring.
 
 
 def key(rule: Key | Callable[[int], Key], default: Any = MISSING, example: str = "") -> Any:
-    """A field.
+    """Make the dataclass field of a key.
 
     Args:
         rule: how its value is read; a rule that depends on the number of joints is a function of it.
@@ -51,7 +51,7 @@ def key(rule: Key | Callable[[int], Key], default: Any = MISSING, example: str =
 
 
 def each(of: Key, other: str = "") -> Callable[[int], Key]:
-    """One value for all joints, or a list of one a joint; or the word `other`."""
+    """Rule for one value for all joints, a list of one a joint, or the word `other`."""
 
     def of_joints(joints: int) -> Key:
         def read(value: Any) -> tuple[Any, ...] | str:
@@ -69,7 +69,7 @@ def each(of: Key, other: str = "") -> Callable[[int], Key]:
 
 
 def listed(of: Key, rule: str, default: Any = (), example: str = "") -> Any:
-    """A field of one value or a list of them; "" is none."""
+    """Make the field of a key with one value or a list of them; "" means none."""
 
     def read(value: Any) -> tuple[str, ...]:
         return tuple(map(of.read, value if isinstance(value, list) else [value] * (value != "")))
@@ -104,14 +104,14 @@ class RobotTable:
     """Joints in use, as the robot file names them, from the base on. All others are held at the file's rest
     position."""
     model: str = key(WORD, "")
-    """URDF or MJCF file, relative to this file. "": there is no model; train takes the case none."""
+    """URDF or MJCF file, relative to this file. "": no model; train then uses the case none."""
     names: tuple[str, ...] = listed(text(), TEXTS, example='["Base", "Shoulder"]')
-    """The same joints as the recording names them, where it names them otherwise."""
+    """Names of these joints in the recording, where they differ."""
     gear_ratio: tuple[float, ...] = key(each(NOT_0), (), "1")
     """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
     rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), (), "0.0001")
-    """Inertia of motor, rotor and whatever turns with it, before the gear; times gear_ratio squared it is the joint's.
-    It replaces the robot file's; left out, the file's holds."""
+    """Inertia of the motor and everything that turns with it, before the gear; times gear_ratio squared it is the
+    joint's. It replaces the robot file's value. Left out: the file's."""
     gravity_m_s2: tuple[float, ...] = key(numbers((0, 3), number(), "three numbers"), (), "[0, 0, -9.81]")
     """Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the
     file's."""
@@ -121,15 +121,15 @@ class RobotTable:
 
 @dataclass(frozen=True)
 class PayloadTable:
-    """What the arm carries and the robot file lacks: a tool, a gripper, a sensor."""
+    """Load that the robot file lacks: a tool, a gripper, a sensor."""
 
     link: str = key(WORD, "", '"tool0"')
-    """Of the robot file."""
+    """Link of the robot file that carries the load."""
     mass_kg: float = key(LEAST_0, 0.0)
     com_m: tuple[float, ...] = key(numbers((3,), number(), "three numbers"), (0.0,) * 3)
     """Centre of mass in that link's frame."""
     inertia_kg_m2: tuple[float, ...] = key(numbers((6,), number(), "six numbers: xx, yy, zz, xy, xz, yz"), (0.0,) * 6)
-    """About the centre of mass: xx, yy, zz, xy, xz, yz."""
+    """Inertia about the centre of mass: xx, yy, zz, xy, xz, yz."""
 
 
 @dataclass(frozen=True)
@@ -137,38 +137,38 @@ class TimeTable:
     """Times of the samples."""
 
     column: str = key(WORD, "")
-    """Column of the sample times. "" for bags and LeRobot folders, which bring stamps, or where rate_hz is enough."""
+    """Column of the sample times. "" for bags and LeRobot folders, which have stamps, or where rate_hz is enough."""
     unit: str = key(one_of(tuple(TIME_UNITS)), "s")
     rate_hz: float = key(number(0, 1e6), 0.0)
     """Nominal rate of the recordings. 0: as measured (the median step of the first recording)."""
     repeats: Repeats = key(one_of(get_args(Repeats)), "keep")
-    """Rows whose measured values all equal the row before, for at most 0.1 s, hold one measurement. keep: the clock
-    stays regular, and a monitor behind the same reader gets such rows too. drop: for a reader several times faster
-    than the robot's state, where the monitor will be fed each state once."""
+    """Treatment of rows that repeat all measured values of the row before, for at most 0.1 s. keep: the clock stays
+    regular, and a monitor with the same reader gets such rows too. drop: for a reader several times faster than the
+    robot's state, where the monitor will get each state once."""
 
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Signals; SIGNALS lists the keys of each."""
+    """A signal's columns and units; SIGNALS lists the keys of each signal."""
 
     columns: tuple[str, ...] = listed(text(), TEXTS)
     """An array whose elements are the joints ("position"), a pattern with {joint} (name in the recording), {index}
     (from 0) or {number} (from 1), or a list of names."""
     unit: str = key(WORD, "")
     topic: str = key(WORD, "", '"/joint_states"')
-    """Of a bag, where several are read; signals of several topics are merged by their stamps."""
+    """Topic of a bag, where several are read; signals of several topics are merged by their stamps."""
     side: Side = key(one_of(get_args(Side)), "joint")
     """joint, or motor where it is measured before the gear (then gear_ratio applies)."""
     sign: tuple[float, ...] = key(each(SIGN), (), "1")
-    """1, or -1 where the recording counts against the robot file."""
+    """1, or -1 where the recording's direction is opposite to the robot file's."""
     offset: tuple[float, ...] = key(each(number()), (), "0")
-    """Added after all else, in the signal's unit: where the recording's zero is not the robot file's."""
+    """Added last, in the signal's unit, where the recording's zero differs from the robot file's."""
     low_pass_hz: float = key(LEAST_0, 20.0)
-    """Cut-off of the low-pass of a derived velocity; 0: none. Without effect on a measured velocity."""
+    """Cut-off of the low-pass of a derived velocity; 0: none. A measured velocity is not filtered."""
     torque_constant: tuple[float, ...] | str = key(each(NOT_0, "unknown"), (), '"unknown"')
-    """For currents: Nm/A, at the motor where side = "motor", else at the joint; "unknown": it is to be fitted."""
+    """For currents: Nm/A, at the motor where side = "motor", else at the joint; "unknown": to be fitted."""
     timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "instant")
-    """instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: over the step
+    """instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: mean over the step
     before."""
 
     @property
@@ -181,9 +181,9 @@ class Signal(NamedTuple):
     """One table of [signals]."""
 
     units: dict[str, float]
-    """What one of each is in rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
+    """Factor of each unit to rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
     keys: tuple[str, ...]
-    """Those of SignalTable that it has."""
+    """Keys of SignalTable that the signal has."""
     help: str
 
 
@@ -214,7 +214,7 @@ SIGNALS = {
         TORQUES,
         SIGNED,
         "External torque as the robot itself estimates it, to compare with; positive where the environment pushes the "
-        "joint in its positive direction (sign = -1 turns it). Optional.",
+        "joint in its positive direction (sign = -1 reverses it). Optional.",
     ),
     "temperature": Signal({"degC": 1.0}, MEASURED, "Motor temperature. Optional."),
     "current": Signal(
@@ -233,51 +233,50 @@ SIGNALS = {
 
 TorqueSource = Literal["torque", "phase-current", "supply-current", "duty", "goal"]
 NEEDS = {"phase-current": "current", "supply-current": "current", "duty": "duty", "goal": "q_des"}
-"""The signal that a servo's torque is made of, by its source."""
+"""Signal from which a servo's torque is computed, by its source."""
 DELAY = number(0, 0.5)
 
 
 @dataclass(frozen=True)
 class ServoTable:
-    """Joints driven by servos: velocity and torque are made of what these report, in recordings and live loops
-    alike."""
+    """Joints driven by servos: velocity and torque are computed from what servos report, in recordings and live."""
 
     torque_from: TorqueSource = key(one_of(get_args(TorqueSource)), example='"torque"')
-    """torque: it is [signals.tau]; for all others leave that out. phase-current: [signals.current] is that of the
-    windings, signed. supply-current: it is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
+    """torque: [signals.tau]; leave that out for all others. phase-current: [signals.current] is that of the windings,
+    signed. supply-current: [signals.current] is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
     position loop times goal minus position, [signals.q_des] minus q."""
     type: tuple[str, ...] = listed(
         one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint", example='"sts3215-7.4v"'
     )
-    """Left out: an unknown servo. The constants below are those that the type lacks, or that differ from it; all at the
+    """Left out: an unknown servo. The constants below are those that the type lacks or that differ from it, all at the
     joint, after the gear."""
     gain: tuple[float, ...] = key(each(POSITIVE), (), "16")
-    """P gain of the position controller, as its register has it."""
+    """P gain of the position controller, in register units."""
     duty_per_rad: tuple[float, ...] = key(each(POSITIVE), (), "2.7")
-    """In place of gain: duty a rad of position error."""
+    """Duty a rad of position error; replaces gain."""
     most_duty: tuple[float, ...] = key(
         each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), (), "0.97"
     )
-    """That its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)."""
+    """Largest duty that its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)."""
     voltage_v: tuple[float, ...] = key(each(POSITIVE), (), "7.4")
-    """Of the supply, where no [signals.voltage] is."""
+    """Supply voltage where there is no [signals.voltage]."""
     ohm: tuple[float, ...] = key(each(POSITIVE), (), "2.75")
-    """Of the windings."""
+    """Resistance of the windings."""
     back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), (), "1.28")
-    """V s/rad."""
+    """Back-EMF constant, V s/rad."""
     torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), (), '"unknown"')
-    """Nm/A, or "unknown": it is to be fitted."""
+    """Torque constant, Nm/A, or "unknown": to be fitted."""
     counts_a_turn: tuple[float, ...] = key(each(POSITIVE), (), "4096")
-    """Of the encoder; left out: the type's, or else as the recordings show."""
+    """Step of the encoder; left out: the type's, else found in the recordings."""
     velocity_window_s: float = key(number(0, 2), 0.2)
-    """Longest time that a velocity is derived from; 0: the velocity is [signals.dq]."""
+    """Longest time span for deriving the velocity; 0: the velocity is [signals.dq]."""
     goal_delay_s: float | str = key(
         Key(lambda value: value if value == "period" else DELAY.read(value), f'{DELAY.rule}, or "period"'), "period"
     )
-    """A goal acts so long after its stamp. "period": one sample period, since most loops read the position first and
-    send the goal then, so that the next position is the first that it moves."""
+    """Delay from a goal's stamp until it acts. "period": one sample period, since most loops read the position and then
+    send the goal, which moves the next position first."""
     timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "held")
-    """Of the torque, as in [signals.tau]."""
+    """Timing of the torque, as in [signals.tau]."""
 
 
 @dataclass(frozen=True)
@@ -285,9 +284,9 @@ class ContactTable:
     """Labels of contacts."""
 
     column: str = key(WORD, "")
-    """Column that marks whether the arm is touched. "": there is none."""
+    """Column that marks whether the arm is touched. "": none."""
     topic: str = key(WORD, "", '"/touch"')
-    """Its topic, where several are read."""
+    """Topic of that column, where several are read."""
     contact_values: tuple[float, ...] = listed(number(), NUMBERS, (1.0,))
     """Values that mean contact."""
     free_values: tuple[float, ...] = listed(number(), NUMBERS, (0.0,))
@@ -299,30 +298,30 @@ class ContactTable:
             "example": '{"run2.bag" = [[40.7, 41.0]]}',
         },
     )
-    """Where there is no label: contacts by file, in s after its first sample."""
+    """Contacts by file where there is no label, in s after its first sample."""
     before_s: float = key(LEAST_0, 0.5)
-    """Contacts are cut out of training, validation, test and calibration, with this much before."""
+    """Time cut out before each contact in training, validation, test and calibration."""
     after_s: float = key(LEAST_0, 1.0)
-    """And this much after."""
+    """Time cut out after each contact."""
     cut: bool = key(flag(), True)
-    """false: recordings keep their contacts, where the free times between them are short; training and limits leave
-    them out by their label all the same (--margins of train)."""
+    """false: recordings keep their contacts, for short free times between them. Training and limits still leave
+    labelled contacts out (--margins of train)."""
 
 
 @dataclass(frozen=True)
 class SplitTable:
-    """Which recording serves for what, by file name, or a part of it in s after its first sample: "run2.bag[0:40]".
-    Left out: recordings with contacts are for collisions, the others are split whole (6 or more) or each by time."""
+    """Sets of the recordings, by file name or a part in s after its first sample: "run2.bag[0:40]". Left out:
+    recordings with contacts go to collisions, the others are split whole (6 or more) or each by time."""
 
     train: tuple[str, ...] = listed(text(), TEXTS, example='["run1.bag"]')
     validation: tuple[str, ...] = listed(text(), TEXTS)
-    """Empty: train finds limits on training motion that it leaves out in turn."""
+    """Empty: train finds limits on parts of the training motion, each left out of a fit."""
     test: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[0:40]"]')
     collisions: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[40:]"]')
     calibration: tuple[str, ...] = listed(text(), TEXTS)
-    """Free motion for the limits alone."""
+    """Free motion for limits only."""
     gap_s: float = key(LEAST_0, 2.0)
-    """Between two parts of one recording."""
+    """Gap between two parts of one recording."""
 
     @property
     def named(self) -> bool:
@@ -332,7 +331,7 @@ class SplitTable:
 
 @dataclass(frozen=True)
 class Arm:
-    """A robot and how its recordings are to be read; checked when made. Lists run over `robot.joints`.
+    """Description of a robot and its recordings, validated when made. Lists run over `robot.joints`.
 
     Raises:
         ConfigError: names the table, the key, the value and the rule.
@@ -346,7 +345,7 @@ class Arm:
     split: SplitTable = SplitTable()
     servo: ServoTable | None = None
     path: Place = Path("arm.toml")
-    """Its file; the robot model's path is relative to it."""
+    """File of the description; the robot model's path is relative to it."""
 
     def __post_init__(self) -> None:
         robot, payload = self.robot, self.payload
@@ -368,7 +367,7 @@ class Arm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the joints in the recording."""
+        """Names of the joints in the recording."""
         return self.robot.names or self.robot.joints
 
     @property
@@ -385,16 +384,16 @@ class Arm:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that are named, each once."""
+        """All topics named, without repeats."""
         named = [*(signal.topic for signal in self.signals.values()), self.contact.topic]
         return tuple(dict.fromkeys(topic for topic in named if topic))
 
     @cached_property
     def motors(self) -> tuple[MotorCalibration, ...]:
-        """Calibrations of the joints' motors, which the recording names with or without `.pos`.
+        """Calibrations of the joints' motors; the recording's names may end in `.pos`.
 
         Raises:
-            ConfigError: no such file, not one of LeRobot's, or a joint that is not in it.
+            ConfigError: no such file, no LeRobot calibration file, or a joint is missing in it.
         """
         path = place_of(self.robot.calibration, self.path.parent)
         listed = load_lerobot_calibration(path)
@@ -431,7 +430,7 @@ class Arm:
 
     @property
     def makes_torque(self) -> bool:
-        """Whether the torque is made of what servos report, and no column holds it."""
+        """Whether the torque is computed from servo signals instead of read from a column."""
         return self.servo is not None and self.servo.torque_from != "torque"
 
     def _check_servo(self, servo: ServoTable) -> None:
@@ -442,8 +441,7 @@ class Arm:
         needed = NEEDS[servo.torque_from]
         if needed not in self.signals:
             raise ConfigError(
-                f"{self.path}: [servo] torque_from = '{servo.torque_from}' is made of [signals.{needed}], which is "
-                "missing"
+                f"{self.path}: [servo] torque_from = '{servo.torque_from}' needs [signals.{needed}], which is missing"
             )
         if self.signals["tau"].columns:
             raise ConfigError(
@@ -452,7 +450,7 @@ class Arm:
             )
         if servo.torque_from == "supply-current" and not {"q_des", "duty"} & set(self.signals):
             raise ConfigError(
-                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it takes that of [signals.duty], or "
+                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it uses that of [signals.duty], or "
                 "of goal minus position, [signals.q_des]; both are missing"
             )
 
@@ -478,7 +476,7 @@ def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
     """Read an arm.toml.
 
     Args:
-        calibration: LeRobot's calibration file, in place of the one that it names.
+        calibration: LeRobot's calibration file; replaces the one named in the file.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
@@ -489,7 +487,7 @@ def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
 
 
 def parse_arm(content: str, path: Place | str = "arm.toml") -> Arm:
-    """As load_arm, from the text of the file."""
+    """Parse the text of an arm.toml, as load_arm()."""
     path = place_of(path)
     return _arm(parse_toml(content, path), path)
 
@@ -519,7 +517,7 @@ def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) 
 
 
 def _table(path: Place, name: str, kind: type, content: Any, joints: int, signal: str = "") -> Any:
-    """The dataclass of a table; of [signals], with the keys and units of that signal."""
+    """Read a table into its dataclass; a signal's has the keys and units of that signal."""
     keys = {}
     for one in fields(kind):
         rule = one.metadata["rule"]
@@ -533,7 +531,7 @@ def _table(path: Place, name: str, kind: type, content: Any, joints: int, signal
 
 
 def _made_torque(servo: ServoTable, joints: int) -> SignalTable:
-    """The torque that is made of what servos report, as if a column held it: in A where no constant is known."""
+    """Table of a torque computed from servo signals, as if read from a column; in A without a torque constant."""
     known = servo.torque_constant or tuple(SERVO_TYPES[name].nm_per_ampere or 0.0 for name in servo.type)
     known = known * joints if len(known) == 1 and not isinstance(known, str) else known
     constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known

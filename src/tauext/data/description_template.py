@@ -1,4 +1,4 @@
-"""The commented arm.toml that a user begins with, filled in from the names in a file where they can be guessed."""
+"""Write a commented arm.toml as a template, with values guessed from the names in a recording."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ class Guess:
     columns: dict[str, str] = field(default_factory=dict)
     topic: str = ""
     joint_names: tuple[str, ...] = ()
-    """As the recording names them; empty where it counts them."""
+    """Joint names in the recording; empty where it numbers them."""
     count: int = 0
-    """Number of joints, as q has columns."""
+    """Number of joints, from the columns of q."""
     time_unit: str = ""
-    """Of the column of times, where its values show it."""
+    """Unit of the column of times, where its values determine it."""
 
 
 def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
-    """What the columns of a source may be, by their names alone."""
+    """Guess the signals of a source from its column names."""
     found = Guess()
     for stream, names in streams.items():
         groups, joints = _groups(names), _named_joints(names)
@@ -57,7 +57,7 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
             single = signal in ("time", "label")
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
-                # A file with torque and current: the torque needs no constant.
+                # With torque and current in a file, prefer the torque, which needs no constant.
                 found.columns[signal] = min(
                     fits, key=lambda group: (signal == "tau" and _is_current(group), len(group))
                 )
@@ -73,7 +73,7 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
 
 
 def time_unit(times: np.ndarray) -> str:
-    """Unit of a column of times by its steps: 10 Hz to 10 kHz fit one unit only; empty: none.
+    """Unit of a column of times from its steps: only one unit gives 10 Hz to 10 kHz; empty: none.
 
     Args:
         times: (samples,), NaN where there is none.
@@ -94,18 +94,18 @@ HEADER = """\
 
 """
 NEEDED = {"q": "position", "dq": "", "tau": "effort"}
-"""Signals of every arm.toml, and their columns where none are found."""
+"""Signals of every arm.toml, with their default columns."""
 SHARED = [one.name for one in fields(SignalTable) if sum(one.name in signal.keys for signal in SIGNALS.values()) > 1]
-"""Keys that several signals have, explained once ahead of them."""
+"""Keys of several signals, explained once before them."""
 MADE_OF = {"duty": "duty", "q_des": "goal"}
-"""Sources of a servo's torque where no column holds it, by the signal that is there; best first."""
+"""Sources of a servo's torque without a torque column, by the available signal; best first."""
 
 
 def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics: Sequence[str] = ()) -> str:
-    """The text of an arm.toml with every key explained; those that are found are set.
+    """Text of an arm.toml that explains every key and sets the keys found.
 
     Args:
-        model: robot file as it shall be written.
+        model: path of the robot file.
         joints: its joints.
         topics: topics of the source, to choose from.
     """
@@ -143,7 +143,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
 
 
 def _signal(name: str, columns: str) -> dict[str, Any]:
-    """Values of a signal's keys, as the name of its columns shows them."""
+    """Values of a signal's keys, guessed from its column names."""
     unit = next(iter(SIGNALS[name].units))
     if name == "tau" and _is_current(columns):
         return {"columns": columns, "unit": "A", "torque_constant": "unknown"}
@@ -151,7 +151,7 @@ def _signal(name: str, columns: str) -> dict[str, Any]:
 
 
 def _shared_keys(topics: Sequence[str]) -> str:
-    """The comment that explains them."""
+    """Comment that explains the shared keys."""
     words = field_help(SignalTable)
     lines = ["# Signals. Keys of several of them:"]
     for name in (name for name in SHARED if name in words):
@@ -163,7 +163,7 @@ def _shared_keys(topics: Sequence[str]) -> str:
 def _table(
     table: str, kind: type, about: str, found: Mapping[str, Any], in_force: bool, shown: Collection[str] = ()
 ) -> str:
-    """A table with its keys, of which those that are found are set; a comment where it is not in force.
+    """Lines of a table, with the keys found set; commented out where the table is not in force.
 
     Args:
         shown: keys; empty: all.
@@ -185,17 +185,17 @@ def _table(
 
 
 def _named_joints(names: Sequence[str]) -> tuple[str, ...]:
-    """Joints of q_JOINT, pos_JOINT, position_JOINT or .../JOINT/position, in the order of two or more such names."""
+    """Joint names in q_JOINT, pos_JOINT, position_JOINT or .../JOINT/position, in order; at least two such columns."""
     for pattern in (r"q_(.+)", r"pos_(.+)", r"position_(.+)", r".*?([^/]+)/position"):
         joints = tuple(match[1] for name in names if (match := re.fullmatch(pattern, name)))
-        # q_d0 and q_des_0 are goals that are counted, and no joints.
+        # q_d0 and q_des_0 are numbered goals, not joints.
         if len(joints) > 1 and not all(re.fullmatch(r"(d|des|desired|cmd|goal|target)?_?\d+", j) for j in joints):
             return joints
     return ()
 
 
 def _groups(names: Sequence[str]) -> dict[str, int]:
-    """Names that differ in one number or element only: their pattern, and how many there are; others by themselves."""
+    """Group names that differ only in one number or element: pattern and count; others stay single."""
     groups: dict[str, list[int]] = {}
     for name in names:
         if match := re.fullmatch(r"(.+)\[[^\]]*\]", name):
@@ -212,7 +212,7 @@ def _groups(names: Sequence[str]) -> dict[str, int]:
 
 
 def _is_part(group: str, names: Sequence[str]) -> bool:
-    """Whether the pattern counts some of these names: wrist_{number}/position beside elbow/position."""
+    """Whether the pattern covers only some of these names: wrist_{number}/position beside elbow/position."""
     counted = re.escape(group).replace(r"\{number\}", r"\d+").replace(r"\{index\}", r"\d+")
     return any(re.fullmatch(counted, name) for name in names)
 
@@ -222,6 +222,6 @@ def _is_current(pattern: str) -> bool:
 
 
 def _bare(pattern: str) -> str:
-    """The pattern's last part without its counter: what a person calls the signal."""
+    """Last part of the pattern without its counter: the signal's usual name."""
     name = re.sub(r"[_/]?\{\w+\}_?", "", pattern)
     return name if name.startswith(("observation.", "action")) else re.split(r"[./]", name)[-1]

@@ -1,18 +1,18 @@
-r"""Play between a motor with its encoder and what it moves, from reversals.
+r"""Play between a motor with its encoder and its load, from reversals.
 
-After a reversal the motor crosses the play before it moves its load the other way: the position travels by the width
-while the drive bears its own friction alone. Where gravity keeps a gear at one flank there is nothing to cross, and an
-encoder behind the play measures little of it.
+After a reversal the motor crosses the play before it moves its load the other way. The position travels by the width
+while the drive carries only its own friction. Where gravity holds a gear at one flank, no play is crossed; an encoder
+behind the play measures little of it.
 
-At the same place just before a turn and just after it gravity is the same and inertia nearly so. What is left of the
-drive's torque is friction, twice; as a function of the travel s since the turn
+At the same place just before and just after a reversal, gravity is equal and inertia nearly so. The drive's torques
+then differ by twice the friction, as a function of the travel s since the reversal:
 
 .. math:: d\,(\tau_{out}(s) - \tau_{in}(s)) = F_i + c\,v(s) + J\,a(s) - h\,m(s)
 
-with the direction d, the sum of speeds v and the difference of accelerations a of the two ways, and the share m that is
-not yet borne: 1 over a flat, then falling to 0 over a bend of gear or friction (Dahl). F_i is each turn's own. Flat and
-bend are those that leave the least squares; the width is the travel after which half is borne. A bend without a flat is
-what good gears have, and no play.
+with the direction d, the sum of speeds v and the difference of accelerations a of the two ways. m is the share of the
+load not yet carried: 1 over a flat, then falling to 0 over a bend of gear or friction (Dahl). F_i belongs to each
+reversal. Flat and bend are found by least squares; the width is the travel after which half is carried. A bend without
+a flat is normal for good gears and is no play.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ import numpy as np
 
 from tauext.data.recording import Recording
 
-# --- The step in which a signal counts: that of a register, of an encoder, of a velocity.
+# --- Quantisation step of a signal: of a register, an encoder or a velocity.
 
 
 MOST_VALUES = 200_000
-"""Values that are used: all levels of a coarse signal are among them."""
+"""Largest number of values used; they contain all levels of a coarse signal."""
 LEAST_LEVELS = 3
 FINEST = 1e-5
-"""Share of the range that a step is at least: finer ones are those of the number's own precision."""
+"""Least step as a share of the range; finer ones come from the number format."""
 ROUNDED_TO = 6
-"""Decimals of a position, [rad], that count."""
+"""Decimals to which positions are rounded, [rad]."""
 NEAR = 0.01
-"""Share by which a turn's counts may be off a power of two: a register that is given in rounded numbers."""
+"""Largest relative deviation of the counts a turn from a power of two, for rounded registers."""
 FEWEST_BITS, MOST_BITS = 8, 24
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Step of which all values are whole multiples but for one offset, in their unit; None where there is none.
+    """Step of which all values are whole multiples, up to one offset, in their unit; None: no such step.
 
-    A signal whose every second value is a level of its own has no detectable step.
+    A signal in which every second value is a new level has no detectable step.
 
     Args:
         values: one signal of one joint, any order.
@@ -57,7 +57,7 @@ def step_of(values: np.ndarray) -> float | None:
     if step <= FINEST * (levels[-1] - levels[0]):
         return None
     above = levels - levels[0]
-    for reach in 8 ** np.arange(1, 9):  # few counts give a step that numbers more of them, and those a better one
+    for reach in 8 ** np.arange(1, 9):  # refine: a step from few counts numbers more of them
         near = above < (reach + 0.5) * step
         counts = np.round(above[near] / step)
         step = float(counts @ above[near] / max(counts @ counts, 1.0)) or step
@@ -66,15 +66,15 @@ def step_of(values: np.ndarray) -> float | None:
 
 
 def position_step(q: np.ndarray) -> float | None:
-    """Step of an encoder, [rad]; None where it is too fine to detect, or the joint takes too few places.
+    """Step of an encoder, [rad]; None: too fine to detect, or too few positions.
 
-    Where the step is near a power of two counts a turn, it is set to that: 2 pi / 4096 and not 0.001533951, since
-    positions may be stored as float32.
+    A step near a power of two of counts a turn is set to it: 2 pi / 4096 and not 0.001533951, since positions may be
+    stored as float32.
 
     Args:
         q: positions of one joint, [rad].
     """
-    step = step_of(np.round(q, ROUNDED_TO))  # rounding of single precision is no level
+    step = step_of(np.round(q, ROUNDED_TO))  # removes rounding of single precision
     if step is None or step < 10.0 ** (1 - ROUNDED_TO):
         return None
     bits = math.log2(2 * math.pi / step)
@@ -83,57 +83,55 @@ def position_step(q: np.ndarray) -> float | None:
     return 2 * math.pi / 2**whole if near else step
 
 
-# --- A servo's signal of its drive: whether it has a sign, and how it depends on the error of position.
+# --- Drive signal of a servo: whether it has a sign, and how it depends on the position error.
 #
-# A position-controlled servo drives with a duty that is its gain times the error of position, limited. The current of
-# its motor follows the duty, less what its speed induces; the current of its supply is the motor's times the duty,
-# hence never negative while it drives, and at rest proportional to the square of the duty.
+# A position-controlled servo's duty is its gain times the position error, limited. Its motor current follows the duty
+# minus back-EMF. Its supply current is motor current times duty: never negative while the servo drives, and at rest
+# proportional to the square of the duty.
 
 
 AROUND_S = 0.1
-"""To either side: a joint rests whose position keeps its place for so long, and moves where it does not."""
+"""Time before and after a sample: a joint rests if its position stays constant for so long, else it moves."""
 PROBES = 11
-"""At positions in that time: a joint that comes back in between rests at others."""
+"""Number of positions checked in that time, since a joint may move away and come back."""
 MOVED_RAD = 0.004
-"""By which it then goes at least; encoders of 12 bits count 0.0015."""
+"""Least travel of a moving joint in that time; 12-bit encoders count 0.0015 rad."""
 LOW = 0.02
-"""Share of a signal's 99th percentile up to which it is down at zero ..."""
+"""Share of a signal's 99th percentile up to which it counts as zero ..."""
 HIGH = 0.2
-"""... and above which it has left it again."""
+"""... and above which it has left zero again."""
 LEAST_VISITS = 10
-"""So often a signal comes down to zero while its joint moves, and continues on the same side. A signed one crosses
-it."""
+"""Visits of zero during motion, without crossing, from which a signal is unsigned. A signed one crosses zero."""
 LEAST_REST = 100
-"""Rows at rest from which on a law is estimated."""
+"""Fewest rows at rest for estimating a law."""
 BINS = 12
-"""Of the error of position, equally full: their means are what a law goes through."""
+"""Number of equally full bins of the position error; a law is fitted to their means."""
 STEPS_SEEN = 1.0
-"""Steps of a signal below which its means are rounding."""
+"""Bin means below so many steps of the signal are rounding and left out."""
 SCATTER = 0.05
-"""Of a bin's mean, as a share of it."""
+"""Standard deviation of a bin's mean, as a share of it."""
 LEAST_BINS = 4
 SPREAD = 1.5
-"""Times which the largest bin's error of position is the smallest's, for an exponent to be estimated ..."""
+"""Least ratio of the largest to the smallest bin's position error for estimating an exponent ..."""
 UNSURE = 0.25
-"""... and its standard error from which on it is not."""
+"""... and standard error above which the exponent is rejected."""
 
 
 @dataclass(frozen=True)
 class RestLaw:
-    """What a signal is of goal minus position at rest: sign as it has, size gain |error|^exponent."""
+    """Law of a signal at rest: its size is gain |error|^exponent, with error = goal minus position."""
 
     exponent: float
     exponent_error: float
     gain: float
-    """Of the whole exponent beside it, 1 or 2: unit of the signal per rad, or per rad^2."""
+    """Gain for the nearest whole exponent, 1 or 2: unit of the signal per rad, or per rad^2."""
     odd: bool
-    """Whether it has the sign of the error."""
+    """Whether the signal has the sign of the error."""
     rows: int
 
 
 def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
-    """How often a signal comes down to zero while its joint moves and continues on the same side; 0 for one with a
-    sign.
+    """Count how often a signal reaches zero during motion and continues on the same side; 0 for signed ones.
 
     Args:
         x: the signal of one joint, (samples,).
@@ -151,7 +149,7 @@ def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
 
 
 def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows at which a joint moves, and at which it rests, (samples,) bool each; those between the two are neither."""
+    """Rows at which a joint moves and at which it rests, (samples,) bool each; some rows are neither."""
     q = recording.q[:, j]
     around = max(1, round(AROUND_S * recording.rate_hz))
     moving, resting = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
@@ -169,7 +167,7 @@ def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
 def rest_law(
     signals: Sequence[np.ndarray], errors: Sequence[np.ndarray], resting: Sequence[np.ndarray]
 ) -> RestLaw | None:
-    """How a signal depends on goal minus position while the joint rests; None where the error varies too little.
+    """Fit how a signal depends on goal minus position at rest; None where the error varies too little.
 
     Args:
         signals: of one joint, one a recording, (samples,).
@@ -207,34 +205,34 @@ def rest_law(
 
 
 WIDEST_RAD = 0.045
-"""Play beyond 2.6 degrees is broken, and gravity is another on its far side."""
+"""Largest detectable play, [rad]. Play beyond 2.6 degrees is a defect, and gravity differs across it."""
 LOOKED_RAD = 2.0 * WIDEST_RAD
-"""Of travel before and after a turn."""
+"""Travel used before and after a reversal."""
 LEAST_TRAVEL_RAD = 0.03
-"""That a way in and a way out must have."""
+"""Least travel of the motion before and after a reversal."""
 FINEST_RAD = 5e-4
-"""Of the places at which the two ways are compared, where the encoder counts more finely."""
+"""Width of the places at which both ways are compared, unless the encoder's step is coarser."""
 BENDS_RAD = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
-"""Travel over which the load takes hold again."""
+"""Travel over which the load is carried again."""
 LEAST_ROWS = 5
-"""Of different places that a way in and a way out must have."""
+"""Least number of different places before and after a reversal."""
 FINER = 4
-"""Parts of a place within which a shape has one value."""
+"""Parts of a place; a shape is constant within each."""
 GROUPS = 10
-"""Of turns, of which one at a time is left out for the error."""
+"""Groups of reversals; each is left out once to estimate the error."""
 LEAST_TURNS, MOST_TURNS = 8, 300
-"""That a width is found from; of more, evenly chosen ones."""
+"""Most reversals used for a width; of more, evenly spaced ones."""
 LEAST_COUNTS = 2.0
-"""Of the encoder: less is rounding."""
+"""Least width in encoder steps: less is rounding."""
 CERTAIN = 3.0
-"""Standard errors by which a width must stand out."""
+"""Least width in standard errors."""
 CERTAIN_FLAT, FLAT = 2.5, 0.75
-"""Play is flat: standard errors by which a flat must leave less squares than any bend without one, and how long it is
-at least, by half the bend behind it. A bend whose ends are smoothed by rounding and sampling has a flat of a half."""
+"""Play has a flat. Standard errors by which a flat must fit better than any bend without one, and its least length as a
+share of half the bend. A bend smoothed by rounding and sampling has a flat of a half."""
 OUTLYING = 4.0
-"""Standard deviations, by the median, beyond which rows are left out: joints that stick and slip."""
+"""Robust standard deviations beyond which rows are left out, as of joints that stick and slip."""
 LEAST_SHARE = 0.1
-"""Of the friction that is not borne over the play: less is no play but a ripple."""
+"""Least share of the friction that is absent within the play; less is a ripple."""
 FASTEST_HZ = 250.0
 
 
@@ -245,31 +243,31 @@ class Play:
     width_rad: float
     """NaN: unknown, from too few turns; 0: not detected."""
     error_rad: float
-    """Standard error, from leaving out turns and a count of the encoder; NaN where there is no width."""
+    """Standard error from left-out reversals and the encoder's step; NaN without a width."""
     lost_rad: float
-    """Travel after which half of the load is borne again, for play or for gear and friction that bend; 0: none."""
+    """Travel after which half of the load is carried again, from play or from elastic gear and friction; 0: none."""
     share: float
-    """Of the friction that is not borne while the play is crossed."""
+    """Share of the friction that is absent while the play is crossed."""
     turns: int
     travel_rad: np.ndarray
-    """Places of the mean curve, since the turn."""
+    """Travel since the reversal at the points of the mean curve."""
     curve: np.ndarray
-    """Mean over turns of d (tau_out - tau_in) less speed and inertia, as a share of where it ends."""
+    """Mean over reversals of d (tau_out - tau_in) without speed and inertia, relative to its final value."""
 
 
 def backlash_widths(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
     """Width of each joint's play and its standard error, (joints,) each, [rad].
 
-    The width is the whole way from flank to flank, as the recorded position travels it. 0: none is detected, which
-    proves that there is none only where friction and not gravity loads the joint, and the encoder sits before the play;
-    NaN: too few turns. The error is NaN in both cases.
+    The width is the whole recorded travel from flank to flank. 0: no play detected; that excludes play only if friction
+    and not gravity loads the joint and the encoder sits before the play. NaN: too few reversals. The error is NaN in
+    both cases.
     """
     plays = [play_of(recordings, j) for j in range(len(recordings[0].joints))]
     return np.array([p.width_rad for p in plays]), np.array([p.error_rad for p in plays])
 
 
 def play_of(recordings: Sequence[Recording], j: int) -> Play:
-    """Estimate one joint's play from its turns."""
+    """Estimate one joint's play from its reversals."""
     step_rad = position_step(np.concatenate([r.q[:, j] for r in recordings])) or 0.0
     place_rad = max(step_rad, FINEST_RAD)
     turns = [turn for r in recordings for turn in _turns(r, j, place_rad, step_rad)]
@@ -315,8 +313,7 @@ class _Turn:
 
 
 def _drive(recording: Recording, j: int) -> np.ndarray | None:
-    """The signal that follows the drive's torque and has its sign: tau, else goal minus position; None: there is
-    neither."""
+    """Signal that follows the drive's torque with its sign: tau, else goal minus position; None: neither."""
     tau = recording.tau[:, j]
     if tau.min() < 0 < tau.max():
         return tau
@@ -371,7 +368,7 @@ def _extremes(q: np.ndarray, least_rad: float) -> list[int]:
 
 
 def _averaged(since: np.ndarray, values: np.ndarray, place_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of one place as their mean: a slow joint counts no more than a fast one."""
+    """Average the rows of each place, so that a slow joint counts no more than a fast one."""
     _, first = np.unique(np.floor(since / place_rad + 0.25).astype(int), return_index=True)
     count = np.diff(np.r_[first, len(since)])
     if not len(since):
@@ -381,7 +378,7 @@ def _averaged(since: np.ndarray, values: np.ndarray, place_rad: float) -> tuple[
 
 @dataclass(frozen=True)
 class _Shapes:
-    """What is not borne: all over a flat, then falling off over a bend, straight or ever slower. Arrays (shapes,)."""
+    """Share of the load not yet carried: 1 over a flat, then falling linearly or exponentially. Arrays (shapes,)."""
 
     flat: np.ndarray  # [rad]
     bend: np.ndarray
@@ -389,11 +386,11 @@ class _Shapes:
 
     @property
     def half(self) -> np.ndarray:
-        """Of the bend, where half is borne, [rad]."""
+        """Travel within the bend after which half is carried, [rad]."""
         return self.bend * np.where(self.slower, math.log(2), 0.5)
 
     def missing(self, since: np.ndarray, k: int | slice) -> np.ndarray:
-        """(rows, shapes)."""
+        """Share not yet carried, (rows, shapes)."""
         slower = np.atleast_1d(self.slower[k])
         beyond = np.maximum(since[:, None] - np.atleast_1d(self.flat[k]), 0) / np.atleast_1d(self.bend[k])
         missing = np.maximum(1 - beyond, 0)
@@ -412,7 +409,7 @@ def _shapes(place_rad: float) -> _Shapes:
 
 
 class _Turns:
-    """All turns, ready for least squares of any shape."""
+    """All reversals, prepared for least squares with any shape."""
 
     def __init__(self, turns: Sequence[_Turn], place_rad: float) -> None:
         groups = np.arange(len(turns)) % min(GROUPS, len(turns))
@@ -428,22 +425,22 @@ class _Turns:
         self.columns = self._levelled(self.recorded.T)
 
     def _levelled(self, x: np.ndarray) -> np.ndarray:
-        """(rows, columns), less each turn's own mean."""
+        """Subtract each reversal's own mean from (rows, columns)."""
         return x - (np.add.reduceat(x, self._first, axis=0) / self._size[:, None])[self._turn]
 
     def products(self, shapes: _Shapes) -> np.ndarray:
-        """Of torque, speed, acceleration and a shape with one another: (shapes, groups, 4, 4)."""
-        # Shapes are smooth over a quarter of a place, so that rows there have one value.
+        """Products of torque, speed, acceleration and a shape: (shapes, groups, 4, 4)."""
+        # Shapes are nearly constant over a quarter of a place.
         places, place = np.unique(np.round(self.since / self._fine_rad).astype(int), return_inverse=True)
         missing = shapes.missing(places * self._fine_rad, slice(None))
-        rows = np.zeros((len(self._size), len(places)))  # of each turn at each place
+        rows = np.zeros((len(self._size), len(places)))  # count by reversal and place
         np.add.at(rows, (self._turn, place), 1)
         first = np.searchsorted(self._first, self._group_first)  # turn of each group
         group = np.searchsorted(first, self._turn, side="right") - 1
         sums = np.zeros((len(first), 3, len(places)))
         for k in range(3):
             np.add.at(sums[:, k], (group, place), self.columns[:, k])
-        # Columns have no mean over a turn, so a shape's own drops out of the products with them.
+        # Columns have zero mean over a reversal, so a shape's mean drops out of their products.
         across = np.moveaxis(sums @ missing, 2, 0)
         means = (rows @ missing) ** 2 / self._size[:, None]
         squares = np.add.reduceat(rows, first) @ missing**2 - np.add.reduceat(means, first)
@@ -455,7 +452,7 @@ class _Turns:
         return products
 
     def trimmed(self, weights: np.ndarray, shapes: _Shapes, k: int) -> list[_Turn]:
-        """The turns without the rows that lie far from a fit."""
+        """Return the reversals without rows far from the fit."""
         missing = self._levelled(shapes.missing(self.since, k))
         rest = np.abs(self.columns[:, 0] - np.hstack([self.columns[:, 1:], missing]) @ weights)
         near = rest < OUTLYING * 1.4826 * np.median(rest) + 1e-300
@@ -464,7 +461,7 @@ class _Turns:
         return [_Turn(since[keep], values[:, keep]) for since, values, keep in parts if keep.sum() >= LEAST_ROWS]
 
     def curve(self, weights: np.ndarray, place_rad: float) -> tuple[np.ndarray, np.ndarray]:
-        """Torque less what speed and acceleration make of it: mean of the rows at each place, and the places, [rad]."""
+        """Mean torque at each place without the parts of speed and acceleration, and the places, [rad]."""
         rest = self.recorded[0] - weights[0] * self.recorded[1] - weights[1] * self.recorded[2]
         place = np.floor(self.since / place_rad).astype(int)
         count = np.bincount(place)
@@ -473,13 +470,13 @@ class _Turns:
 
 
 def _weights(products: np.ndarray) -> np.ndarray:
-    """Least squares of the first column by the others, (..., 3)."""
+    """Least-squares weights of the first column by the others, (..., 3)."""
     ridge = 1e-12 * np.eye(3) * (np.trace(products[..., 1:, 1:], axis1=-2, axis2=-1)[..., None, None] + 1e-30)
     return np.linalg.solve(products[..., 1:, 1:] + ridge, products[..., 1:, :1])[..., 0]
 
 
 def _left(products: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Sum of squares that these weights leave."""
+    """Residual sum of squares with these weights."""
     whole = np.concatenate([np.ones((*weights.shape[:-1], 1)), -weights], axis=-1)
     return np.einsum("...a,...ab,...b->...", whole, products, whole)
 

@@ -1,4 +1,4 @@
-"""Which samples of recordings are used: free motion, joints that move, values that an arm can send."""
+"""Selection of samples: free motion, joints that move, values that an arm can send."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from tauext.config import FreeMotionConfig
 from tauext.data.recording import FLAGS, SIGNALS, Recording, runs_of
 from tauext.errors import TrainingError
 
-# --- Some samples of a recording, as a recording of its own.
+# --- Part of a recording as a new recording.
 
 
 def cut(recording: Recording, span: slice | np.ndarray) -> Recording:
-    """Some samples of a recording, at least one, under its name: those of a slice, or those whose flag is set."""
+    """Return part of a recording under its name: a slice or the flagged samples, at least one."""
     arrays = {name: getattr(recording, name) for name in ("t_ns", *SIGNALS, *FLAGS)}
     return replace(recording, **{name: a[span] for name, a in arrays.items() if a is not None})
 
 
 def between(recording: Recording, first: int, last: int, name: str) -> Recording:
-    """Rows first to last, last left out, under another name; its provenance has the part's times, in seconds."""
+    """Return rows first to last (exclusive) under another name; provenance has the part's times, in seconds."""
     part = {"of": recording.name, "from_s": round(float(recording.time_s[first]), 6)}
     part["to_s"] = round(float(recording.time_s[last - 1]), 6)
     provenance = recording.provenance | {"part": part}
@@ -30,7 +30,7 @@ def between(recording: Recording, first: int, last: int, name: str) -> Recording
 
 
 def within(recording: Recording, from_s: float, to_s: float, name: str) -> Recording | None:
-    """What of it lies in [from_s, to_s), seconds of its source; itself where that is all, None where it is nothing."""
+    """Return the part in [from_s, to_s), seconds of its source; itself if that is all, None if empty."""
     time_s = recording.time_s + recording.provenance.get("start_s", 0.0)
     rows = np.flatnonzero((time_s >= from_s) & (time_s < to_s))
     if not len(rows):
@@ -38,11 +38,11 @@ def within(recording: Recording, from_s: float, to_s: float, name: str) -> Recor
     return recording if len(rows) == recording.samples else between(recording, rows[0], rows[-1] + 1, name)
 
 
-# --- The beginning of a set of recordings: how good is a method that is trained on minutes?
+# --- The beginning of a set of recordings, to train on minutes.
 
 
 def length_s(recording: Recording) -> float:
-    """Time that its samples stand for, [s]: a sample period more than from the first to the last."""
+    """Duration of its samples, [s]: one sample period more than from the first to the last."""
     return recording.duration_s + 1 / recording.rate_hz
 
 
@@ -52,7 +52,7 @@ def total_s(recordings: Sequence[Recording]) -> float:
 
 
 def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
-    """The first recordings that together last so long, [s], the last one cut; all of them where they last less."""
+    """Return the first recordings up to this total length, [s], with the last one cut; all if they last less."""
     taken, left = [], seconds
     for recording in recordings:
         if left < 1 / recording.rate_hz:
@@ -67,12 +67,12 @@ def _samples(recording: Recording, seconds: float) -> int:
     return int((recording.time_s < seconds - 1e-6).sum())
 
 
-# --- Joints that never move: of them nothing but what they show at rest can be learned.
+# --- Joints that never move.
 
 
 STANDING_RAD = 0.02
-"""A joint that stays within so much in every recording stands still, [rad]. Its speed is no evidence: that of a
-standing arm may be noise of 0.05 rad/s."""
+"""Largest position range of a joint that stands still, in every recording, [rad]. The speed is no evidence: a standing
+arm's may be noise of 0.05 rad/s."""
 
 
 def standing_joints(recordings: Iterable[Recording]) -> np.ndarray:
@@ -80,11 +80,11 @@ def standing_joints(recordings: Iterable[Recording]) -> np.ndarray:
     return np.all([np.ptp(recording.q, axis=0) < STANDING_RAD for recording in recordings], axis=0)
 
 
-# --- Which stretches of a recording are free motion, and how a set of recordings is cut by time.
+# --- Free motion of recordings, and splits by time.
 
 
 SHORTEST_S = 1.0
-"""Of a stretch that is kept, [s]."""
+"""Least length of a stretch that is kept, [s]."""
 MARGINS = FreeMotionConfig()
 
 
@@ -96,7 +96,7 @@ def has_contact(recording: Recording) -> bool:
 def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> np.ndarray:
     """Whether each sample is free motion: no contact there nor within the margins, (samples,) bool.
 
-    Samples of which it is unknown whether something touches are none, unless the whole recording is unlabelled.
+    Samples with an unknown label are not free, unless the whole recording is unlabelled.
     """
     contact = recording.contact
     if contact is None or (contact == -1).all():
@@ -105,10 +105,9 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> n
 
 
 def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MARGINS) -> list[Recording]:
-    """The free motion of recordings: themselves where nothing touches, else their stretches of a second or more.
+    """Return the free motion: recordings without contact unchanged, else their free stretches of a second or more.
 
-    Each stretch is a recording by itself, under the same name, on which filters and windows restart: none reaches
-    into a contact.
+    Each stretch is a recording of the same name. Filters and windows restart in each, so none reaches into a contact.
     """
     pieces = []
     for recording in recordings:
@@ -121,15 +120,14 @@ def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MAR
 
 
 def free_stretches(recording: Recording, before_s: float, after_s: float, least_s: float) -> list[Recording]:
-    """Stretches without contact, each a recording NAME-free-00, -01, ...; the recording itself where it has none.
+    """Return stretches without contact as recordings NAME-free-00, -01, ...; the recording itself if untouched.
 
-    Samples whose label is neither contact nor free are taken for contacts, margins and all: what goes into a dataset as
-    free motion must be known to be.
+    Samples with an unknown label count as contacts, with margins: only motion known to be free goes into a dataset.
 
     Args:
-        before_s: left out before a contact, too, [s]: a label may come late.
-        after_s: left out after one, [s]: the observer rings down, and the arm may still swing.
-        least_s: a shorter stretch is left out, [s].
+        before_s: time left out before a contact, [s]: a label may come late.
+        after_s: time left out after a contact, [s]: the observer decays, and the arm may still swing.
+        least_s: shortest stretch that is kept, [s].
     """
     if recording.contact is None or (recording.contact == 0).all():
         return [recording]
@@ -141,14 +139,14 @@ def free_stretches(recording: Recording, before_s: float, after_s: float, least_
 def split_by_time(
     recordings: Sequence[Recording], share: float, gap_s: float, least_s: float
 ) -> tuple[list[Recording], list[Recording]]:
-    """The beginning of every recording, and its last `share` after a gap; for datasets without validation recordings.
+    """Split every recording into its beginning and its last `share`, for datasets without validation recordings.
 
-    A recording whose last share is shorter than least_s stays whole, among the beginnings.
+    A recording whose last share is shorter than least_s stays whole and counts as a beginning.
 
     Args:
-        share: of each recording's time, > 0 and < 1.
-        gap_s: between the two parts, so that no window and no filter reaches from one into the other, [s].
-        least_s: what the second part must last to be of use, [s].
+        share: share of each recording's time, > 0 and < 1.
+        gap_s: gap between the two parts, so that no window or filter spans both, [s].
+        least_s: least length of the second part, [s].
     """
     first, last = [], []
     for recording in recordings:
@@ -164,7 +162,7 @@ def split_by_time(
 
 
 def _far_from(touched: np.ndarray, t_ns: np.ndarray, before_s: float, after_s: float) -> np.ndarray:
-    """Whether each sample is neither touched nor so soon before or after one that is, (samples,) bool."""
+    """Whether each sample lies outside all contacts and their margins, (samples,) bool."""
     far = np.ones(len(t_ns), dtype=bool)
     for begin, end in runs_of(touched):
         first, last = t_ns[begin] - int(before_s * 1e9), t_ns[end - 1] + int(after_s * 1e9)
@@ -173,29 +171,29 @@ def _far_from(touched: np.ndarray, t_ns: np.ndarray, before_s: float, after_s: f
 
 
 def _runs(free: np.ndarray, t_ns: np.ndarray, least_s: float) -> list[tuple[int, int]]:
-    """(first, one after the last) sample of every stretch of true flags that lasts so long, [s]."""
+    """(first, one after the last) sample of every stretch of true flags of at least least_s, [s]."""
     return [(first, last) for first, last in runs_of(free).tolist() if (t_ns[last - 1] - t_ns[first]) * 1e-9 >= least_s]
 
 
-# --- Samples that no arm sends: found by the core's own check, left out as a gap is, and reported.
+# --- Impossible samples: found by the core's check, left out like a gap, and reported.
 
 
 MOST_SHARE = 1e-3
-"""Of the samples that are checked: more are no glitches, but another unit, a wrong conversion or a broken encoder.
-Bounds follow from the largest values but for this share, so that it cannot hold with more."""
+"""Largest share of impossible samples. More are no glitches but a wrong unit or conversion or a broken encoder. Bounds
+follow from the largest values without this share, so they cannot hold with more."""
 LISTED = 3
-"""Samples that a sentence names; provenance names more."""
+"""Number of samples named in a message; provenance names more."""
 KEPT = 100
 
 
 @dataclass(frozen=True)
 class SignalBounds:
-    """What an arm can do at most, whatever touches it; a value a joint, infinite where unknown."""
+    """Largest values that an arm can reach, with contact too; one a joint, infinite where unknown."""
 
     torque_nm: np.ndarray
-    """Of \\|tau\\|, in the unit of the answers."""
+    """Largest \\|tau\\|, in the unit of the estimates."""
     speed_rad_s: np.ndarray
-    """Of \\|dq\\|, and of how fast q changes."""
+    """Largest \\|dq\\| and rate of change of q."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle) -> SignalBounds:
@@ -205,19 +203,19 @@ class SignalBounds:
 
 @dataclass(frozen=True)
 class ImpossibleSample:
-    """One sample that no arm sends."""
+    """One sample that no arm can send."""
 
     recording: str
     time_s: float
-    """Since the recording's first sample."""
+    """Time since the recording's first sample."""
     joint: str
     cause: str
-    """The core's name of it: impossible torque, impossible velocity, impossible position."""
+    """Cause in the core: impossible torque, impossible velocity, impossible position."""
     value: float
-    """As recorded; of a position how far it lies from the one before."""
+    """Recorded value; for a position its jump from the one before."""
 
     def __str__(self) -> str:
-        """joint2's torque of 1e+06 at 12.3 s of 'run-03'."""
+        """Return a phrase such as "joint2's torque of 1e+06 at 12.3 s of 'run-03'"."""
         if self.cause == "impossible position":
             what = f"position that jumps by {self.value:.4g}"
         else:
@@ -227,18 +225,18 @@ class ImpossibleSample:
 
 @dataclass
 class LeftOut:
-    """Counts what is left out of some recordings."""
+    """Counts samples left out of recordings."""
 
     what: str
-    """Which recordings: training, calibration."""
+    """Name of the set: training, calibration."""
     samples: int = 0
-    """Checked."""
+    """Number of samples checked."""
     found: list[ImpossibleSample] = field(default_factory=list)
     recordings: int = 0
-    """That hold some."""
+    """Number of recordings with impossible samples."""
 
     def find(self, recording: Recording, observer: _core.ObserverSettings, bounds: SignalBounds) -> np.ndarray:
-        """Which samples a monitor refuses whose bundle has these bounds, (impossible,); they are counted."""
+        """Find and count the samples that a monitor with these bounds refuses: their indices, (impossible,)."""
         limits = (bounds.torque_nm.tolist(), bounds.speed_rad_s.tolist())
         signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
         found = _core.impossible_samples(observer, *limits, *signals)
@@ -255,7 +253,7 @@ class LeftOut:
         return found["sample"]
 
     def expect_few(self) -> None:
-        """Raise TrainingError where too many were found for the rest to be trusted."""
+        """Raise TrainingError if too many samples are impossible."""
         if len(self.found) <= max(1.0, MOST_SHARE * self.samples):
             return
         raise TrainingError(
@@ -264,7 +262,7 @@ class LeftOut:
         )
 
     def sentence(self) -> str:
-        """What was left out, in words; empty where nothing was."""
+        """Message about samples left out; empty if there are none."""
         count = len(self.found)
         if not count:
             return ""
@@ -272,7 +270,7 @@ class LeftOut:
         return f"left out {samples} of the {self.what} recordings: {self._listed()}"
 
     def facts(self) -> dict:
-        """For provenance: how many, and the first KEPT of them."""
+        """Number and first KEPT samples, for provenance."""
         return {"samples": len(self.found), "of": self.samples, "listed": [asdict(one) for one in self.found[:KEPT]]}
 
     def _listed(self) -> str:
@@ -284,10 +282,10 @@ class LeftOut:
 def possible_parts(
     recordings: Sequence[Recording], observer: _core.ObserverSettings, bounds: SignalBounds, left_out: LeftOut
 ) -> list[Recording]:
-    """The recordings without their impossible samples: themselves where there are none.
+    """Return the recordings without impossible samples; unchanged where there are none.
 
-    More than a network period is left out after each, so that the chain restarts there as after a gap: what follows
-    is what a monitor gets after it refused the sample.
+    More than a network period is left out after each, so that the chain restarts as after a gap. That equals a
+    monitor's behaviour after it has refused the sample.
 
     Raises:
         TrainingError: too many samples are impossible.
@@ -297,7 +295,7 @@ def possible_parts(
     parts = []
     for recording, samples in zip(recordings, found, strict=True):
         keep = np.ones(recording.samples, dtype=bool)
-        # Stamps jitter, and the clock carries up to a tick on: a few ticks more than it bridges.
+        # Stamps jitter by up to a tick, so leave out a few ticks more than the clock bridges.
         gap_ns = (observer.network_stride + 4) * observer.sample_period_ns
         ends = np.searchsorted(recording.t_ns, recording.t_ns[samples] + gap_ns)
         for first, end in zip(samples.tolist(), ends.tolist(), strict=True):

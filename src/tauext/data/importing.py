@@ -1,4 +1,4 @@
-"""From recordings of a real arm, in any format, to a dataset folder in rad, rad/s and N m: the import stage."""
+"""The import stage: converts recordings of an arm in any format to a dataset folder in rad, rad/s and N m."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
-# --- The set of each stretch of a raw recording: as the description lists it, or by a rule that is reported.
+# --- Sets of the stretches of a raw recording: listed in the description, or by a reported rule.
 
 
 WHOLE_FROM = 6
-"""So many sources without labelled contacts or more are split as whole recordings; fewer are cut by time."""
+"""Fewest sources without labelled contacts that are split as whole recordings; fewer are split by time."""
 WHOLE_SETS = ("train", "validation", "test")
 FREE_SHARES = {"train": 0.8, "test": 0.2}
 TOUCHED_SHARES = {"train": 0.75, "collisions": 0.25}
-"""Of each source that is cut by time. None is for validation: the end of a run shows the same motion as its beginning,
-and `tauext train` does better with all of it, which it leaves out in turn."""
+"""Shares of each source that is split by time. No validation: the end of a run repeats the motion of its beginning, and
+`tauext train` does better by cross-validation on all of it."""
 LEAST_SET_S = 2.0
 """A window and the observer's warm-up must fit into a set, [s]."""
 
 
 @dataclass(frozen=True)
 class RawFacts:
-    """Facts of a raw recording that a plan needs."""
+    """Facts of a raw recording for the plan."""
 
     duration_s: float
     touched: bool
@@ -54,7 +54,7 @@ class RawFacts:
 
 @dataclass(frozen=True)
 class Claim:
-    """A stretch of a raw recording for one set, seconds from its first sample; its end is left out."""
+    """A stretch of a raw recording for one set, in seconds from its first sample; the end is exclusive."""
 
     set_name: str
     raw: str
@@ -68,18 +68,18 @@ class Claim:
 
 
 def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]) -> tuple[list[Claim], list[str]]:
-    """Claims on the raw recordings, and sentences that name the rule.
+    """Assign the raw recordings to sets; also returns sentences that name the rule.
 
-    Listed in [split]: as listed. Not listed: those with contacts are for collisions, others are split whole
-    (from 6 on, some for validation) or each by time with a gap; where every one has contacts, each is split by time
-    and its end kept whole for collisions.
+    With [split], the sets are as listed. Else sources with contacts go to collisions; others are split whole (6 or
+    more, some for validation) or each by time with a gap. If all have contacts, each is split by time and its end goes
+    to collisions.
 
     Args:
         raws: raw recordings, by name.
-        files: file name: names of the raw recordings in it.
+        files: names of the raw recordings in each file, by file name.
 
     Raises:
-        ConfigError: a listed one that is not there, or one stretch in two sets.
+        ConfigError: a listed source is missing, or a stretch is in two sets.
     """
     if arm.split.named:
         return _listed(arm, raws, files)
@@ -102,10 +102,10 @@ def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[st
         kind = "without labelled contacts" if free else "with contacts, as all are"
         notes.append(
             f"{count} {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between the parts; test and "
-            "training come from one run, so errors on the test set flatter"
+            "training come from one run, so errors on the test set are optimistic"
         )
         notes += short
-    if not free:  # what is free in the collisions' stretch is free motion outside of training
+    if not free:  # free parts of the collisions' stretch are held-out free motion
         claims += [Claim("test", c.raw, c.from_s, c.to_s) for c in claims if c.set_name == "collisions"]
     if free and touched:
         notes.append(f"{len(touched)} source{'s' * (len(touched) > 1)} with contacts: whole in collisions")
@@ -139,7 +139,7 @@ def _listed(
 def _parsed(
     arm: Arm, text: str, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]
 ) -> list[tuple[str, float, float]]:
-    """NAME or NAME[t0:t1], either end left out; NAME is a file's, or a source's where a file holds several."""
+    """Parse NAME or NAME[t0:t1], either end optional; NAME is a file's, or a source's where a file has several."""
     match = re.fullmatch(r"(.*?)(?:\[([0-9.]*):([0-9.]*)\])?", text)
     assert match
     name, first, last = match.groups()
@@ -158,12 +158,12 @@ def _parsed(
 def _by_time(
     arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], notes: list[str]
 ) -> list[Claim]:
-    """Successive claims of these shares on each span, with gaps that lie in no set.
+    """Cut each span into successive claims of these shares, with gaps that belong to no set.
 
-    A span that would leave a set of less than 2 s serves whole for the first set, and a note reports it.
+    A span that would give a set of less than 2 s goes whole to the first set, and a note reports it.
 
     Raises:
-        ConfigError: all spans are so short.
+        ConfigError: all spans are too short.
     """
     gap_s = arm.split.gap_s
     claims, short = [], []
@@ -190,32 +190,32 @@ def _by_time(
     return claims
 
 
-# --- From raw recordings to the recordings and the split of a dataset folder, a piece in memory at a time.
+# --- From raw recordings to a dataset folder's recordings and split, with one piece in memory at a time.
 
 
 LEAST_FREE_S = 2.0
-"""A shorter stretch between contacts is left out, [s]: a window and the observer's warm-up would not fit."""
+"""Least length of a stretch between contacts, [s]: a window and the observer's warm-up must fit."""
 
 ROUNDED_S = 1.0
-"""An interval may end so much after its recording, [s]: its end may be rounded up."""
+"""Tolerance of an interval's end after its recording, [s]: it may be rounded up."""
 
 
 @dataclass
 class Imported:
-    """What an import found and wrote."""
+    """Result of an import."""
 
     split: Split
     notes: list[str] = field(default_factory=list)
-    """How the split came about, and what it lacks."""
+    """Sentences about the rule of the split and empty sets."""
 
 
 def recordings_of(
     raws: Sequence[RawRecording], arm: Arm, robot_sha256: str
 ) -> Iterator[tuple[RawRecording, Recording]]:
-    """Recordings of all raw ones, in their order and at one nominal rate: the description's, or the first one's.
+    """Convert all raw recordings, in order and at one nominal rate: the description's, else the first recording's.
 
     Raises:
-        ConfigError: two raw recordings of one name; a contact in a recording that is not there, or beyond its end.
+        ConfigError: two raw recordings share a name; a contact's recording is missing, or ends before the contact.
     """
     names = [raw.name for raw in raws]
     for name in names:
@@ -231,18 +231,18 @@ def recordings_of(
             rate_hz = recording.rate_hz
             end_s = recording.provenance["start_s"] + length_s(recording)
             yield raw, recording
-        if [other.path for other in raws].count(raw.path) == 1:  # else an interval may be another one's of the file
+        if [other.path for other in raws].count(raw.path) == 1:  # else it may belong to another one of the file
             expect_within(arm, raw, end_s)
 
 
 def not_imported(arm: Arm, raws: Sequence[RawRecording]) -> list[str]:
-    """Names in [contact.intervals] that are none of these recordings."""
+    """Names in [contact.intervals] without a recording here."""
     known = {name for raw in raws for name in (raw.path.name, raw.name)}
     return [name for name in arm.contact.intervals if name not in known]
 
 
 def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
-    """Raise ConfigError where contacts are given of a mistyped source: they would be trained on as free motion.
+    """Raise ConfigError where contacts name a mistyped source: they would be trained on as free motion.
 
     A file of that name beside the sources or the description is another recording of the arm, not imported now.
     """
@@ -258,7 +258,7 @@ def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
 
 
 def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
-    """Raise ConfigError where a contact lies beyond the end of its recording: it was meant elsewhere."""
+    """Raise ConfigError where a contact lies beyond the end of its recording."""
     for begin, end in arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name, ())):
         if begin < 0 or begin >= end_s or end > end_s + ROUNDED_S:
             raise ConfigError(
@@ -274,10 +274,10 @@ def write_dataset(
 
     Args:
         folder: exists.
-        report: called with each recording as it was imported, before it is cut.
+        report: called with each imported recording before it is cut.
 
     Raises:
-        ConfigError, RecordingError: as assemble and plan.
+        ConfigError, RecordingError: see assemble() and plan().
     """
     pieces: dict[str, list[Path]] = {raw.name: [] for raw in raws}
     files: dict[str, list[str]] = {}
@@ -299,7 +299,7 @@ def write_dataset(
             _cut(path, [c for c in claims if c.raw == name], arm, written)
     notes += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
     if written["train"] and not written["validation"]:
-        notes.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
+        notes.append("validation is empty: train finds limits by cross-validation on the training motion")
     for set_name in ("train", "test"):
         if not written[set_name]:
             why = (
@@ -307,14 +307,14 @@ def write_dataset(
                 if any(c.set_name == set_name for c in claims)
                 else "no source"
             )
-            notes.append(f"{set_name} is empty ({why}): this dataset serves where no {set_name} set is needed")
+            notes.append(f"{set_name} is empty ({why}): this dataset suits uses without a {set_name} set")
     split = Split(**{set_name: tuple(names) for set_name, names in written.items()})
     save_split(split, folder)
     return Imported(split, notes)
 
 
 def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]]) -> None:
-    """Write the claimed stretches of one piece; the piece itself stays where it is claimed whole, or not at all."""
+    """Write the claimed stretches of one piece; a piece claimed whole, or not at all, is kept."""
     if not claims:
         return
     piece = load_recording(path)
@@ -339,7 +339,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
 
 
 def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
-    """Under a name that is not taken: one raw recording may give a set several stretches."""
+    """Rename to a free name: one raw recording may give a set several stretches."""
     taken = {name for names in written.values() for name in names}
     number = 2
     while f"{recording.name}-{number}.parquet" in taken:
@@ -354,19 +354,19 @@ Say = Callable[[str], object]
 
 
 def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: str, say: Say) -> None:
-    """Import all sources into a folder that appears whole or not at all.
+    """Import all sources into a folder, written atomically.
 
     Args:
         paths: files or folders of one arm.
         arm_file: their description, arm.toml.
-        out: folder to write, which must be empty or not there.
+        out: folder to write, which must be empty or missing.
         format: tauext or lerobot.
-        say: called with a line on each thing that was done to the numbers.
+        say: called with a line for each change of the numbers.
 
     Raises:
-        ConfigError: a description or a folder that cannot be used.
-        RecordingError: a source that is damaged or of no format that is read.
-        RobotError: a robot file that cannot be used.
+        ConfigError: the description or the folder cannot be used.
+        RecordingError: a source is damaged or of an unsupported format.
+        RobotError: the robot file cannot be used.
     """
     started = time.monotonic()
     arm = load_arm(arm_file)
@@ -377,7 +377,7 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     for name in not_imported(arm, sources):
         say(f"contacts of {name} are not used: it is not among the sources")
     if arm.model is not None:
-        load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
+        load_tree(arm.model, joints=arm.robot.joints)  # fails before a long import
     with new_folder(out) as part:
         if format == "lerobot":
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
@@ -392,9 +392,9 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
 
 
 def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
-    """The dataset's robot file: the arm's own with what the description adds, or a placeholder; reports which."""
+    """Write and report the dataset's robot file: the arm's with the description's additions, or a placeholder."""
     if arm.model is None:
-        say("robot: no model; robot.urdf is a placeholder without masses, and train takes the case none")
+        say("robot: no model; robot.urdf is a placeholder without masses, and train uses the case none")
         return write_placeholder(arm.robot.joints, out)
     inertia = arm.robot.rotor_inertia_kg_m2
     rotors = dict(zip(arm.robot.joints, zip(inertia, arm.gear_ratio, strict=True), strict=True)) if inertia else {}
@@ -416,7 +416,7 @@ def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
 
 
 def _reported(recording: Recording, say: Say) -> Recording:
-    """Return the recording after reporting what it is and what was done to it, a line each."""
+    """Report the recording and its changes, a line each, and return it."""
     joints = len(recording.joints)
     head = f"{recording.name}: {recording.duration_s:.2f} s, {recording.rate_hz:g} Hz, {joints} joints, "
     head += f"{recording.samples} samples from {recording.source}"

@@ -20,22 +20,22 @@ from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import json_of, read_text
 
-# --- LeRobot dataset folders, v3.0 (lerobot 0.4 and later) and v2.1 (0.3): what they are, and rows of an episode.
+# --- LeRobot dataset folders, v3.0 (lerobot 0.4 and later) and v2.1 (0.3): metadata and rows of an episode.
 
 
 INFO = "meta/info.json"
 MOST_ELEMENTS = 10_000
-"""Of one feature: a state of more is none of a robot."""
+"""Most elements of a feature; no robot's state has more."""
 VERSIONS = ("v3.0", "v2.1")
 EPISODES_V2 = "meta/episodes.jsonl"
 STATE, ACTION = "observation.state", "action"
 GOAL = "goal"
-"""Columns `goal[NAME]`: what the servos were following while the state of the same row was measured."""
+"""Columns `goal[NAME]`: the goals that servos followed when the state of the same row was measured."""
 
 
 @dataclass(frozen=True)
 class LerobotFolder:
-    """A dataset folder whose info and list of episodes were read."""
+    """A dataset folder with its info and list of episodes."""
 
     path: Path
     info: dict[str, Any]
@@ -44,7 +44,7 @@ class LerobotFolder:
 
     @property
     def version(self) -> str:
-        """v3.0 or v2.1."""
+        """Version of the format, v3.0 or v2.1."""
         return next(v for v in VERSIONS if str(self.info["codebase_version"]).startswith(v.split(".")[0]))
 
     @property
@@ -54,7 +54,7 @@ class LerobotFolder:
 
     @property
     def features(self) -> dict[str, dict]:
-        """As LeRobot describes them: dtype, shape, names."""
+        """Features in LeRobot's description: dtype, shape, names."""
         return self.info["features"]
 
     def data_files(self) -> list[Path]:
@@ -63,11 +63,11 @@ class LerobotFolder:
         return sorted((self.path / "data").glob(pattern))
 
     def numeric(self, columns: list[str]) -> list[str]:
-        """Features that hold numbers and are in the files."""
+        """Numeric features among these columns."""
         return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(("float", "int"))]
 
     def names(self, feature: str, count: int) -> list[str]:
-        """Of the elements of a feature; their indices where it gives none.
+        """Names of a feature's elements; their indices if it has none.
 
         Raises:
             RecordingError: more elements than MOST_ELEMENTS.
@@ -87,7 +87,7 @@ def open_folder(path: Path) -> LerobotFolder:
     """Read the metadata of a LeRobot dataset folder.
 
     Raises:
-        RecordingError: another version, a file missing or damaged, no episode.
+        RecordingError: unsupported version, a file is missing or damaged, or no episode.
     """
     try:
         info = json_of(read_text(path / INFO))
@@ -107,13 +107,13 @@ def open_folder(path: Path) -> LerobotFolder:
     folder = LerobotFolder(path, info, {})
     if not folder.data_files():
         held = "data/chunk-*/file-*.parquet" if folder.version == "v3.0" else "data/chunk-*/episode_*.parquet"
-        raise RecordingError(f"{path}: it holds no {held}")
+        raise RecordingError(f"{path}: it has no {held}")
     with readable(path, "its episodes"):
         listed = list(_listed(folder))
     if not all(isinstance(n, int) for pair in listed for n in pair):
         raise RecordingError(f"{path}: an episode has no number or no length; copy it again")
     if not listed:
-        raise RecordingError(f"{path}: it holds no episode")
+        raise RecordingError(f"{path}: it has no episode")
     return LerobotFolder(path, info, dict(sorted(listed)))
 
 
@@ -131,7 +131,7 @@ def _listed(folder: LerobotFolder) -> Iterator[tuple[int, int]]:
 
 @contextmanager
 def readable(path: Path, what: str) -> Iterator[None]:
-    """RecordingError in place of whatever damaged files make of reading them."""
+    """Convert errors on damaged files to RecordingError."""
     try:
         yield
     except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError) as error:
@@ -143,7 +143,7 @@ def episode_rows(folder: LerobotFolder, number: int) -> pa.Table:
     """The numeric columns of an episode, in the order of its frames.
 
     Raises:
-        RecordingError: damaged, or not as many rows as the episode's length.
+        RecordingError: damaged, or the number of rows differs from the episode's length.
     """
     with readable(folder.path, f"episode {number}"):
         if folder.version == "v3.0":
@@ -163,10 +163,10 @@ def episode_rows(folder: LerobotFolder, number: int) -> pa.Table:
 
 
 def columns_of(folder: LerobotFolder, rows: pa.Table) -> dict[str, np.ndarray]:
-    """Every number of an episode by its name, `feature[element]`, as float64; with the goals, `goal[element]`.
+    """Columns of an episode by name, `feature[element]`, as float64, and the goals, `goal[element]`.
 
-    A goal is the state's element NAME.goal for NAME.pos where it was recorded, else the action of the frame before:
-    what an action commands is followed once the next state is measured. In the first frame it is the state itself.
+    The goal of NAME.pos is the state's element NAME.goal if recorded, else the action of the frame before: an action
+    takes effect by the next measured state. In the first frame the goal is the state itself.
     """
     columns: dict[str, np.ndarray] = {}
     for name in rows.column_names:
@@ -189,25 +189,24 @@ def columns_of(folder: LerobotFolder, rows: pa.Table) -> dict[str, np.ndarray]:
 
 
 def frame_stamps(frames: np.ndarray, fps: float) -> np.ndarray:
-    """Times of frames, frame_index / fps, as int64 [ns]: LeRobot's own `timestamp` is that in single precision."""
+    """Times of frames, frame_index / fps, as int64 [ns]; LeRobot's own `timestamp` has single precision."""
     return np.round(np.asarray(frames, dtype=np.float64) * (1e9 / fps)).astype(np.int64)
 
 
 def open_lerobot(path: Path) -> list[RawRecording]:
-    """Every episode of a LeRobot dataset as a raw recording; element `name` of a feature is `feature[name]`.
+    """Open every episode of a LeRobot dataset as a raw recording; a feature's element `name` is `feature[name]`.
 
-    Times are those of the feature `t_ns` where there is one (tauext writes it), else frame_index / fps. `goal[name]` is
-    the goal that was followed: see columns_of().
+    Times are those of the feature `t_ns` if present (tauext writes it), else frame_index / fps. For `goal[name]` see
+    columns_of().
 
     Raises:
-        RecordingError: another version, a file missing or damaged.
-    """
+        RecordingError: unsupported version, or a file is missing or damaged."""
     folder = open_folder(path)
     return [raw_episode(folder, number) for number in folder.lengths]
 
 
 def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
-    """One episode; its frames are read when its blocks are requested."""
+    """Open one episode; its frames are read when its blocks are requested."""
 
     def blocks() -> Iterator[RawSignals]:
         rows = episode_rows(folder, number)
@@ -224,7 +223,7 @@ def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
     return RawRecording(name, folder.path, f"LeRobot {folder.version.split('.')[0]} dataset", blocks)
 
 
-# --- Recordings as a LeRobot v3 dataset folder: an episode each.
+# --- Export of recordings as episodes of a LeRobot v3 dataset folder.
 
 
 FEATURES = {"observation.state": "q", "observation.velocity": "dq", "observation.effort": "tau", "action": "q_des"}
@@ -234,9 +233,9 @@ FILES_A_CHUNK = 1000
 def export_lerobot(recordings: Iterable[Recording], folder: Path) -> int:
     """Write meta/ and data/ of a LeRobot v3 dataset; returns the number of episodes.
 
-    `observation.state`, `observation.velocity` and `observation.effort` hold q, dq and tau in float64, `action` the
-    commanded position where all recordings have it, `contact` the label. LeRobot wants `timestamp` = frame / fps; the
-    true stamps are in `t_ns`, from which tauext reads them back.
+    `observation.state`, `observation.velocity` and `observation.effort` are q, dq and tau in float64; `action` is the
+    commanded position if all recordings have it, `contact` the label. LeRobot requires `timestamp` = frame / fps;
+    tauext reads the true stamps from `t_ns`.
     """
     episodes: list[dict] = []
     sums: dict[str, list[np.ndarray]] = {}
@@ -283,7 +282,7 @@ def _column(values: np.ndarray) -> pa.Array:
 
 
 def _add(sums: dict[str, list[np.ndarray]], columns: dict[str, np.ndarray]) -> None:
-    """Count, sum, sum of squares, least and largest of every column so far."""
+    """Update count, sum, sum of squares, least and largest of every column."""
     for name, values in columns.items():
         values = values.reshape(len(values), -1).astype(np.float64)
         now = [np.array([len(values)]), values.sum(0), (values**2).sum(0), values.min(0), values.max(0)]
@@ -328,7 +327,7 @@ def _write_meta(
     (meta / "episodes/chunk-000").mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.Table.from_pylist(episodes), meta / "episodes/chunk-000/file-000.parquet")
     tasks = pa.table({"task_index": np.arange(len(episodes)), "task": [e["tasks"][0] for e in episodes]})
-    # LeRobot finds a task by the index that pandas keeps in this entry.
+    # LeRobot finds a task by the pandas index in this entry.
     kinds = [{"name": n, "field_name": n, "pandas_type": k, "numpy_type": t, "metadata": None}
              for n, k, t in (("task_index", "int64", "int64"), ("task", "unicode", "object"))]  # fmt: skip
     pandas = {"index_columns": ["task"], "column_indexes": [], "columns": kinds, "pandas_version": "2.0.0"}

@@ -1,4 +1,4 @@
-"""One recording of a robot arm: samples in order of time, checked when it is made."""
+"""One recording of a robot arm: samples in order of time, validated when made."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from tauext.errors import RecordingError
 
 
 REPEAT_S = 0.1
-"""Rows that stay the same for no longer than this repeat one measurement; longer, the arm or its sensor stands."""
+"""Longest run of equal rows that repeats one measurement; in longer ones the arm rests or the sensor is stuck."""
 GAP_STEPS = 1.75
-"""A step of so many periods or more lost samples; a shorter one is jitter (SignalWatch::kGap)."""
+"""Shortest step with lost samples, in periods; a shorter one is jitter (SignalWatch::kGap)."""
 LONGEST_FITTED = 10
-"""Periods: a longer step is a pause, and is weak evidence of the period."""
+"""Longest step used for the period, in periods; a longer one is a pause and weak evidence."""
 BRIDGE_STEPS = 2.5
-"""Over more than so many sample periods nothing is interpolated or differentiated."""
+"""Longest step for interpolation and differentiation, in sample periods."""
 
 
 def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows sorted by time, the first of each stamp kept; what was done is counted.
+    """Sort rows by time and keep the first of each stamp; changes are counted.
 
     Args:
         t_ns: (samples,) int64, [ns], in any order.
@@ -48,13 +48,13 @@ def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple
 
 
 def fresh(t_ns: np.ndarray, measured: np.ndarray, drop: bool, counts: Counter[str]) -> np.ndarray:
-    """Rows that are measurements of their own, (samples,) bool: the first of each run of equal rows up to 0.1 s long.
+    """Mark new measurements, (samples,) bool: the first of each run of equal rows up to 0.1 s long.
 
-    A longer run is kept whole: an arm at rest without noise, or a stuck sensor. `drop` false keeps all, and counts.
+    A longer run is kept whole: an arm at rest without noise, or a stuck sensor. `drop` false keeps and counts all.
 
     Args:
         t_ns: (samples,), increasing, [ns].
-        measured: (samples, columns) as the sensors gave them.
+        measured: (samples, columns), raw sensor values.
     """
     again = _same_as_before(measured)
     begins = np.flatnonzero(~again)
@@ -73,8 +73,8 @@ def fresh(t_ns: np.ndarray, measured: np.ndarray, drop: bool, counts: Counter[st
 def fitted_period_ns(t_ns: np.ndarray) -> float:
     """Sample period, [ns], fitted together with the number of periods in each step.
 
-    The period is the time of the steps over the periods in them. Lost samples do not
-    lengthen it, as they do the mean; steps that are often a little longer do, unlike the median.
+    The period is the total time of the steps divided by their periods. Unlike in the mean, lost samples do not lengthen
+    it; unlike in the median, frequent slightly longer steps do.
 
     Args:
         t_ns: increasing, (samples,), at least two, [ns].
@@ -95,7 +95,7 @@ def fitted_period_ns(t_ns: np.ndarray) -> float:
 def periods_of(steps_ns: np.ndarray, period_ns: float) -> np.ndarray:
     """Sample periods in each step, a whole number >= 1: more than one where samples were lost.
 
-    A sample that only came late is none that is lost: short steps soon after make up for the long one.
+    A late sample is not lost: short steps soon after make up for the long one.
     """
     ratio = steps_ns / period_ns
     whole = np.round(ratio)
@@ -113,7 +113,7 @@ def lost_samples(t_ns: np.ndarray) -> np.ndarray:
 
 
 def runs_of(flags: np.ndarray) -> np.ndarray:
-    """First sample of each run of true ones, and the sample after its last, (runs, 2)."""
+    """First sample of each run of true flags, and the sample after its last, (runs, 2)."""
     return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
 
 
@@ -121,7 +121,7 @@ def _same_as_before(values: np.ndarray) -> np.ndarray:
     return np.r_[False, (values[1:] == values[:-1]).all(axis=1)] if values.shape[1] else np.zeros(len(values), bool)
 
 
-# --- One recording of a robot arm: a type that promises its content was checked.
+# --- One recording of a robot arm, with validated content.
 
 
 TorqueTiming = Literal["held", "instant", "averaged"]
@@ -129,24 +129,23 @@ TORQUE_TIMINGS = get_args(TorqueTiming)
 REQUIRED_SIGNALS = ("q", "dq", "tau")
 OPTIONAL_SIGNALS = ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "current", "duty", "voltage")
 SIGNALS = REQUIRED_SIGNALS + OPTIONAL_SIGNALS
-"""What a recording may hold of every joint, in the order of its file."""
+"""Signals of a joint, in the order of a recording's file."""
 FLAGS = ("contact", "contact_link")
 RATE_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals of one stretch of motion, validated when made, and not checked again.
+    """Signals of one stretch of motion, validated when made.
 
-    Arrays are contiguous and read-only; a writable one that is passed in is copied. Stamps may be uneven and may have
-    gaps. Signals are (samples, joints) float64, joints in the order of `joints`.
+    Arrays are contiguous and read-only; writable inputs are copied. Stamps may be uneven and may have gaps. Signals are
+    (samples, joints) float64, joints in the order of `joints`.
 
     Raises:
-        RecordingError: names the column, the row, the value and the rule that it breaks.
-    """
+        RecordingError: names the column, the row, the value and the broken rule."""
 
     name: str
-    """The stem of its file."""
+    """Stem of the file's name."""
     joints: tuple[str, ...]
     """Names of the joints, in the order of the columns."""
     t_ns: np.ndarray
@@ -162,13 +161,13 @@ class Recording:
     torque_timing: TorqueTiming
     """held: acts from its stamp to the next; instant: measured at its stamp; averaged: over the step before it."""
     source: str
-    """Where it comes from, free text."""
+    """Origin of the recording, free text."""
     robot_sha256: str
-    """Of the robot file."""
+    """SHA-256 of the robot file."""
     tau_jts: np.ndarray | None = None
     """Torque that the drive exerts on the link through a joint torque sensor, [N m]."""
     tau_ext: np.ndarray | None = None
-    """True external torque (simulation) or the best known, [N m]."""
+    """True external torque (simulation) or the best estimate, [N m]."""
     tau_ext_sensor: np.ndarray | None = None
     """External torque from the joint torque sensor, low-passed: the reference of estimates, [N m]."""
     q_des: np.ndarray | None = None
@@ -176,7 +175,7 @@ class Recording:
     temperature: np.ndarray | None = None
     """Motor temperature, [°C]."""
     current: np.ndarray | None = None
-    """Current that a servo reports, as it reports it: of its windings, or of its supply, [A]."""
+    """Current reported by a servo, of its windings or its supply, [A]."""
     duty: np.ndarray | None = None
     """Share of the supply voltage at a servo's motor, -1 to 1."""
     voltage: np.ndarray | None = None
@@ -186,7 +185,7 @@ class Recording:
     contact_link: np.ndarray | None = None
     """(samples,) int8: index of the joint that carries the touched link, -1 where nothing touches."""
     provenance: dict[str, Any] = field(default_factory=dict)
-    """What made it; anything that JSON can hold."""
+    """How the recording was made; any JSON-compatible content."""
 
     def __post_init__(self) -> None:
         self._set("joints", check_joints(self.joints, self._here))
@@ -281,7 +280,7 @@ class Recording:
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             self._refuse(f"rate_hz = {rate_hz:g} must be > 0")
         if self.samples > 1:
-            step_ns = float(np.median(np.diff(self.t_ns)))  # fast; of an uneven clock the fitted period counts, too
+            step_ns = float(np.median(np.diff(self.t_ns)))  # fast; an uneven clock may match the fitted period instead
             if abs(step_ns * 1e-9 * rate_hz - 1) > RATE_TOLERANCE:
                 step_ns = fitted_period_ns(self.t_ns)
             if abs(step_ns * 1e-9 * rate_hz - 1) > RATE_TOLERANCE:
@@ -302,10 +301,10 @@ class Recording:
 
 
 def check_joints(joints: Any, here: str) -> tuple[str, ...]:
-    """Joint names as a tuple: at least one, none twice, and no two that would share a column of the file.
+    """Return joint names as a tuple: at least one, no repeats, and no two that would share a column of the file.
 
     Raises:
-        RecordingError: a name that breaks a rule; `here` is its place.
+        RecordingError: a name breaks a rule; `here` states its place.
     """
     names = tuple(joints) if isinstance(joints, tuple | list) else (joints,)
     if not names:
@@ -314,7 +313,7 @@ def check_joints(joints: Any, here: str) -> tuple[str, ...]:
         if not isinstance(name, str) or not name:
             raise RecordingError(f"{here}: joint name {name!r} must be text, not empty")
         if not name.isprintable():
-            raise RecordingError(f"{here}: joint name {name!r} holds characters that cannot be printed")
+            raise RecordingError(f"{here}: joint name {name!r} has characters that cannot be printed")
     columns: dict[str, str] = {}
     for name in names:
         if names.count(name) > 1:
@@ -329,7 +328,7 @@ def check_joints(joints: Any, here: str) -> tuple[str, ...]:
 
 
 def read_only(values: np.ndarray, dtype: type) -> np.ndarray:
-    """The array as a contiguous, read-only one of this type: itself where it is that already, else a copy."""
+    """Return the array as contiguous, read-only and of this type; a copy only if needed."""
     if values.dtype == dtype and values.flags.c_contiguous and not values.flags.writeable:
         return values
     values = np.array(values, dtype=dtype, order="C")

@@ -21,7 +21,7 @@ from tauext.files.kind import why_no_recording
 from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 
-# --- How a Parquet file of ours is written: whole or not at all, the same content to the same bytes.
+# --- Parquet files: written atomically; equal content gives equal bytes.
 
 
 if TYPE_CHECKING:
@@ -32,22 +32,22 @@ def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
     """Write a table with its metadata.
 
     Args:
-        encoding: of pyarrow.parquet.write_table, beside the compression.
+        encoding: further arguments of pyarrow.parquet.write_table.
 
     Raises:
-        RecordingError: the file cannot be written; what was written of it is removed.
+        RecordingError: the file cannot be written; a partial file is removed.
     """
     import pyarrow.parquet as pq
 
     try:
         with atomic_write(path) as part:
             pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)
-    except (OSError, UnicodeEncodeError) as error:  # or a name that is no UTF-8
+    except (OSError, UnicodeEncodeError) as error:  # or a name that is not UTF-8
         cause = getattr(error, "strerror", None) or error
         raise RecordingError(f"{path}: cannot be written ({cause})") from error
 
 
-# --- The Parquet file of a recording; docs/reference/files.md is its contract.
+# --- The Parquet file of a recording, specified in docs/reference/files.md.
 
 
 if TYPE_CHECKING:
@@ -56,20 +56,20 @@ if TYPE_CHECKING:
 
 UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
 TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
-"""Keys of the schema's metadata, all needed."""
+"""Keys of the schema's metadata, all required."""
 MAGIC = b"PAR1"
 ROW_GROUP = 225_000
-"""Samples that are written, and can be read, at a time: half an hour at 125 Hz; no import puts more in a file."""
+"""Samples of a row group, the unit of reading: half an hour at 125 Hz; no import puts more in a file."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """Head of a recording's file; the samples are not read."""
+    """Metadata of a recording's file, without samples."""
 
     name: str
     joints: tuple[str, ...]
     signals: tuple[str, ...]
-    """Signals that it holds, per joint or not, `t_ns` left out."""
+    """Signals in the file, per joint or not, without `t_ns`."""
     samples: int
     rate_hz: float
     torque_timing: str
@@ -81,7 +81,7 @@ class Description:
 def save_recording(recording: Recording, path: Place | str) -> None:
     """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
 
-    The same recording gives the same bytes. Folders are not made.
+    Equal recordings give equal bytes. Folders are not created.
 
     Raises:
         RecordingError: the name does not end in .parquet, or the file cannot be written.
@@ -125,14 +125,14 @@ def save_recording(recording: Recording, path: Place | str) -> None:
 def load_recording(
     path: Place | str, signals: Collection[str] | None = None, rows: tuple[int, int] | None = None
 ) -> Recording:
-    """Read a recording; its name is the stem of `path`. The file is only read, whatever is wrong with it.
+    """Read a recording; its name is the stem of `path`. The file is never changed.
 
     Args:
-        signals: of the optional ones those that are wanted, where they are there; None: all.
-        rows: first sample that is wanted, and the first that is not any more; None: all.
+        signals: optional signals to read if present; None: all.
+        rows: first sample and the one after the last; None: all.
 
     Raises:
-        RecordingError: names the file, what is wrong in it and what would be right.
+        RecordingError: names the file, its fault and the rule.
     """
     path = place_of(path)
     with opened(path) as file:
@@ -158,13 +158,13 @@ def load_recording(
 
 
 def column_names(joints: Sequence[str], signals: Sequence[str]) -> list[str]:
-    """Of these signals' columns, and of the time."""
+    """Names of the columns of time and these signals."""
     per_joint = [f"{signal}_{joint}" for signal in signals if signal not in FLAGS for joint in joints]
     return ["t_ns", *per_joint, *(flag for flag in FLAGS if flag in signals)]
 
 
 def read_rows(file: pq.ParquetFile, columns: list[str], rows: tuple[int, int] | None) -> pa.Table:
-    """These columns; of row groups that hold none of the rows nothing is read."""
+    """Read these columns and rows; row groups without such rows are skipped."""
     if rows is None:
         return file.read(columns)
     first, end = rows
@@ -177,10 +177,10 @@ def read_rows(file: pq.ParquetFile, columns: list[str], rows: tuple[int, int] | 
 
 
 def describe(path: Place | str) -> Description:
-    """Joints, signals, rate and number of samples from the head of the file alone: milliseconds for any length.
+    """Read joints, signals, rate and number of samples from the metadata alone, in milliseconds for any length.
 
     Raises:
-        RecordingError: as load_recording, but for faults of the samples, which are not read.
+        RecordingError: see load_recording(), except for faults of the samples.
     """
     path = place_of(path)
     with opened(path) as file:
@@ -190,12 +190,12 @@ def describe(path: Place | str) -> Description:
 
 
 def fingerprint(path: Place | str) -> str:
-    """SHA-256 of what stands at the end of a recording's file: metadata, and extremes and sizes of every column.
+    """SHA-256 of the footer of a recording's file: metadata, and extremes and sizes of every column.
 
     It distinguishes recordings, in milliseconds for any length; it is not secure against forgery.
 
     Raises:
-        RecordingError: there is no such file, or it is no Parquet file.
+        RecordingError: the file is missing or no Parquet file.
     """
     path = place_of(path)
     with opened(path), path.open("rb") as raw:
@@ -207,13 +207,13 @@ def fingerprint(path: Place | str) -> str:
 
 @contextmanager
 def opened(path: Place) -> Iterator[pq.ParquetFile]:
-    """The Parquet file at this path, open for reading; its own errors come out as RecordingError."""
+    """Open a Parquet file for reading; its errors become RecordingError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
         with reading(path) as source:
-            if not is_stored(path):  # a pipe is not to be waited for
+            if not is_stored(path):  # a pipe would block
                 if path.is_dir():
                     raise RecordingError(f"{path}: {why_no_recording(path)}")
                 expect_file(path)
@@ -232,7 +232,7 @@ def opened(path: Place) -> Iterator[pq.ParquetFile]:
 
 
 def expect_whole(path: Place) -> None:
-    """Raise RecordingError unless it begins and ends as a Parquet file."""
+    """Raise RecordingError unless the file begins and ends as a Parquet file."""
     with path.open("rb") as raw:
         begins = raw.read(4) == MAGIC
         raw.seek(0, os.SEEK_END)
@@ -247,7 +247,7 @@ def expect_whole(path: Place) -> None:
 
 
 def read_head(path: Place, file: pq.ParquetFile) -> Description:
-    """The metadata, each entry checked."""
+    """Read the metadata and check each entry."""
     metadata = file.schema_arrow.metadata or {}
     texts = {key: metadata[key.encode()].decode(errors="replace") for key in TEXTS if key.encode() in metadata}
     if "tauext_format" not in texts:
@@ -284,7 +284,7 @@ def read_head(path: Place, file: pq.ParquetFile) -> Description:
 
 
 def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:
-    """Every column is there once, of its type; a signal stands for all joints or for none."""
+    """Check that every column occurs once with its type, and that a signal has all joints or none."""
     import pyarrow as pa
 
     per_joint = [signal for signal in SIGNALS if signal in head.signals or signal in REQUIRED_SIGNALS]
@@ -294,21 +294,21 @@ def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:
     for name, kind in expected.items():
         count = schema.names.count(name)
         if count != 1:
-            what = "is missing" if count == 0 else f"stands there {count} times"
-            rule = f"a signal stands for all joints ({', '.join(head.joints)}) or for none"
+            what = "is missing" if count == 0 else f"occurs {count} times"
+            rule = f"a signal has all joints ({', '.join(head.joints)}) or none"
             raise RecordingError(f"{path}: column '{name}' {what}" + (f"; {rule}" if name != "t_ns" else ""))
         if schema.field(name).type != kind:
             raise RecordingError(f"{path}: column '{name}' is {schema.field(name).type}, must be {kind}")
     for name in schema.names:
         if name not in expected:
             raise RecordingError(
-                f"{path}: column '{name}' is none of a recording's; they are t_ns, {', '.join(FLAGS)} and "
+                f"{path}: column '{name}' does not belong to a recording; columns are t_ns, {', '.join(FLAGS)} and "
                 f"<signal>_<joint> with signals {', '.join(SIGNALS)} and joints {', '.join(head.joints)}"
             )
 
 
 def to_numpy(path: Place, columns: pa.Table, name: str) -> np.ndarray:
-    """One column; an entry that is missing is an error."""
+    """Return one column as an array; a missing entry is an error."""
     column = columns.column(name)
     if column.null_count:
         row = int(np.flatnonzero(column.is_null().to_numpy())[0])
@@ -330,15 +330,15 @@ def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
     return value
 
 
-# --- The date of a recording, where its clock has one; the samples are not read.
+# --- The date of a recording, from its metadata.
 
 
 EARLIEST_NS = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * 10**9
-"""A clock before it counts from a start of its own, and has no date."""
+"""Earliest date of a calendar clock; earlier stamps count from an arbitrary start."""
 
 
 def recording_date(path: Place) -> date | None:
-    """Day of the first sample, UTC; None: its clock is none of the calendar's, or the file cannot be read."""
+    """Day of the first sample, UTC; None: the clock is no calendar clock, or the file cannot be read."""
     import pyarrow as pa
     from pyarrow import parquet
 

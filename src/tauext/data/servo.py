@@ -1,4 +1,4 @@
-"""Recordings of currents and servos: their settings in the core, velocity and torque."""
+"""Settings, velocity and torque of recordings of currents and servos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.data.servo_types import SERVO_TYPES, ServoType
 from tauext.errors import ConfigError
 
-# --- Recordings whose tau is, or was, a motor current, according to their import.
+# --- Recordings whose tau is or was a motor current, according to provenance.
 
 
 AMPERES = "amperes: the torque constant is unknown"
@@ -22,41 +22,41 @@ FROM_AMPERES = "N m: amperes times given torque constants"
 
 
 def in_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether any recording holds currents with unknown torque constants."""
+    """Whether any recording has currents with unknown torque constants."""
     return _unscaled(recordings, AMPERES)
 
 
 def from_amperes(recordings: Sequence[Recording]) -> bool:
-    """Whether any recording holds currents times given constants, which training may correct."""
+    """Whether any recording has currents times given constants, which training may correct."""
     return _unscaled(recordings, FROM_AMPERES)
 
 
 def torque_unit(recordings: Sequence[Recording]) -> str:
-    """Unit of their tau, for messages: `A` where it is a motor current whose torque constant is unknown."""
+    """Unit of tau for messages: `A` for a motor current with unknown torque constant."""
     return "A" if in_amperes(recordings) else "Nm"
 
 
-# Flights of tauext 0.1 hold torques that were multiplied already, as their provenance states.
+# Flights of tauext 0.1 contain torques that are already multiplied, as their provenance states.
 def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
     return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)
 
 
-# --- Recordings of servo arms: the core's settings from their [servo] table, and velocity and torque by them.
+# --- Recordings of servo arms: the core's settings from the [servo] table, and velocity and torque.
 
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
-"""Signals of a servo from which its torque is computed, beside position and velocity."""
+"""Signals from which a servo's torque is computed, beside position and velocity."""
 CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
 UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
-"""An unknown servo: its torque is in units of the duty, or of the current, times a constant that
-training finds; its back-EMF is a viscous friction."""
+"""An unknown servo: torque in units of duty or current, times a constant found in training; back-EMF acts as viscous
+friction."""
 
 
 def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettings:
-    """Return the core's settings for the servos of an arm whose recordings have this rate.
+    """Return the core's servo settings of an arm at this rate.
 
     Args:
-        q: positions (samples, joints), [rad]: their smallest step is the encoder's, where the description has none.
+        q: positions (samples, joints), [rad]; their smallest step replaces a missing encoder step.
 
     Raises:
         ConfigError: the torque comes from the goal, and the gain of the position controller is unknown.
@@ -108,10 +108,10 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
 def velocity_and_torque(
     settings: _core.ServoSettings, t_ns: np.ndarray, q: np.ndarray, signals: Mapping[str, np.ndarray | None]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """dq [rad/s] and tau [N m, or A] of a recording, (samples, joints): what a live loop has at the same samples.
+    """Compute dq [rad/s] and tau [N m or A] of a recording, (samples, joints), equal to a live loop's values.
 
     Args:
-        signals: dq, tau, q_des, current, duty, voltage as far as they were measured.
+        signals: the measured ones of dq, tau, q_des, current, duty, voltage.
     """
     measured = {
         name: np.ascontiguousarray(values, dtype=np.float64)
@@ -134,7 +134,7 @@ def servo_facts(settings: _core.ServoSettings) -> dict[str, Any]:
 
 
 def servo_of(facts: Mapping[str, Any]) -> _core.ServoSettings:
-    """The settings that servo_facts() wrote down."""
+    """Return the settings from servo_facts()."""
     return _core.ServoSettings(
         getattr(_core.TorqueFrom, facts["torque_from"]),
         [_core.ServoConstants(**joint) for joint in facts["joints"]],
@@ -145,7 +145,7 @@ def servo_of(facts: Mapping[str, Any]) -> _core.ServoSettings:
 
 
 def makes_torque(recording: Recording) -> bool:
-    """Whether its torque was made of what servos report."""
+    """Whether its torque was computed from servo signals."""
     return recording.provenance.get("servo", {}).get("torque_from", "torque") != "torque"
 
 
@@ -155,10 +155,10 @@ def derives_velocity(recording: Recording) -> bool:
 
 
 def servo_of_recordings(recordings: Sequence[Recording]) -> _core.ServoSettings:
-    """What made dq and tau of all of them; off where they are no servos'.
+    """Return the common servo settings of the recordings; off without servos.
 
     Raises:
-        ConfigError: it was not the same for all of them.
+        ConfigError: the recordings' settings differ.
     """
     facts = [recording.provenance.get("servo") for recording in recordings]
     for recording, other in zip(recordings, facts, strict=True):

@@ -12,7 +12,7 @@ from tauext.files.places import Place
 from tauext.files.plain_file import read_json
 from tauext.files.toml_file import number, read_table
 
-# --- Servos by their names: constants of motor, position controller and registers, with where they come from.
+# --- Servos by name: constants of motor, position controller and registers, with their sources.
 
 
 COUNTS_A_TURN = 4096
@@ -20,33 +20,33 @@ COUNTS_A_TURN = 4096
 
 @dataclass(frozen=True)
 class ServoType:
-    """Constants of a servo, at its output shaft: with gear ratio N, back-EMF and torque constants are N times the
-    motor's. None: not published; arm.toml may set it, or training finds it."""
+    """Constants of a servo at its output shaft: with gear ratio N, back-EMF and torque constants are N times the
+    motor's. None: not published; arm.toml sets it or training finds it."""
 
     volts: float
     """Nominal supply, [V]."""
     ohm: float | None
-    """Of the windings, [ohm]."""
+    """Resistance of the windings, [ohm]."""
     back_emf_v_s: float | None
-    """k_e, [V s/rad]."""
+    """Back-EMF constant k_e, [V s/rad]."""
     nm_per_ampere: float | None
-    """k_t, [N m/A of winding current]."""
+    """Torque constant k_t, [N m/A of winding current]."""
     duty_per_rad: float | None = None
-    """Duty a rad of position error and unit of the P gain."""
+    """Duty a rad of position error for a P gain of 1."""
     gain: float | None = None
-    """P gain that LeRobot sets, or the maker does."""
+    """P gain set by LeRobot or the maker."""
     most_duty: float = 1.0
     """Limit of the duty."""
     count_rad: float = 2 * math.pi / COUNTS_A_TURN
     """Step of the encoder, [rad]."""
     reports: tuple[str, ...] = ()
-    """What it reports in place of its torque, of torque, phase-current, supply-current, duty; best first."""
+    """Signals that it reports, of torque, phase-current, supply-current, duty; best first."""
     source: str = ""
-    """Where the constants come from."""
+    """Source of the constants."""
 
 
 def _by_stall(volts: float, stall_nm: float, stall_a: float, free_rpm: float) -> tuple[float, float, float, float]:
-    """V, R, k_e and k_t of a data sheet's stall torque and current, and its speed without load."""
+    """Compute V, R, k_e and k_t from a data sheet's stall torque, stall current and no-load speed."""
     return volts, volts / stall_a, volts / (free_rpm * math.pi / 30), stall_nm / stall_a
 
 
@@ -76,33 +76,33 @@ SERVO_TYPES = {
 """Servo types that arm.toml accepts by name."""
 
 
-# --- Angles of servos by a LeRobot calibration file: of counts, of values from -100 to 100 or 0 to 100, of degrees.
+# --- Angles of servos by a LeRobot calibration file, from counts, -100 to 100, 0 to 100 or degrees.
 
 
 LARGEST_COUNT = 1 << 20
-"""256 turns: no joint's."""
+"""Largest count: 256 turns, more than any joint's."""
 COUNT = number(-LARGEST_COUNT, LARGEST_COUNT, whole=True)
 KEYS = {
     "id": number(0, 252, whole=True), "drive_mode": number(0, 255, whole=True),
     "homing_offset": COUNT, "range_min": COUNT, "range_max": COUNT,
 }  # fmt: skip
 ROUNDING = 1e-3
-"""Values are stored as float32; [their unit]."""
+"""Tolerance of normalised values, stored as float32."""
 
 
 @dataclass(frozen=True)
 class MotorCalibration:
-    """One motor of a LeRobot calibration file, as LeRobot's own MotorCalibration.
+    """One motor of a LeRobot calibration file, with the fields of LeRobot's MotorCalibration.
 
-    An angle is 0 at the middle of the range and rises with the servo's counts, whatever LeRobot made of them:
-    q = (count - (min + max) / 2) 2 pi / 4096. The servo has taken homing_offset off its counts already.
+    An angle is 0 at the middle of the range and rises with the servo's raw counts: q = (count - (min + max) / 2) 2 pi /
+    4096. The servo has already subtracted homing_offset.
     """
 
     name: str
     id: int
-    """On the bus."""
+    """Id on the bus."""
     drive_mode: int
-    """Not 0: LeRobot turns normalised values round (Feetech's; degrees it never turns)."""
+    """Not 0: LeRobot reverses normalised values (Feetech only; never degrees)."""
     homing_offset: int
     """[counts]."""
     range_min: int
@@ -112,23 +112,23 @@ class MotorCalibration:
 
     @property
     def middle(self) -> float:
-        """Where the angle is 0, [counts]."""
+        """Counts at angle 0."""
         return (self.range_min + self.range_max) / 2
 
     def radians_of_counts(self, counts: np.ndarray) -> np.ndarray:
-        """Angles [rad] of positions or goals [counts] as the servo has them after its homing; any shape."""
+        """Convert positions or goals after homing [counts] to angles [rad]; any shape."""
         return (np.asarray(counts, dtype=np.float64) - self.middle) * (2 * math.pi / COUNTS_A_TURN)
 
     def counts_of_normalised(self, values: np.ndarray, lowest: float = -100.0, turned: bool = True) -> np.ndarray:
-        """Counts of LeRobot's normalised values: lowest (-100, or 0 of a gripper) at range_min, 100 at range_max.
+        """Convert LeRobot's normalised values to counts: lowest (-100, or 0 of a gripper) is range_min, 100 range_max.
 
-        A position beyond the range stands at its end: LeRobot cuts it off. NaN stays.
+        LeRobot clips positions to the range. NaN stays NaN.
 
         Args:
-            turned: whether drive_mode turns the values round, as LeRobot's Feetech bus does and its Dynamixel bus not.
+            turned: whether drive_mode reverses the values, as in LeRobot's Feetech bus but not its Dynamixel bus.
 
         Raises:
-            ConfigError: a value that is outside, so that these are other units.
+            ConfigError: a value is outside, so the unit is wrong.
         """
         values = np.asarray(values, dtype=np.float64)
         if np.any((values < lowest - ROUNDING) | (values > 100 + ROUNDING)):
@@ -143,21 +143,21 @@ class MotorCalibration:
     def radians_of_normalised(
         self, values: np.ndarray, lowest: float = -100.0, turned: bool = True, sent: bool = False
     ) -> np.ndarray:
-        """Angles [rad] of normalised values as they are stored, in float32: of the nearest count, which the servo had
-        measured, or, sent, of the one that LeRobot made of a goal: it leaves the fraction off."""
+        """Convert stored float32 normalised values to angles [rad]. A measured one is rounded to the nearest count; a
+        sent goal is truncated, as in LeRobot."""
         counts = self.counts_of_normalised(values, lowest, turned)
         return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts))
 
 
 def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
-    """The motors of a file as LeRobot writes it below ~/.cache/huggingface/lerobot/calibration, by their names.
+    """Read the motors of a LeRobot calibration file (~/.cache/huggingface/lerobot/calibration), by name.
 
     Raises:
         ConfigError: names the file, the motor and the rule that is broken.
     """
     content = read_json(path, "there is no such LeRobot calibration file", "no LeRobot calibration file: ")
     if not isinstance(content, dict) or not content:
-        raise ConfigError(f"{path}: no LeRobot calibration file: must be motors by their names, is {content!r:.60}")
+        raise ConfigError(f"{path}: no LeRobot calibration file: must be motors by name, is {content!r:.60}")
     motors = {name: _motor(path, name, table) for name, table in content.items()}
     by_id: dict[int, str] = {}
     for name, motor in motors.items():

@@ -1,4 +1,4 @@
-"""Changes from one sample to the next: health, alarm, drift at its bound. The result does not depend on the chunks."""
+"""Changes from one sample to the next: health, alarm, drift at its bound; independent of the chunks."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tauext.bundle.estimates import COLLISION, CONTACT, FIRST_KIND, NONE, WARMIN
 
 
 def with_article(kind: str) -> str:
-    """`an impact`, `a clamp`."""
+    """Return the word with its article: `an impact`, `a clamp`."""
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 APART_S = 0.5
-"""A collision counts as another one after this time without a joint over its limit, as false alarms are counted."""
+"""Time within all limits after which a collision counts as another one, as in counts of false alarms."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """An event at one sample: replay and live loop make them, the writers of text, JSON and panel print them."""
+    """An event at one sample, made by replay and live loop and printed as text, JSON and in the panel."""
 
     row: int
-    """Of the sample, counted from the recording's first."""
+    """Row of the sample, counted from the recording's first."""
     t_ns: int
     """Stamp of the sample, [ns]."""
 
@@ -36,9 +36,9 @@ class HealthChange(Change):
     health: int
     was: int
     causes: int
-    """Bits; tauext._core.cause_names returns their names."""
+    """Bits of the causes; tauext._core.cause_names returns their names."""
     joint: int
-    """The first joint that a cause concerns, -1 for none."""
+    """First joint that a cause concerns, -1 for none."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class AlarmChange(Change):
     """Limit of that joint for this level: the contact limit for a contact, else the collision limit."""
     near_stiction: bool = False
     acknowledged: bool = False
-    """Ended by an acknowledgement."""
+    """Whether an acknowledgement ended the alarm."""
     sigma_nm: float = np.nan
     """Standard error of tau_ext_nm; NaN without an error scale."""
 
@@ -70,7 +70,7 @@ class HiddenCollision(Change):
 
 @dataclass(frozen=True)
 class TouchChange(Change):
-    """From this sample on the kind of the touch behind the alarm is known, or is corrected."""
+    """The kind of the alarm's touch became known, or was corrected, at this sample."""
 
     touch: int
     """Index of TOUCHES."""
@@ -85,7 +85,7 @@ class TouchChange(Change):
 
 @dataclass(frozen=True)
 class DriftChange(Change):
-    """The drift of a joint is at its bound, for the first time since the monitor was made: retrain."""
+    """The drift of a joint reached its bound for the first time since the monitor was made: retrain."""
 
     joint: int
 
@@ -96,9 +96,9 @@ class LoadChange(Change):
 
     load: Load
     by: str = ""
-    """Who set it; empty: whoever started the replay."""
+    """Origin of the change; empty: the start of the replay."""
     since_ns: int | None = None
-    """The load holds from this time on; None: from this sample on."""
+    """Time from which the load applies; None: from this sample on."""
     left_out: tuple[str, ...] = ()
     """Joints without an estimate in N m: their limits are higher while the load is set."""
 
@@ -172,7 +172,7 @@ class ChangeFinder:
         return sorted(changes, key=lambda change: change.row)
 
     def _found(self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray]) -> list[FoundLoad]:
-        """The first of a window, and those that differ by more than the error reported last."""
+        """First load of a window, and loads that differ by more than the error reported last."""
         found_ns = estimates["load_found_ns"]
         reported: list[FoundLoad] = []
         for k in np.flatnonzero(found_ns != np.append(self._found_ns, found_ns[:-1])).tolist():

@@ -1,4 +1,4 @@
-"""Lines of text that steer the loop: from stdin, or from connections to a socket in the file system."""
+"""Control of the loop by lines of text from stdin or a socket in the file system."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from tauext.monitor.sink import USUAL_REACH_M, Control
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
-"""More than programs and users of one arm; beyond it the connection that was silent longest is closed."""
+"""Largest number of connections; beyond it the connection that was silent longest is closed."""
 UNHEARD_S = 5.0
-"""A connection without any line yet counts as silent for so much longer: several may come before another one's next
-line."""
+"""Additional silence of a connection without any line yet, so that it is closed before active ones."""
 RETRY_S = 0.1
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
@@ -30,7 +29,7 @@ USAGE = (
 
 
 def obey(line: str, control: Control, by: str) -> str:
-    """Execute one line; returns `ok` or `error: ...`."""
+    """Execute one line and return `ok` or `error: ...`."""
     what, _, name = line.strip().partition(" ")
     try:
         if what == "profile" and name.strip():
@@ -60,7 +59,7 @@ def obey(line: str, control: Control, by: str) -> str:
 
 
 def reach_of_text(text: str) -> float:
-    """Of `reach=0.4`, [m]; the usual one of an empty text."""
+    """Parse `reach=0.4`, [m]; empty text gives the default."""
     if not text:
         return USUAL_REACH_M
     name, _, number = text.partition("=")
@@ -88,7 +87,7 @@ class ControlSocket:
     """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
     def __init__(self, path: Path, control: Control):
-        """Raises ConfigError where there can be no socket, or another monitor listens there."""
+        """Raises ConfigError if no socket can be made, or another monitor listens there."""
         self._path, self._control = path, control
         self._spoke: dict[socket.socket, float] = {}
         """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none."""
@@ -97,7 +96,7 @@ class ControlSocket:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and not listened_to(path):
-                path.unlink()  # of a monitor that was killed
+                path.unlink()  # left by a killed monitor
             before = os.umask(0o177)
             try:
                 self._socket.bind(str(path))
@@ -110,7 +109,7 @@ class ControlSocket:
         threading.Thread(target=self._work, name="control socket", daemon=True).start()
 
     def close(self) -> None:
-        """No connection is possible any more, and the path is free."""
+        """Close the socket and free its path."""
         self._closed = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -124,7 +123,7 @@ class ControlSocket:
             except OSError:
                 if self._closed:
                     return
-                time.sleep(RETRY_S)  # no descriptor is free: other connections end, too
+                time.sleep(RETRY_S)  # no free descriptor: wait for other connections to end
                 continue
             self._make_room()
             with self._changing:
@@ -132,7 +131,7 @@ class ControlSocket:
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
     def _make_room(self) -> None:
-        """Close the connection that was silent longest if there are too many: a new one is never locked out."""
+        """Close the connection that was silent longest if there are too many, so that new ones are accepted."""
         with self._changing:
             while len(self._spoke) >= MOST_CONNECTIONS:
                 silent = min(self._spoke, key=self._spoke.__getitem__)
@@ -148,7 +147,7 @@ class ControlSocket:
                 self._spoke.pop(connection, None)
 
     def _converse(self, connection: socket.socket) -> None:
-        # Two files: writing to one that is read, too, drops what was read ahead.
+        # Two files: writing to a file that is also read drops read-ahead data.
         with (
             suppress(OSError, UnicodeDecodeError),
             connection,
@@ -164,7 +163,7 @@ class ControlSocket:
 
 
 def listened_to(path: Path) -> bool:
-    """Whether someone listens at this socket."""
+    """Whether a process listens at this socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         try:
             trial.connect(str(path))

@@ -1,4 +1,4 @@
-"""Explains a flight in words: what happened, on which joint, over which limit, and what preceded it."""
+"""Explains a flight in words: event, joint, limit and the time before."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words, strongest_place
 from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame
 
-# --- What each cause of a bad health means, and where to look.
+# --- Meaning and remedy of each cause of bad health.
 
 
 MEANING = {
     "not finite": "a position, velocity or torque was NaN, infinite or absurdly large; look at the driver and at the "
     "conversion of its values",
-    "wrong size": "the sample did not hold one value for each joint; look at what puts the samples together",
+    "wrong size": "the sample did not have one value for each joint; look at the code that makes the samples",
     "late sample": "a sample was older than the one before it and was left out; look at the order in which they come",
     "time backwards": "the time stamps went back by more than one network period; look at the clock that makes them",
     "missing sample": "the loop ran and no new sample had come; look at the connection to the arm",
@@ -41,29 +41,29 @@ MEANING = {
     "impossible velocity": "a velocity was higher than the joint can get; look at the encoder, at the unit of the "
     "velocity and at how it is differentiated",
     "impossible position": "a position lay farther from the one before than the joint can have gone, or beyond all "
-    "that encoders count; look at the encoder, its cable and its zero: after a new zero the monitor goes on by itself",
+    "that encoders count; look at the encoder, its cable and its zero: after a new zero the monitor continues",
 }
-"""By the core's name of the cause."""
+"""Meaning and remedy by the core's name of the cause."""
 
 
 def in_words(names: list[str]) -> str:
-    """`gap and wrong rate`, or `no cause`."""
+    """Join names: `gap and wrong rate`, or `no cause`."""
     return " and ".join(names) if names else "no cause"
 
 
-# --- Motion that the training data do not contain: which samples, and what of them is new, in words.
+# --- Motion that the training data do not contain.
 
 
 WORTH_TELLING: float = _core.CoverageSettings.WORTH_TELLING
-"""Motion is reported as unfamiliar from this value of `unfamiliar` on."""
+"""Least value of `unfamiliar` for reporting motion as unfamiliar."""
 KINDS = tuple(kind.name for kind in sorted(_core.Unseen, key=lambda kind: kind.value))
-"""By the core's number."""
+"""Kinds of unfamiliar motion, by the core's number."""
 Unseen = tuple[int, int, int]
-"""Number of the kind, joint, and the other one where the pair of positions is new, else -1."""
+"""Number of the kind, joint, and the other joint of a new pair of positions, else -1."""
 
 
 def unseen_of(estimates: Mapping[str, np.ndarray]) -> Counter[Unseen]:
-    """How many samples were unfamiliar, by what of them was.
+    """Count unfamiliar samples by kind and joints.
 
     Args:
         estimates: as returned by Monitor.run.
@@ -77,22 +77,22 @@ def unseen_of(estimates: Mapping[str, np.ndarray]) -> Counter[Unseen]:
 
 
 def unseen_words(unseen: Unseen, joints: Sequence[str]) -> str:
-    """`speed of joint2`, `position of joint1`, `joint1 and joint3 together`."""
+    """Describe unfamiliar motion: `speed of joint2`, `position of joint1`, `joint1 and joint3 together`."""
     what, joint, other = unseen
     if other >= 0:
         return f"{joints[joint]} and {joints[other]} together"
     return f"{KINDS[what]} of {joints[joint]}"
 
 
-# --- Numbers in sentences: as many decimals as requested, but never a line of digits.
+# --- Numbers in sentences.
 
 
 LONGEST = 1e6
-"""From here on decimals are meaningless."""
+"""Value from which decimals are meaningless."""
 
 
 def readable(value: float, spec: str) -> str:
-    """The value by a format like .3f or +.2f; of four digits and a power of ten from LONGEST on."""
+    """Format a value by .3f or +.2f; with four digits and a power of ten from LONGEST on."""
     if abs(value) < LONGEST or value != value:
         return format(value, spec)
     return format(value, ("+" if spec.startswith("+") else "") + ".4g")
@@ -105,7 +105,7 @@ MOST_OTHERS = 3
 
 
 def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
-    """The exceeded limit, by how much, and since when."""
+    """Sentence on the exceeded limit, the excess and its duration."""
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = limits_of(flight, kind)[:, j]
@@ -153,7 +153,7 @@ def kind_of_touch(flight: Flight) -> str:
     while since > row and touch[since - 1] == touch[-1]:
         since -= 1
     ms = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-6
-    return f"{ms:.0f} ms later it was taken for {with_article(TOUCHES[touch[-1]])}."
+    return f"{ms:.0f} ms later it was classified as {with_article(TOUCHES[touch[-1]])}."
 
 
 def place_of_touch(flight: Flight, source: FlightSource) -> str:
@@ -198,7 +198,7 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
         terms = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
         terms += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
         terms += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
-        left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
+        left = f"the remainder is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
         return f"The observer's residual was {residual:+.3f} {unit}, {terms}; {left}."
     if not source.has_network:
         return f"The observer's residual was {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
@@ -232,7 +232,7 @@ def limits_of(flight: Flight, kind: str) -> np.ndarray:
 
 
 def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | range, kind: str = "collision") -> str:
-    """`joint2 1.100 of 2.600 Nm (42%)` for each joint."""
+    """List torques and limits: `joint2 1.100 of 2.600 Nm (42%)` for each joint."""
     parts, limits = [], limits_of(flight, kind)
     for j in joints:
         size, limit = abs(without_load(flight)[row, j]), limits[row, j]
@@ -244,7 +244,7 @@ def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | ra
 
 
 def fault_causes(flight: Flight) -> list[str]:
-    """What each cause means."""
+    """Sentences on the meaning of each cause."""
     return [f"{name.capitalize()}: {MEANING.get(name, 'unknown')}." for name in flight["event"].causes]
 
 
@@ -281,19 +281,19 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
 
 
 SETTLED = 5.0
-"""Times 1/K0 after the event: r then shows 99 % of a step."""
+"""Settling time of r after the event in 1/K0, to 99 % of a step."""
 ONE_ROW = 1.5
-"""Periods of the chain's rows: a longer step between two samples is a gap, after which r starts over."""
+"""Longest step between two samples in periods of the chain; after a longer gap r restarts."""
 
 
 def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
-    """A sentence where a load explains the torques behind an alarm; else, or where the motion does not show it, empty.
+    """Sentence on a load that explains the torques behind an alarm; empty if none does or the motion is too poor.
 
-    Weighed as `tauext load` weighs: a constant force that explains them better is no load. Drift learned before the
-    event is kept; drift learned since counts as part of the load.
+    The load is estimated as in `tauext load`: a constant force that explains the torques better is no load. Drift
+    learned before the event is kept; drift learned since counts as part of the load.
 
     Args:
-        kept: samples that the flight's recording holds, (samples,) bool.
+        kept: samples in the flight's recording, (samples,) bool.
     """
     if source.chain is None or event_kind(flight) == "fault":
         return ""
@@ -340,7 +340,7 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     return Seen.of(recording, samples, (flight["tau_ext"] + learned)[kept], sigma[kept], near)
 
 
-# --- Says in words what a flight shows: what happened, when, on which joint, by how much over which limit, and before.
+# --- Text of a flight: event, time, joint, excess over the limit, and the time before.
 
 
 MOST_HEALTHS = 5
@@ -348,10 +348,10 @@ MOST_SAMPLES_SHOWN = 10
 
 
 def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
-    """A paragraph a line, from the headline to what the files leave out.
+    """Explain a flight, one paragraph a line, from the headline to samples left out.
 
     Args:
-        kept: samples that the flight's recording holds, (samples,) bool.
+        kept: samples in the flight's recording, (samples,) bool.
     """
     kind = event_kind(flight)
     lines = [headline(flight, source, kind)]
@@ -379,7 +379,7 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
 
 
 def headline(flight: Flight, source: FlightSource, kind: str) -> str:
-    """What, where and when."""
+    """Headline with event, joint and time."""
     event = flight["event"]
     when = f"{source.time_s(event.t_ns):.3f} s after the start of {source.recording} (t_ns = {event.t_ns})"
     if kind != "fault":
@@ -389,11 +389,11 @@ def headline(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def load_set(flight: Flight, source: FlightSource) -> str:
-    """The load, and when it changed; empty if there never was one."""
+    """Sentence on the load and its changes; empty if there was none."""
     changes = carried(flight)
     if all(load.mass == 0 for _, load in changes):
         return ""
-    text = f"The arm was taken to carry {load_words(changes[0][1], source.load_frame)}"
+    text = f"The load of the arm was set to {load_words(changes[0][1], source.load_frame)}"
     for row, load in changes[1:]:
         since_s = (flight["t_ns"][row] - flight["t_ns"][flight["event_row"]]) * 1e-9
         when = f"{abs(since_s):.3f} s {'before' if since_s < 0 else 'after'} it"
@@ -410,7 +410,7 @@ def before(flight: Flight) -> str:
     pairs = np.stack([flight["health"][:row], flight["causes"][:row]], axis=1).tolist()
     for (health, causes), group in groupby(pairs):
         end = begin + len(list(group))
-        seconds = (max(t_ns[end], t_ns[end - 1]) - t_ns[begin]) * 1e-9  # at the event the clock may have been set back
+        seconds = (max(t_ns[end], t_ns[end - 1]) - t_ns[begin]) * 1e-9  # the clock may have been set back at the event
         why = f" ({in_words(_core.cause_names(causes))})" if causes else ""
         runs.append(f"{HEALTHS[health]}{why} for {seconds:.3f} s")
         begin = end
@@ -419,22 +419,22 @@ def before(flight: Flight) -> str:
 
 
 def standing_alarm(flight: Flight, source: FlightSource) -> str:
-    """An alarm that was raised before the event and stood at it."""
+    """Sentence on an alarm raised before the event and still active."""
     event, row = flight["event"], flight["event_row"]
     alarm = int(flight["alarm"][row - 1]) if row else NONE
     if alarm == NONE or event.alarm.value == NONE:
         return ""
     level = "contact" if alarm == CONTACT else "collision"
     if event.alarm_t_ns == event.t_ns:  # a contact that became a collision
-        return f"A {level} alarm already stood before it."
+        return f"A {level} alarm was already active before it."
     return (
-        f"A {level} alarm of joint {source.joints[event.alarm_joint]} stood already, "
+        f"A {level} alarm of joint {source.joints[event.alarm_joint]} was already active, "
         f"raised at {source.time_s(event.alarm_t_ns):.3f} s."
     )
 
 
 def after(flight: Flight, source: FlightSource, kind: str) -> str:
-    """The end of the event, from the samples after it."""
+    """Sentence on the end of the event, from the samples after it."""
     row = flight["event_row"]
     health = flight["health"][row:]
     if len(health) == 1:
@@ -460,11 +460,11 @@ def after(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def left_out(flight: Flight, kept: np.ndarray, source: FlightSource) -> list[str]:
-    """Samples that the files do not hold, with their values."""
+    """Lines on the samples left out of the files, with their values."""
     gone = np.flatnonzero(~kept)
     if len(gone) == 0:
         return []
-    plural = "samples that a recording cannot hold are" if len(gone) > 1 else "sample that a recording cannot hold is"
+    plural = "samples that do not fit a recording are" if len(gone) > 1 else "sample that does not fit a recording is"
     lines = [f"{len(gone)} of {len(kept)} {plural} left out (values that are not finite, or a time not later):"]
     for row in gone[:MOST_SAMPLES_SHOWN].tolist():
         t_ns = int(flight["t_ns"][row])

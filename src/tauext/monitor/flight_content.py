@@ -1,4 +1,4 @@
-"""A flight of the core as a recording with its estimates; samples that a recording cannot hold are set aside."""
+"""Convert a flight of the core to a recording and estimates; samples that do not fit a recording are left out."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
 
 Flight = dict[str, Any]
-"""As FlightRecorder.take gives it."""
+"""Result of FlightRecorder.take."""
 
 
 class Replayed(Protocol):
-    """The fields of the watched recording, or live arm, that a flight's files state."""
+    """Fields of the watched recording or live arm for a flight's files."""
 
     @property
     def name(self) -> str: ...
@@ -36,13 +36,13 @@ class Replayed(Protocol):
 
 @dataclass(frozen=True)
 class FlightSource:
-    """The origin of flights: what their files state beside the samples."""
+    """Origin of flights, stated in their files beside the samples."""
 
     recording: str  # name of the recording or of the live source
     bundle: str  # name of the bundle
     joints: tuple[str, ...]
     start_ns: int
-    """Stamp of the first sample of all, [ns]: event times count from it."""
+    """Stamp of the very first sample, [ns]; event times count from it."""
     rate_hz: float
     torque_timing: TorqueTiming
     robot_sha256: str = ""
@@ -51,21 +51,21 @@ class FlightSource:
     lacking: frozenset[str] = frozenset()
     """Columns of the estimates that the bundle does not have."""
     follows: bool = False
-    """Limits follow the motion."""
+    """Whether limits follow the motion."""
     command: str = "tauext run"
-    """The command that watches, for the files' provenance."""
+    """Command that runs the monitor, for provenance."""
     torque_units: tuple[str, ...] = ()
-    """Of tau, one a joint; empty: N m."""
+    """Units of tau, one a joint; empty: N m."""
     estimate_units: tuple[str, ...] = ()
-    """Of the estimates, one a joint; empty: N m."""
+    """Units of the estimates, one a joint; empty: N m."""
     load_frame: str = ""
-    """The frame of a load."""
+    """Name of the load frame."""
     chain: _core.Bundle | None = field(default=None, repr=False, compare=False)
     """The bundle itself, to test whether a load explains an alarm; None: no weighing."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
-        """A replay of this recording."""
+        """Make the origin for a replay of this recording."""
         return cls(
             recording=recording.name,
             bundle=bundle.name,
@@ -101,24 +101,24 @@ class FlightSource:
         return short(self.estimate_units[joint]) if self.estimate_units else "Nm"
 
     def time_s(self, t_ns: int) -> float:
-        """Counted from the start, [s]."""
+        """Time from the start, [s]."""
         return (t_ns - self.start_ns) * 1e-9
 
 
 def event_kind(flight: Flight) -> str:
-    """The event that made the flight: `collision`, `contact` or `fault`.
+    """Kind of event that triggered the flight: `collision`, `contact` or `fault`.
 
     If an alarm and a fault share one sample, a collision precedes the fault, and the fault a contact.
     """
     event, row = flight["event"], flight["event_row"]
     alarm, health = int(flight["alarm"][row]), flight["health"]
-    raised = alarm > 0 and event.alarm_t_ns == event.t_ns  # also one that was acknowledged and rose again at once
+    raised = alarm > 0 and event.alarm_t_ns == event.t_ns  # also one that was acknowledged and raised again at once
     broke = health[row] == FAULT and (row == 0 or health[row - 1] != FAULT)
     return ALARMS[alarm] if raised and (alarm == COLLISION or not broke) else "fault"
 
 
 def rows_kept(flight: Flight) -> np.ndarray:
-    """Which samples a recording can hold, (samples,) bool: all values finite, and later than every one kept before."""
+    """Samples that fit a recording, (samples,) bool: all values finite, and later than every one kept before."""
     kept = np.all([np.isfinite(flight[signal]).all(axis=1) for signal in ("q", "dq", "tau")], axis=0)
     t_ns = flight["t_ns"][kept]
     if len(t_ns):
@@ -127,7 +127,7 @@ def rows_kept(flight: Flight) -> np.ndarray:
 
 
 def flight_rate_hz(t_ns: np.ndarray, nominal_hz: float) -> float:
-    """The nominal rate or, where the stamps differ from it, the one of their fitted period."""
+    """Nominal rate, or that of the fitted period if the stamps disagree."""
     if len(t_ns) < 2:
         return nominal_hz
     measured_hz = 1e9 / fitted_period_ns(t_ns)
@@ -137,7 +137,7 @@ def flight_rate_hz(t_ns: np.ndarray, nominal_hz: float) -> float:
 def as_recording(
     flight: Flight, kept: np.ndarray, name: str, source: FlightSource, provenance: dict[str, Any]
 ) -> Recording:
-    """The samples that are kept, at least one."""
+    """Make a recording of the kept samples, at least one."""
     t_ns = flight["t_ns"][kept]
     return Recording(
         name=name,
@@ -155,12 +155,12 @@ def as_recording(
 
 
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
-    """The estimates at the samples that are kept."""
+    """Estimates at the kept samples."""
     return Estimates.of(source.joints, flight["t_ns"][kept], flight, source.lacking, kept)
 
 
 def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
-    """The load at the flight's first sample and at each later one that changed it."""
+    """Load at the flight's first sample and at each later change."""
     rows = flight["load"]
     changed = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1
     return [

@@ -36,12 +36,12 @@ from tauext.monitor.flight_content import (
 )
 from tauext.monitor.loads import load_facts
 
-# --- A thread that writes flights to disk while the samples go on.
+# --- A thread that writes flights to disk while samples continue.
 
 
 POLL_S = 0.05
 MOST_WAITING = 4
-"""Flights in memory before a replay waits for the disk."""
+"""Most flights in memory before a replay waits for the disk."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class FlightNews:
     what: str
     """collision, contact or fault."""
     t_ns: int
-    """Of the event."""
+    """Time of the event."""
     path: Place | None
     error: str | None = None
 
@@ -64,7 +64,7 @@ class FlightCount:
     failed: int = 0
     missed: int = 0
     error: str = ""
-    """Of the first that failed."""
+    """Error of the first failed flight."""
 
     def add(self, news: FlightNews) -> None:
         """Count one more."""
@@ -82,28 +82,28 @@ class FlightCount:
         return {"written": self.written, "failed": self.failed, "missed": self.missed}
 
     def expect_all_written(self) -> None:
-        """Raise ConfigError where a flight could not be written."""
+        """Raise ConfigError if a flight could not be written."""
         if self.failed:
             raise ConfigError(f"{self.failed} of {self.failed + self.written} flights are lost: {self.error}")
 
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """Where flights are written, and how much they keep."""
+    """Folder and length of flights."""
 
     folder: Path
     before_s: float
     after_s: float
     contacts: bool
-    """Write flights of contacts, too."""
+    """Whether to write flights of contacts too."""
     given: Place | Path
-    """The folder as the user gave it: flights may be sent there later."""
+    """Folder given by the user, to which flights may be sent later."""
 
     def recorder(self, bundle: _core.Bundle) -> _core.FlightRecorder:
-        """A new one; makes the folder.
+        """Make a new recorder and the folder.
 
         Raises:
-            ConfigError: there can be no such folder.
+            ConfigError: the folder cannot be created.
             CoreError: the recorder refuses the settings.
         """
         try:
@@ -117,12 +117,12 @@ class FlightSettings:
 class FlightWriter:
     """Takes flights from a recorder and writes them: `with FlightWriter(recorder, write) as writer: ...`.
 
-    A flight that cannot be written is reported in news() and the thread goes on: the next one may fit. Leaving the
-    block takes the event that still waits for its samples, writes everything and ends the thread; nothing is lost.
+    A flight that cannot be written is reported in news(), and the thread continues. Leaving the block takes the event
+    that still waits for samples, writes everything and ends the thread; nothing is lost.
     """
 
     def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
-        """write: writes one flight and returns its path; raises TauextError where it cannot."""
+        """write: writes one flight and returns its path; raises TauextError on failure."""
         self.recorder, self._write, self._poll_s = recorder, write, poll_s
         self._waiting: deque[Flight] = deque()
         self._news: deque[FlightNews] = deque()
@@ -149,7 +149,7 @@ class FlightWriter:
             raise self._broken
 
     def catch_up(self) -> None:
-        """For a replay, which can wait: take the flight that is ready, and wait while too many are in memory."""
+        """Take the finished flight and wait while too many are in memory; for replays, which may wait."""
         self._take()
         while self.waiting > MOST_WAITING and self._thread.is_alive():
             self._wake.set()
@@ -157,7 +157,7 @@ class FlightWriter:
 
     @property
     def waiting(self) -> int:
-        """Flights that were taken and are not on disk yet."""
+        """Number of flights not yet on disk."""
         return len(self._waiting)
 
     def news(self) -> list[FlightNews]:
@@ -197,27 +197,26 @@ class FlightWriter:
             return FlightNews(what, t_ns, None, str(error))
 
 
-# --- The files of a flight: recording, estimates and explanation; written completely or not at all, never over existing
-# files.
+# --- Files of a flight: recording, estimates and explanation; written atomically, never over existing files.
 
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
-"""In the order of writing: once FLIGHT.parquet exists, so do the others."""
+"""Endings in the order of writing: once FLIGHT.parquet exists, so do the others."""
 PART = ".txt.part"
 
 
 def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
     """Write FLIGHT.parquet, FLIGHT.estimates.parquet and FLIGHT.txt; returns the path of the first.
 
-    FLIGHT is <recording>-<time of the event>s-<what>, with a number behind it where that name is taken. Samples that a
-    recording cannot hold stand in FLIGHT.dropped.csv instead. Where it can hold none at all, there is no recording, no
-    estimates, and the path is that of FLIGHT.txt.
+    FLIGHT is <recording>-<time of the event>s-<kind>, with a number appended if the name is taken. Samples that do not
+    fit a recording are written to FLIGHT.dropped.csv. If none fits, there is no recording and no estimates, and the
+    path is that of FLIGHT.txt.
 
     Args:
         folder: exists.
 
     Raises:
-        RecordingError: a file cannot be written; none of the flight's is left.
+        RecordingError: a file cannot be written; the flight's other files are removed.
     """
     kept = rows_kept(flight)
     text = explain(flight, kept, source)
@@ -258,14 +257,14 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
 
 
 def with_ending(base: Path, ending: str) -> Path:
-    """A file of the flight of this name."""
+    """Path of a flight's file with this ending."""
     return base.with_name(base.name + ending)
 
 
 def reserve(folder: Path, wanted: str) -> Path:
-    """The wanted name or, where a file of it exists or is being written, one with a number behind it.
+    """Reserve the wanted name, with a number appended if it exists or is being written.
 
-    A file NAME.txt.part holds the name from then on.
+    A file NAME.txt.part reserves the name.
     """
     for number in count(1):
         base = folder / (wanted if number == 1 else f"{wanted}-{number}")
@@ -280,7 +279,7 @@ def reserve(folder: Path, wanted: str) -> Path:
 
 
 def write_dropped(flight: Flight, kept: np.ndarray, source: FlightSource, path: Path) -> None:
-    """The samples that the recording cannot hold, all of them, with the monitor's health."""
+    """Write all samples that do not fit the recording, with the monitor's health."""
     with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         signals = [f"{signal}_{joint}" for signal in ("q", "dq", "tau") for joint in source.joints]

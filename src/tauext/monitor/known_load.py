@@ -1,4 +1,4 @@
-"""Torque constants from a known weight, and a bundle that is scaled by them."""
+"""Torque constants from a known weight, and bundles scaled by them."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
 from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, load_sentences, sums_about, weighing_joints
 
-# --- A known weight turned round: by what factor the torque constants are off.
+# --- Error factor of the torque constants from a known weight.
 
 
 SPREAD = 0.06
-"""Standard deviation, as a share, of one joint's constant about the factor common to all: what makers state is right to
-about 10 %."""
+"""Relative standard deviation of one joint's constant about the common factor: makers' constants are right to about 10
+%."""
 ANY = 0.5
-"""The same of the common factor: it is unknown."""
+"""Relative standard deviation of the common factor, which is unknown."""
 COM_KNOWN_M = 0.005
-"""Standard deviation of a centre of mass that is given, [m]."""
+"""Standard deviation of a given centre of mass, [m]."""
 WELL = 0.03
 """Largest standard error of an accepted common factor: masses of robot files are no more accurate."""
 OF_ITS_OWN = 0.7
-"""A joint's constant shows where its error is at most this share of what is assumed of it before any motion."""
+"""Largest ratio of a constant's error to its prior error at which it counts as estimated."""
 MOST_FACTOR = 5.0
 """Largest error factor of constants in N m: beyond it the error is a gear ratio or a unit."""
 MOST_RATIO = 1e6
-"""The same factor in any unit: a smaller estimated mass is no weight."""
+"""Largest error factor in any unit: a smaller estimated mass is no weight."""
 STEPS = 6
 LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
-"""As load_solve.hpp has them."""
+"""Values of load_solve.hpp."""
 LEAST_MASS_KG = 0.1
 """Least mass whose first moment is used, as in load_solve.hpp."""
 
@@ -42,30 +42,30 @@ LEAST_MASS_KG = 0.1
 class Noise:
     """Properties of the errors of tau_ext beside its sigma."""
 
-    scale: np.ndarray  # (n,): times sigma
-    correlation: float  # rows that hold as much information as one independent row
+    scale: np.ndarray  # (n,): factor on sigma
+    correlation: float  # number of rows with the information of one independent row
 
 
 @dataclass(frozen=True)
 class KnownWeight:
-    """Factors by which torques of the bundle are to be multiplied, one a joint."""
+    """Correction factors of the bundle's torques, one a joint."""
 
     factors: np.ndarray  # (n,)
     errors: np.ndarray  # (n,): standard errors
-    shows: np.ndarray  # (n,) bool: estimated from the joint itself; the others take the common factor
-    skipped: np.ndarray  # (n,) bool: of them, those in a unit of their own, whose constant stays unknown
+    shows: np.ndarray  # (n,) bool: estimated from the joint itself; the others use the common factor
+    skipped: np.ndarray  # (n,) bool: others in their own unit, whose constant stays unknown
     common: float
     common_error: float
     com_m: np.ndarray  # (3,)
 
     def constants(self, bundle: _core.Bundle) -> list[float]:
-        """Torque constants of this bundle corrected by them, one a joint."""
+        """Corrected torque constants of this bundle, one a joint."""
         constants = np.array(bundle.observer.nm_per_unit or [1.0] * bundle.joints)
         return np.where(self.skipped, constants, constants * self.factors).tolist()
 
     @property
     def one_factor(self) -> bool:
-        """Whether one factor for all joints is as good: none that shows is off by more than two standard errors."""
+        """Whether one factor fits all joints: no estimated one is off by more than two standard errors."""
         off = np.abs(self.factors - self.common)[self.shows]
         return bool((off <= 2 * self.errors[self.shows]).all())
 
@@ -78,13 +78,13 @@ def weigh_constants(
     com_m: Sequence[float] | None = None,
     reach_m: float = 0.3,
 ) -> KnownWeight:
-    """Torque constants from a load of known mass: tau_ext_j = a_j X_j(m, h) + offset_j + Coulomb_j, factor 1 / a_j.
+    """Estimate torque constants from a load of known mass: tau_ext_j = a_j X_j(m, h) + offset_j + Coulomb_j, factor 1 /
+    a_j.
 
-    Every a_j is drawn to the one that is common to all, as far as the motion leaves it open: a weight at the flange
-    shows little at the last joints.
+    Every a_j is regularised to the common one: a weight at the flange has little effect on the last joints.
 
     Raises:
-        ConfigError: what shows is no load, or the motion does not determine the factor to WELL.
+        ConfigError: no load is detected, or the motion does not determine the factor to WELL.
     """
     first = identify(bundle, frame, parts, reach_m)
     if first.verdict != "load" or not first.mass_seen:
@@ -93,7 +93,7 @@ def weigh_constants(
     common = first.mass_kg / mass_kg
     if not common * MOST_RATIO > 1:
         raise ConfigError(
-            f"--known-kg {mass_kg:g} cannot set torque constants: what shows weighs {first.mass_kg:.2g} kg, "
+            f"--known-kg {mass_kg:g} cannot set torque constants: the estimated mass is {first.mass_kg:.2g} kg, "
             f"a factor of more than {MOST_RATIO:g} less; are these the recordings with the weight?"
         )
     a, h = np.full(bundle.joints, common), first.phi[1:4] / common
@@ -113,7 +113,7 @@ def weigh_constants(
 
 
 def targets(a: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """What is to be explained of each joint, as sums of the columns, (n, columns): less inertia and gear, a_j times."""
+    """Targets of each joint as sums of the columns, (n, columns), without a_j times inertia and gear."""
     sums = _core.LoadSums
     target = np.zeros((len(a), sums.COLUMNS))
     target[:, sums.TAU_EXT], target[:, sums.GEAR] = 1.0, -a
@@ -170,7 +170,7 @@ def turned_gram(gram: np.ndarray, target: np.ndarray, a: float, mass_kg: float, 
 def known_noise(
     sums: _core.LoadSums, target: np.ndarray, a: np.ndarray, mass_kg: float, h: np.ndarray, own: np.ndarray
 ) -> Noise:
-    """As noise_left() of a load."""
+    """Noise of the errors, as noise_left() of a load."""
     theta = target.copy()
     theta[:, sums.LOAD : sums.LOAD + 4] -= a[:, None] * np.r_[mass_kg, h]
     theta[:, sums.OFFSET], theta[:, sums.COULOMB] = -own[:, 0], -own[:, 1]
@@ -184,16 +184,14 @@ def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipp
     """Factors 1 / a, each with its error; the common one is their weighted mean.
 
     Args:
-        skipped: (n,) bool: joints whose rows were worth nothing.
+        skipped: (n,) bool: joints whose rows had no weight.
 
     Raises:
         ConfigError: the motion does not determine them.
     """
     of_a = covariance[3:, 3:]
     if (a <= 0).any():
-        raise ConfigError(
-            "the known weight shows upside down at a joint: is the sign of its torque right (tauext check)?"
-        )
+        raise ConfigError("the known weight acts upwards at a joint: is the sign of its torque right (tauext check)?")
     weight = np.linalg.solve(of_a, np.ones(len(a)))
     mean, error = float(weight @ a / weight.sum()), float(weight.sum() ** -0.5)
     if error > WELL * mean:
@@ -208,20 +206,19 @@ def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipp
     return KnownWeight(factors, errors, shows, skipped, 1 / mean, error / mean**2, com_m)
 
 
-# --- A bundle whose torque constants are multiplied by one factor.
+# --- Bundles whose torque constants are multiplied by one factor.
 
 
 RATIOS = (_core.TermKind.load, _core.TermKind.load_presliding)
-"""Terms whose weight is a share of a torque, and so no torque."""
+"""Terms whose weight is a share of a torque, not a torque."""
 
 
 def scaled_bundle(bundle: _core.Bundle, factor: float) -> _core.Bundle:
-    """The same chain in other N m: every torque that it takes, estimates or compares with is `factor` times as large.
+    """Rescale a bundle: all torques that it reads, estimates or compares with become `factor` times as large.
 
-    Masses and inertias of the model grow along, since the arm's own weight was estimated from the same torques: all of
-    it follows, to the last digit that rounding leaves, and limits keep what they promise. One factor a joint could not
-    be
-    put in: no arm has such masses.
+    Masses and inertias of the model scale too, since the arm's own weight was estimated from the same torques.
+    Estimates scale exactly up to rounding, and limits keep their promise. Separate factors for joints are impossible:
+    no arm has such masses.
     """
     new = _core.Bundle.from_bytes(bundle.to_bytes())
     new.observer = observer_with(bundle.observer, times(factor, bundle.observer.nm_per_unit or [1.0] * bundle.joints))
@@ -249,7 +246,7 @@ TORQUES = (
     "largest_torque_nm",
     "possible_torque_nm",
 )
-"""Of a bundle, one a joint, in N m."""
+"""Fields of a bundle in N m, one value a joint."""
 DRIFT = ("size_nm", "freeze_floor_nm")
 SIGMA = ("sigma_weights", "sigma_near_weights", "largest_sigma")
 
@@ -259,7 +256,7 @@ def times(factor: float, values: Sequence[float]) -> list[float]:
 
 
 def observer_with(observer: _core.ObserverSettings, nm_per_unit: list[float]) -> _core.ObserverSettings:
-    """The same settings with these constants."""
+    """Return the settings with these constants."""
     kept = ("gain_per_s", "timing", "sample_period_ns", "network_stride", "method", "high_pass_per_s", "low_pass_per_s")
     return _core.ObserverSettings(**{name: getattr(observer, name) for name in kept}, nm_per_unit=nm_per_unit)
 
@@ -275,7 +272,7 @@ def scaled_link(link: _core.Link, factor: float) -> _core.Link:
 
 
 def with_provenance(bundle: _core.Bundle, known: KnownWeight, mass_kg: float, recordings: list[str]) -> dict:
-    """Store the source of the constants in the bundle; returns it as facts."""
+    """Store the source of the constants in the bundle and return it as facts."""
     facts = json.loads(bundle.provenance or "{}")
     facts["known_weight"] = {
         "mass_kg": mass_kg,

@@ -1,4 +1,4 @@
-"""Latency quantiles, and real-time priority where the system grants it."""
+"""Latency quantiles, and real-time priority if the system grants it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import numpy as np
 
 BINS_PER_OCTAVE = 64
 OCTAVES = 40
-"""Up to 2^40 ns, 18 minutes; a longer time counts in the last bin, and in max."""
+"""Number of bins, up to 2^40 ns or 18 minutes; longer times count in the last bin and in max."""
 
 
 class Latencies:
-    """A histogram whose bins are 1.1 % wide: quantiles are at most that much too large."""
+    """Histogram with bins 1.1 % wide; quantiles are at most that much too large."""
 
     def __init__(self) -> None:
         self.count, self.max_ns = 0, 0
         self._bins = [0] * (BINS_PER_OCTAVE * OCTAVES)
 
     def add(self, ns: int) -> None:
-        """Count one time, [ns]; one that is negative counts as 1 ns."""
+        """Count one time, [ns]; negative ones count as 1 ns."""
         self.count += 1
         self.max_ns = max(self.max_ns, ns)
         place = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
@@ -37,14 +37,14 @@ class Latencies:
         return min(2 ** ((place + 1) / BINS_PER_OCTAVE), self.max_ns) * 1e-3
 
     def summary(self) -> dict[str, float | int | None]:
-        """Plain content for JSON; null where there is no time."""
+        """Quantiles as plain JSON; null without times."""
         if self.count == 0:
             return {"count": 0, "p50_us": None, "p99_us": None, "max_us": None}
         p50, p99 = self.quantile_us(0.5), self.quantile_us(0.99)
         return {"count": self.count, "p50_us": p50, "p99_us": p99, "max_us": self.max_ns * 1e-3}
 
     def text(self) -> str:
-        """`p50 120 µs, p99 310 µs, max 2 ms`."""
+        """Return text such as `p50 120 µs, p99 310 µs, max 2 ms`."""
         if self.count == 0:
             return "none"
         names = {"p50": self.quantile_us(0.5), "p99": self.quantile_us(0.99), "max": self.max_ns * 1e-3}
@@ -55,13 +55,13 @@ def _in_words(us: float) -> str:
     return f"{us:.0f} µs" if us < 1000 else f"{us * 1e-3:.2f} ms" if us < 1e6 else f"{us * 1e-6:.2f} s"
 
 
-# --- One core and real-time priority for the calling thread, where the system grants them.
+# --- One core and real-time priority for the calling thread, if the system grants them.
 
 
 def ask_for_real_time(core: int | None, priority: int | None) -> list[str]:
-    """Pin this thread, and all that it starts from now on, to a core, and put them into SCHED_FIFO; None: as they are.
+    """Pin this thread, and all that it starts later, to a core, and set SCHED_FIFO; None: unchanged.
 
-    Returns what was granted or refused, a sentence each. Nothing here fails: a loop runs without it, less evenly.
+    Returns sentences on what was granted or refused. Refusals are no errors: a loop runs without, less evenly.
     """
     results = []
     if core is not None:

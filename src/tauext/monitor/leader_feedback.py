@@ -1,4 +1,4 @@
-"""Torque for a leader arm from what the follower touches: passive by an energy tank."""
+"""Feedback torque of a leader arm from contacts of its follower, made passive by an energy tank."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from tauext.errors import ConfigError
 
 
 PerJoint = float | tuple[float, ...]
-"""One number for all joints, or one a joint."""
+"""One number for all joints or one a joint."""
 
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """How tau_ext of the follower becomes torque of the leader; a single number holds for every joint."""
+    """Settings of the leader's torque from the follower's tau_ext; a single number applies to all joints."""
 
     gain: PerJoint = 1.0
-    """Torque of the leader per tau_ext beyond the dead band: [N m] over its unit; negative where the leader's joint
-    turns the other way."""
+    """Torque of the leader per tau_ext beyond the dead band: [N m] over its unit; negative if the leader's joint turns
+    the other way."""
     cap_nm: PerJoint = 0.1
-    """Most torque of the leader's motors, [N m]: a tenth of what small servos can give, which a hand easily resists."""
+    """Largest torque of the leader's motors, [N m]: a tenth of that of small servos, which a hand easily resists."""
     dead_band_sigmas: PerJoint = 8.0
-    """Half width of the dead band in standard errors of tau_ext: errors of friction have heavier tails than Gauss's, so
-    `free_motion_sigmas` computes how many an arm needs."""
+    """Half width of the dead band in standard errors of tau_ext. Friction errors have heavier tails than a normal
+    distribution; `free_motion_sigmas` computes the value for an arm."""
     least_dead_band: PerJoint = 0.0
     """Least half width of the dead band, in the unit of tau_ext; the whole dead band where sigma is 0."""
     dead_band_fade_s: float = 0.1
-    """Time constant with which the dead band narrows, [s]; it widens at once. sigma falls as soon as the motion is
-    surer, but the observer still holds the error from before, for 1/K0."""
+    """Time constant with which the dead band narrows, [s]; it widens at once. sigma falls with the motion, but the
+    observer keeps the earlier error for 1/K0."""
     slew_nm_s: PerJoint = 10.0
-    """Fastest change of the torque, [N m/s]; also how it fades when a fault comes."""
+    """Fastest change of the torque, [N m/s], also when it fades after a fault."""
     damping_nm_s_rad: PerJoint = 0.0
-    """Resistance to the leader's motion where something is felt, in full from the cap on, [N m s/rad]."""
+    """Damping of the leader's motion during feedback, in full at the cap, [N m s/rad]."""
     tank_j: float = 0.03
-    """Energy that the motors may give at first and keep at most, [J]: what a release may push back at once."""
+    """Initial and largest energy of the tank, [J]: the most that a release may return at once."""
     friction_nm: PerJoint = 0.0
-    """Friction of the leader's gears that is always there, [N m]: what it takes, the motors may give."""
+    """Constant friction of the leader's gears, [N m]; the motors may supply the energy that it dissipates."""
     acceleration_rad_s2: float = 20.0
-    """Most acceleration of a leader's joint in a hand, [rad/s^2]; a rougher motion makes the feedback fade."""
+    """Largest acceleration of a leader's joint in a hand, [rad/s^2]; feedback fades in rougher motion."""
     rest_w: float = 0.002
-    """Power that flows into the tank while the leader rests, [W]: so that a steady press is felt in full; 0: none."""
+    """Power into the tank while the leader rests, [W], so that a steady press is fed back in full; 0: none."""
     rest_s: float = 0.25
-    """Time without motion after which it rests, [s]: longer than an oscillation stands still when it turns round."""
+    """Time without motion after which the leader rests, [s]: longer than an oscillation's pause at its reversals."""
     rest_rad: float = 0.005
-    """What is no motion, [rad]: three steps of a 12-bit encoder."""
+    """Largest travel at rest, [rad]: three steps of a 12-bit encoder."""
 
     def __post_init__(self) -> None:
         positive = ("cap_nm", "dead_band_fade_s", "slew_nm_s", "tank_j", "acceleration_rad_s2", "rest_s", "rest_rad")
@@ -73,43 +73,43 @@ class FeedbackSettings:
 
 
 class EnergyTank:
-    r"""Energy that torques on a leader may still give away, and the torques that it allows.
+    r"""Energy that the leader's motors may still supply, and the torques that it allows.
 
-    Torques u that are held over a tick, while the joints move by :math:`\Delta q`, give the hand exactly
-    :math:`u \cdot \Delta q`, whatever made them and however late: follower, wall and delay are one black box behind the
-    leader's motors. That energy is observed [HannafordRyu2002]_, by positions [Stramigioli2005]_:
+    Torques u held over a tick, while the joints move by :math:`\Delta q`, give the hand exactly the energy :math:`u
+    \cdot \Delta q`, independent of their origin and delay: follower, wall and delay are a black box behind the leader's
+    motors. That energy is observed [HannafordRyu2002]_ from positions [Stramigioli2005]_:
 
     .. math:: E_k = \min(E_{most}, E_{k-1} - u_{k-1} \cdot \Delta q_k + \sum_i f_i |\Delta q_{k,i}| + p_k)
 
-    f is the Coulomb friction of the leader's own gears, which takes at least that; p_k is a trickle while the leader
-    rests, and 0 else: without it, a press that began with a bounce would stay weak until the leader moves. The next
-    torques are as large as the tank can pay for, as in the passivity layer of [Franken2011]_:
+    f is the Coulomb friction of the leader's gears, a lower bound of dissipation. p_k is a small inflow while the
+    leader rests, and 0 otherwise: without it, a press that began with a bounce would stay weak until the leader moves.
+    The tank limits the next torques as in the passivity layer of [Franken2011]_:
 
     .. math:: \lambda \sum_i |u_i| \rho_i \le E_k, \quad \rho_i = sign(u_i) \Delta q_{k,i} + a \Delta t^2
 
-    with one factor :math:`\lambda \le 1` for all joints, so that the direction of what is felt stays;
-    :math:`\rho_i` is how far joint i may move along its torque until the next tick. So while no joint accelerates by
-    more than a, E >= 0: between two rests the torques together give no more than the tank held and the gears took. A
-    rougher motion may overdraw the tank by what it was rougher; then it stays shut until that is paid back.
+    with one factor :math:`\lambda \le 1` for all joints, so that the direction of the feedback is kept; :math:`\rho_i`
+    bounds the travel of joint i along its torque until the next tick. While no joint accelerates by more than a, E >=
+    0: between two rests the torques supply no more energy than the tank had and the gears dissipated. A rougher motion
+    may overdraw the tank; it then stays closed until the deficit is recovered.
     """
 
     def __init__(self, joints: int, settings: FeedbackSettings):
-        """Full at the start."""
+        """The tank is full at the start."""
         self.energy_j = settings.tank_j
-        """E, [J]."""
+        """Energy E in the tank, [J]."""
         self.given_j = 0.0
-        """Sum of u dq since the start, [J]: positive: the hand has got it."""
+        """Energy given to the hand since the start, the sum of u dq, [J]."""
         self.share = 1.0
-        """The factor on the torques since the last tick: 1 where the tank could pay for them."""
+        """Factor on the torques since the last tick; 1: not limited by the tank."""
         self._settings, self._friction_nm = settings, settings.of_joints("friction_nm", joints)
         self._torque, self._moved = np.zeros(joints), np.zeros(joints)
         self._q, self._rest_q, self._rested_s = np.full(joints, np.nan), np.full(joints, np.nan), 0.0
 
     def settle(self, q: np.ndarray, dt_s: float) -> None:
-        """Book the tick of dt_s that ends at the leader's position q, (joints,), [rad].
+        """Update the energy for the tick of dt_s that ends at the leader's position q, (joints,), [rad].
 
-        Where q is NaN the held torque counts as if the joint had moved along it as far as it may have; the next
-        known position starts over.
+        Where q is NaN the joint counts as moved along the held torque as far as possible; the next known position
+        restarts.
         """
         moved = q - self._q
         unknown = ~np.isfinite(moved)
@@ -121,7 +121,7 @@ class EnergyTank:
         self.energy_j = min(self.energy_j - work + taken + self._trickle(dt_s), self._settings.tank_j)
 
     def hold(self, torque: np.ndarray, dt_s: float) -> np.ndarray:
-        """What of the torque, (joints,), [N m], the tank can pay for over the next dt_s; it counts as held so long.
+        """Limit the torque, (joints,), [N m], by the tank's energy; the result counts as held for the next dt_s.
 
         0 for a joint whose position is unknown.
         """
@@ -133,7 +133,7 @@ class EnergyTank:
         return self._torque.copy()
 
     def _trickle(self, dt_s: float) -> float:
-        """p_k, [J]: once no joint has been farther than rest_rad from one place for rest_s."""
+        """p_k, [J]: positive once every joint has stayed within rest_rad of one place for rest_s."""
         still = bool(np.all(np.abs(self._q - self._rest_q) <= self._settings.rest_rad))
         self._rested_s = self._rested_s + dt_s if still else 0.0
         if not still:
@@ -142,23 +142,23 @@ class EnergyTank:
 
 
 class LeaderFeedback:
-    r"""Torque for a leader's motors, a tick at a time, from the monitor's estimates of the follower.
+    r"""Torque of a leader's motors, tick by tick, from the monitor's estimates of the follower.
 
     .. math::
         w_k &= \max(k \sigma, b, w_{k-1} e^{-\Delta t / T}), \quad f = sign(\tau_{ext}) \max(0, |\tau_{ext}| - w_k) \\
         u^* &= clip(g f, \pm c), \quad d = u^* - D \dot q |u^*| / c \\
         u_k &= tank(u_{k-1} + clip(d - u_{k-1}, \pm s \Delta t))
 
-    f is continuous in tau_ext: at the edge w of the dead band it begins at 0. The tank (EnergyTank) makes what is left
-    passive at the hand, so that no delay and no wall can make it oscillate with growing amplitude. **Sign:** with a
-    positive gain the hand is pushed where the surroundings push the follower.
+    f is continuous in tau_ext: it is 0 at the edge w of the dead band. The tank (EnergyTank) makes the torque passive
+    at the hand, so that no delay or wall can cause growing oscillations. **Sign:** with a positive gain the hand is
+    pushed in the direction in which the surroundings push the follower.
 
-    A fault never jumps: while the arm is not healthy, or tau_ext or sigma of a joint is NaN, the torque goes to 0 at
-    the slew rate. Only a leader whose position is unknown gets 0 at once, since its energy cannot be observed.
+    Faults cause no jumps: while the arm is not healthy, or tau_ext or sigma of a joint is NaN, the torque goes to 0 at
+    the slew rate. Only a leader with unknown position gets 0 at once, since its energy cannot be observed.
     """
 
     def __init__(self, joints: int, settings: FeedbackSettings = FeedbackSettings()):
-        """ConfigError where a setting has another number of joints."""
+        """Raises ConfigError if a setting has another number of joints."""
         self._joints = joints
         self._gain, self._cap = settings.of_joints("gain", joints), settings.of_joints("cap_nm", joints)
         self._sigmas = settings.of_joints("dead_band_sigmas", joints)
@@ -166,24 +166,24 @@ class LeaderFeedback:
         self._slew = settings.of_joints("slew_nm_s", joints)
         self._damping = settings.of_joints("damping_nm_s_rad", joints)
         self.tank = EnergyTank(joints, settings)
-        """What the motors may still give, and what they gave."""
+        """Energy tank of the motors."""
         self.torque_nm = np.zeros(joints)
-        """The torque last commanded to the motors, (joints,), [N m]."""
+        """Last commanded torque, (joints,), [N m]."""
         self._q: np.ndarray | None = None
         self._band, self._fade_s = self._least.copy(), settings.dead_band_fade_s
 
     def step(
         self, tau_ext: np.ndarray, sigma: np.ndarray, q_leader: np.ndarray, dt_s: float, healthy: bool = True
     ) -> np.ndarray:
-        """The torque to hold until the next tick, (joints,), [N m].
+        """Return the torque to hold until the next tick, (joints,), [N m].
 
         Args:
-            tau_ext: newest estimate of the follower, however late: (joints,), in a unit that the gain makes N m of.
+            tau_ext: latest estimate of the follower, (joints,), in a unit that the gain converts to N m.
             sigma: its standard error in free motion (Estimate.sigma_nm), the same unit.
-            q_leader: where the leader is now, (joints,), [rad]; the velocity is its difference: what a held torque gave
-                the hand follows from positions exactly, from a velocity of its own estimate it does not.
-            dt_s: since the last call, [s]; the next one is taken to come as soon.
-            healthy: the monitor's health is ok.
+            q_leader: present position of the leader, (joints,), [rad]; the velocity is its difference, since energy
+                given by a held torque follows exactly only from positions.
+            dt_s: time since the last call and until the next one, [s].
+            healthy: whether the monitor's health is ok.
 
         Raises:
             ConfigError: dt_s is not a positive number, or an array has another number of joints.
@@ -206,22 +206,22 @@ class LeaderFeedback:
         return self.torque_nm.copy()
 
     def _felt(self, tau_ext: np.ndarray, sigma: np.ndarray, dt_s: float) -> np.ndarray:
-        """tau_ext beyond its dead band, (joints,), in its unit; NaN where either is."""
+        """tau_ext beyond its dead band, (joints,), in its unit; NaN where tau_ext or sigma is NaN."""
         narrowed = np.maximum(self._band * math.exp(-dt_s / self._fade_s), self._least)
-        self._band = np.fmax(self._sigmas * sigma, narrowed)  # a NaN leaves it
+        self._band = np.fmax(self._sigmas * sigma, narrowed)  # NaN keeps the band
         beyond = np.maximum(np.abs(tau_ext) - self._band, 0)
         return np.where(np.isnan(sigma), np.nan, np.sign(tau_ext) * beyond)
 
 
 def free_motion_sigmas(tau_ext: np.ndarray, sigma: np.ndarray, margin: float = 1.5) -> tuple[float, ...]:
-    """How many standard errors each joint's dead band needs: the most that free motion showed, times a margin.
+    """Dead band of each joint in standard errors: the largest in free motion, times a margin.
 
     Args:
-        tau_ext: of free motion that is not in the training data, (samples, joints); rows with NaN are left out.
+        tau_ext: estimates on free motion not in the training data, (samples, joints); rows with NaN are left out.
         sigma: its standard error there, (samples, joints).
 
     Raises:
-        ConfigError: no sample has both.
+        ConfigError: no sample has tau_ext and sigma.
     """
     known = np.isfinite(tau_ext) & np.isfinite(sigma) & (sigma > 0)
     if not known.any(axis=0).all():

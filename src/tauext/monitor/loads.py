@@ -1,4 +1,4 @@
-"""The load of the arm as users write it: in a line of text, in a TOML table, in a file with times."""
+"""Loads of the arm from text: a line, a TOML table, or a file with times."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ KEYS = {
     "inertia": numbers((3, 6), number(), default=(0.0,) * 6),
     "error": number(default=None),
 }
-USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; mass alone has to be there"
+USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; only mass is required"
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
 MOST_AGO_S = 1e6
 EXPECTED_KEYS = {"seconds": number(), "at_most": number()}
 FROM_S = number(0.0, 1e9, 0.0)
-"""Stamps in nanoseconds hold nine times as much."""
+"""Largest time of a load, [s]; stamps in nanoseconds allow nine times as much."""
 
 
 @dataclass(frozen=True)
@@ -32,20 +32,20 @@ class TimedLoad:
     """A load and its start time."""
 
     from_s: float
-    """Since the recording's first sample, [s]: it is set before the first sample that is not earlier."""
+    """Time since the recording's first sample, [s]; the load is set before the first sample at or after it."""
     load: Load
 
 
 @dataclass(frozen=True)
 class Expected:
-    """The gripper's announcement: for `seconds` the load may change to any mass up to `at_most_kg`."""
+    """Expected load: for `seconds` the load may change to any mass up to `at_most_kg`."""
 
     seconds: float
     at_most_kg: float
 
 
 def expected_of_text(text: str) -> Expected:
-    """The expected load of a line like `seconds=3 at_most=2.5`.
+    """Parse the expected load in a line such as `seconds=3 at_most=2.5`.
 
     Raises:
         ConfigError: names the error and the syntax.
@@ -59,7 +59,7 @@ def expected_of_text(text: str) -> Expected:
 
 
 def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
-    """The expected load of a table.
+    """Read the expected load in a table.
 
     Raises:
         ConfigError: names the key, the value and the rule.
@@ -68,7 +68,7 @@ def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
 
 
 def load_of_text(text: str) -> Load:
-    """The load of a line like `mass=2.8 com=0,0,0.05`, or `none`.
+    """Parse the load in a line such as `mass=2.8 com=0,0,0.05`, or `none`.
 
     Raises:
         ConfigError: names the error and the syntax.
@@ -77,7 +77,7 @@ def load_of_text(text: str) -> Load:
 
 
 def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
-    """The load of a line, and how many seconds ago it was picked up if the line has `ago=0.4`."""
+    """Parse the load in a line, and the time since it was picked up, [s], if the line has `ago=0.4`."""
     where = f"load {text.strip()[:80]!r}"
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
     first = head.strip(" ,\t")
@@ -88,7 +88,7 @@ def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Lo
     table: dict[str, Any] = {}
     for key, value in zip(rest[::2], rest[1::2], strict=True):
         if key not in (*KEYS, *extra) or key in table:
-            raise ConfigError(f"{where}: {key} is {'there twice' if key in table else 'unknown'}; a load is {USAGE}")
+            raise ConfigError(f"{where}: {key} is {'given twice' if key in table else 'unknown'}; a load is {USAGE}")
         numbers = [_number(where, one) for one in re.split(r"[\s,]+", value.strip("[]() ,\t")) if one]
         if len(numbers) != 1 and key not in ("com", "inertia"):
             raise ConfigError(f"{where}: {key} must be one number; a load is {USAGE}")
@@ -102,7 +102,7 @@ def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Lo
 
 
 def load_of_table(path: Place | str, table: str, content: Any) -> Load:
-    """The load of a table with mass, com, inertia and error; three numbers of inertia are its diagonal.
+    """Read the load in a table of mass, com, inertia and error; three numbers of inertia are the diagonal.
 
     Raises:
         ConfigError: names the key, the value and the rule.
@@ -113,7 +113,7 @@ def load_of_table(path: Place | str, table: str, content: Any) -> Load:
 
 
 def read_loads(path: Place) -> list[TimedLoad]:
-    """Loads with their times, from a TOML file of tables [[load]]: from_s, mass, com, inertia, error.
+    """Read loads with times from a TOML file of tables [[load]]: from_s, mass, com, inertia, error.
 
     Raises:
         ConfigError: no such file, or a value that breaks a rule.
@@ -129,13 +129,13 @@ def read_loads(path: Place) -> list[TimedLoad]:
 
 
 def expect_load(settings: LoadSettings, load: Load) -> None:
-    """Raise ConfigError with the reason where a bundle of these settings would refuse the load."""
+    """Raise ConfigError with the reason if a bundle with these settings would refuse the load."""
     if reason := settings.why_not(load):
         raise ConfigError(reason)
 
 
 def load_words(load: Load, frame: str = "") -> str:
-    """`2.8 kg at tool0, centre of mass 0 0 0.05 m`, or `nothing`."""
+    """Describe a load: `2.8 kg at tool0, centre of mass 0 0 0.05 m`, or `nothing`."""
     if load.mass == 0:
         return "nothing"
     com = " ".join(f"{value:.4g}" for value in load.com)
@@ -143,7 +143,7 @@ def load_words(load: Load, frame: str = "") -> str:
 
 
 def load_facts(load: Load) -> dict[str, Any]:
-    """As plain JSON."""
+    """Convert the load to plain JSON."""
     return {"mass_kg": load.mass, "com_m": list(load.com), "inertia_kg_m2": list(load.inertia)}
 
 

@@ -1,4 +1,4 @@
-"""The live loop: a sample in, the monitor's verdict out to sinks and reactions."""
+"""The live loop: passes samples to the monitor and its verdicts to sinks and reactions."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import USUAL_REACH_M, EventFinder, LoopReport, Sink, Verdict
 from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
 
-# --- Verdicts of a live loop in the form that a replay gives, for output and statistics.
+# --- Verdicts of a live loop in the form of a replay, for output and statistics.
 
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
-    """Verdicts in a row, at least one; the speed of a sample that did not come is NaN."""
+    """Combine successive verdicts, at least one; the speed of a missing sample is NaN."""
     estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in verdicts[0].estimates}
     unknown = np.full(estimates["tau_ext"].shape[1], np.nan)
     dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
@@ -38,13 +38,13 @@ def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
 
 
-# --- The live loop: a sample in, the monitor's verdict out to sinks and reactions, which never delay the monitor.
+# --- The live loop. Sinks and reactions never delay the monitor.
 
 
 IDLE_S = 0.1
-"""Requests are checked this often while no sample comes."""
+"""Interval of checks for requests while no sample comes."""
 SWITCH_S = 0.0005
-"""Another thread of this process may hold the interpreter for so long, [s]; Python's own 5 ms are five samples."""
+"""Switch interval of the interpreter's threads, [s]; Python's default of 5 ms is five samples."""
 
 
 @dataclass(frozen=True)
@@ -52,20 +52,20 @@ class LoopSettings:
     """Settings of the loop: time, alarms, real-time priority."""
 
     own_rate: bool = False
-    """Run the network at its own rate, for slow processors."""
+    """Whether to run the network at its own rate, for slow processors."""
     missing_after_s: float | None = None
-    """A sample counts as missing this long after the one before it, [s]; None: two periods, or a period and 2 ms if
-    that is longer."""
+    """Time after a sample when the next one counts as missing, [s]; None: two periods, or a period and 2 ms if
+    longer."""
     acknowledge_after_s: float | None = None
-    """A collision is acknowledged this long after it was raised, by the source's clock, [s]; None: only on request."""
+    """Time after which a collision is acknowledged, by the source's clock, [s]; None: only on request."""
     duration_s: float | None = None
-    """End after this time, [s]; None: when the source ends, or on request."""
+    """Duration of the loop, [s]; None: until the source ends, or on request."""
     core: int | None = None
-    """Pin the loop, and threads and processes that the source starts, to this core."""
+    """Core of the loop and of threads and processes that the source starts."""
     priority: int | None = None
-    """Real-time priority of the same."""
+    """Real-time priority of these threads and processes."""
     wrench: str | None = None
-    """A frame at which the force of a touch is also estimated; None: none."""
+    """Frame at which the force of a touch is also estimated; None: none."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class ProfileSwitch:
 
 
 class Loop:
-    """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
+    """Runs a bundle's monitor on a source until that ends, or until a stop request or Ctrl-C.
 
     The control of the loop (use_profile, acknowledge, resume, set_load, weigh, stop) may be called by any thread.
     """
@@ -95,17 +95,17 @@ class Loop:
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
     ):
-        """recorder: gets every sample, and NaN for a missing one; the caller takes its flights."""
+        """recorder: receives every sample, and NaN for a missing one; the caller takes its flights."""
         self.monitor = _core.Monitor(bundle, settings.own_rate)
         self.joints = tuple(self.monitor.joint_names)
         self.sinks = list(sinks)
-        """Receive every verdict in this order; to be added to before run()."""
+        """Sinks in the order in which they receive verdicts; add before run()."""
         self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread with messages for the user; to be set before run(), as is switched."""
+        """Called in the loop's thread with messages for the user; set it and `switched` before run()."""
         self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
-        """Called in the same way with every new profile."""
+        """Called in the loop's thread with every new profile."""
         self.tick = Latencies()
-        """From a sample's reception until every sink has received its verdict."""
+        """Time from a sample's reception until every sink has received its verdict."""
         self.missing = self.samples = 0
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
         self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
@@ -136,7 +136,7 @@ class Loop:
 
     def use_profile(self, name: str, by: str) -> None:
         if self._profiles is None:
-            raise ConfigError(f"profile {name!r}: there are none; `tauext monitor --profiles FILE` reads some")
+            raise ConfigError(f"profile {name!r}: no profiles are loaded; `tauext monitor --profiles FILE` reads some")
         self._profiles.named(name)
         self._requests.put(lambda: self._switch(name, by))
 
@@ -170,13 +170,13 @@ class Loop:
 
     @property
     def profile(self) -> Profile | None:
-        """The one that holds now."""
+        """The active profile."""
         return self._profile
 
     # The loop: one thread.
 
     def run(self) -> None:
-        """Open the source and all sinks, run, and close them, whatever happens.
+        """Open the source and all sinks, run, and close them in any case.
 
         Raises:
             KeyboardInterrupt: Ctrl-C, after everything was closed.
@@ -198,7 +198,7 @@ class Loop:
             self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo, tolerance))
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
-            gc.freeze()  # what is there stays; collections during the loop look at what came since
+            gc.freeze()  # excludes present objects from collections during the loop
             self._run()
         finally:
             gc.unfreeze()
@@ -210,7 +210,7 @@ class Loop:
                 try:
                     sink.close()
                 except Exception as error:
-                    self.note(f"{type(sink).__name__} did not end well: {type(error).__name__}: {error}")
+                    self.note(f"{type(sink).__name__} failed at its end: {type(error).__name__}: {error}")
 
     def _run(self) -> None:
         started = second = time.monotonic()
@@ -254,8 +254,8 @@ class Loop:
         self._second.add(ns)
 
     def _missed(self, now: float) -> float:
-        """Report a missing sample to the monitor; returns how long to wait, [s]: ever longer while none comes."""
-        assert self._last is not None  # silence is counted from a sample
+        """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
+        assert self._last is not None  # silence counts from a sample
         self.missing += 1
         silent_s = now - self._last.received_ns * 1e-9
         t_ns = self._last.t_ns + round(silent_s * 1e9)
@@ -267,7 +267,7 @@ class Loop:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
         q, dq = (None, None) if sample is None else (sample.q[None], sample.dq[None])
         changes = self._changes.find(self.samples, np.array([t_ns]), estimates, q, dq)
-        if not self.samples:  # loads set before the first sample hold from there on
+        if not self.samples:  # loads set before the first sample apply from there on
             early = LoadChange | WeighChange
             changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
         verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes))

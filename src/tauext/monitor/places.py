@@ -1,4 +1,4 @@
-"""Which link an alarm's touch is on, where, and with what force."""
+"""Link, place and force of an alarm's touch."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchMode
 from tauext.errors import ConfigError
 from tauext.monitor.changes import Change
 
-# --- The force of an alarm's touch, if it acts at a frame that the user names.
+# --- Force of an alarm's touch at a frame named by the user.
 
 
 SURE = 2.0
 """Reported bound of a force's error, in standard errors along its worst direction: 19 of 20 errors are smaller."""
 INCONSISTENT = 0.01
-"""Below this probability no force at the frame explains the torques."""
+"""Least probability at which a force at the frame explains the torques."""
 
 
 @dataclass(frozen=True)
 class FrameForce:
-    """A force alone at a frame's origin, along the base's axes."""
+    """A force without moment at a frame's origin, along the base's axes."""
 
     frame: str
     force_n: tuple[float, float, float]
     covariance: tuple[float, ...]
-    """(3, 3) row by row, [N^2]."""
+    """Covariance (3, 3), row by row, [N^2]."""
     blind: int
-    """Number of directions that the pose does not show."""
+    """Number of directions not observable in this pose."""
     consistent: float
     """Probability that a force there leaves at least this residual."""
     blind_directions: tuple[tuple[float, ...], ...] = ()
-    """These directions, unit vectors along the base's axes."""
+    """Unobservable directions, unit vectors along the base's axes."""
     left_out: tuple[str, ...] = ()
     """Joints without an estimate in N m: they contribute nothing."""
 
@@ -43,7 +43,7 @@ class FrameForce:
 
     @property
     def off_n(self) -> float:
-        """Bound of its error, [N]."""
+        """Bound of the force's error, [N]."""
         return SURE * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
 
 
@@ -51,7 +51,7 @@ class ForceAtFrame:
     """Estimates the force at one frame of a bundle's arm."""
 
     def __init__(self, bundle: Bundle, frame: str) -> None:
-        """Raises ConfigError where the bundle gives no force, or has no such frame."""
+        """Raises ConfigError if the bundle estimates no force or lacks the frame."""
         self._model, self._frame = WrenchModel(bundle), frame
         if self._model.refused:
             raise ConfigError(f"wrench = {frame!r}: no force can be estimated: {self._model.refused}")
@@ -89,7 +89,7 @@ class ForceAtFrame:
 
 
 def frame_force_words(force: FrameForce) -> str:
-    """`23 N at tool0 (up to 4 N wrong), 12° from -z`: from the nearest of the base's axes."""
+    """Describe a force by the nearest of the base's axes: `23 N at tool0 (up to 4 N wrong), 12° from -z`."""
     if force.consistent < INCONSISTENT:
         return f"no force at {force.frame} explains it"
     axis = int(np.argmax(np.abs(force.force_n)))
@@ -106,23 +106,23 @@ def frame_force_words(force: FrameForce) -> str:
     return f"{force.size_n:.0f} N at {force.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
 
 
-# --- Which link an alarm's touch is on, and where: reported while the alarm stands.
+# --- Link and place of an alarm's touch, reported while the alarm is active.
 
 
 AFTER_S = 0.1
-"""Delay after the alarm rose: early enough for a reaction, late enough that most touches are near their peak."""
+"""Delay after the alarm: early enough for a reaction, late enough for most touches to be near their peak."""
 AGAIN_S = 0.2
 """Shortest time between two reports."""
 FOLLOWED_S = 1.0
-"""A later change, behind a latched alarm, may be another touch."""
+"""Time after which a change behind a latched alarm may be another touch."""
 STRONGER = 2.0
-"""Reported again where the sum of (tau_ext / sigma)^2 has become so many times what it was: errors of links, which go
-with its root, are then 0.7 of those before."""
+"""Growth of the sum of (tau_ext / sigma)^2 for another report: errors of links, proportional to 1/root, are then 0.7 of
+those before."""
 
 
 @dataclass(frozen=True)
 class PlaceChange(Change):
-    """From this sample on the touched link and place are known, or known more accurately."""
+    """The touched link and place became known, or more accurate, at this sample."""
 
     alarm: int
     """Present level."""
@@ -131,9 +131,9 @@ class PlaceChange(Change):
     since_s: float
     """Time since the alarm rose to this level, [s]."""
     links: tuple[tuple[int, float], ...]
-    """Number of the joint that carries the link, and its probability; the most probable first."""
+    """Index of the joint that carries each link, and probability; most probable first."""
     places: tuple[TouchPlace, ...]
-    """The most probable first, at least one."""
+    """Places, most probable first, at least one."""
     best: TouchPlace
     """The place that messages report: the most probable place on the most probable link."""
     consistent: float
@@ -152,7 +152,7 @@ class PlaceChange(Change):
         since_s: float,
         force: FrameForce | None = None,
     ) -> PlaceChange | None:
-        """The change for these places; None where none was found."""
+        """Make the change for these places; None if there are none."""
         if found is None or found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
@@ -174,7 +174,7 @@ def strongest_place(
     sigma_nm: np.ndarray,
     contact_sigma_nm: np.ndarray,
 ) -> TouchPlaces | None:
-    """Places at the sample with the largest strength(), of arrays (samples, joints); None where none are found."""
+    """Places at the sample with the largest strength(), from arrays (samples, joints); None if none are found."""
     if model.refused:
         return None
     row = int(np.argmax(strength(tau_ext, sigma_nm)))
@@ -186,17 +186,17 @@ def strongest_place(
 class PlaceFinder:
     """Finds places of touches in the estimates, chunk after chunk; the result does not depend on the chunks.
 
-    The place is that of the sample with the largest tau_ext, less an expected load, over its standard error since the
-    alarm rose.
+    The place is that of the sample since the alarm with the largest ratio of tau_ext, less an expected load, to its
+    standard error.
     """
 
     def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
-        """frame: where the force is also estimated; ConfigError if the bundle has no such frame."""
+        """frame: frame at which the force is also estimated; ConfigError if the bundle lacks it."""
         self._at_frame = None if frame is None else ForceAtFrame(bundle, frame)
         self._force: FrameForce | None = None
         self._model = PlaceModel(bundle)
         self.refused = self._model.refused
-        """Why places cannot be estimated; empty: they can."""
+        """Reason why places cannot be estimated; empty: they can."""
         self._alarm, self._rose_ns, self._joint = 0, 0, -1
         self._due_ns: int | None = None
         self._strength, self._reported = 0.0, 0.0
@@ -220,7 +220,7 @@ class PlaceFinder:
         """
         alarm = estimates["alarm"]
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
-            return []  # also during an alarm that lasts for hours
+            return []  # fast path, also during long alarms
         by_row = strength(estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         places = []
         for k in range(len(t_ns)):
@@ -271,7 +271,7 @@ def newtons(place: TouchPlace) -> float:
 
 
 def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...]) -> str:
-    """`the link of elbow (83%; wrist_1 12%)`.
+    """Describe links: `the link of elbow (83%; wrist_1 12%)`.
 
     Args:
         links: number of the joint that carries the link, and its probability; the most probable first.
@@ -282,7 +282,8 @@ def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...]) -> 
 
 
 def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
-    """`the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
+    """Describe a place: `the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55)
+    m`."""
     at_frame = "" if change.force is None else f"; {frame_force_words(change.force)}"
     if change.consistent < INCONSISTENT:
         return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
@@ -295,7 +296,7 @@ def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
 
 
 def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
-    """As plain JSON: links by their joints' names, places in the base's frame."""
+    """Convert to plain JSON: links by their joints' names, places in the base's frame."""
     facts: dict = {} if change.force is None else {"at_frame": asdict(change.force)}
     return facts | {
         "links": [{"joint": joints[link], "probability": share} for link, share in change.links],

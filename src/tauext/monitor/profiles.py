@@ -16,21 +16,21 @@ from tauext.monitor.loads import Expected, expected_of_table, load_of_table, loa
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
-"""The core accepts no factor beyond."""
+"""Bounds of factors in the core."""
 OTHERS = "others"
 FILE_KEYS = {"bounds": tables("[bounds]"), "start": tables("[start]", {}), "profiles": tables("[profiles.NAME]")}
 BOUND_KEYS = {"lowest": number(LOWEST, 1.0), "highest": number(1.0, HIGHEST)}
 
 TEMPLATE = """\
-# Factors on a bundle's limits, for phases of a task. Above 1 it takes more to raise an alarm, below 1 less.
-# The false alarms that limits were calibrated for hold at factors from 1 on.
+# Factors on a bundle's limits, for phases of a task. Factors above 1 make alarms less sensitive, below 1 more.
+# The promised rate of false alarms applies at factors of 1 and above.
 
 [bounds]                    # no profile may leave them; 0.1 to 10 at most
 lowest = 0.5
 highest = 3.0
 
 [start]
-profile = "normal"          # which one holds at first
+profile = "normal"          # the active profile at the start
 
 [profiles.normal]
 contact = 1.0               # one factor for every joint ...
@@ -41,8 +41,8 @@ contact = 3.0
 collision = { others = 1.5 }    # ... or one a joint, by its name; `others` stands for those not named, else 1
 
 # [profiles.carrying]
-# load = { mass = 2.8, com = [0.0, 0.0, 0.05] }   # kg, m: what the arm carries from then on, or "none"; a profile
-#                                                 # without load leaves it as it is
+# load = { mass = 2.8, com = [0.0, 0.0, 0.05] }   # kg, m: the load from then on, or "none"; without this
+#                                                 # key the load is unchanged
 
 # [profiles.grasping]
 # expect = { seconds = 3, at_most = 2.5 }         # the gripper closes: a load of at most 2.5 kg is no collision

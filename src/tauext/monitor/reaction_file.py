@@ -1,4 +1,4 @@
-"""reactions.toml: what shall happen at a collision, a contact, a fault, and when all is well again."""
+"""reactions.toml: actions at a collision, a contact, a fault, and when all is clear again."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from tauext.files.toml_file import Key, flag, names, number, read_table, read_to
 from tauext.monitor.sink import EVENT_KINDS, EventKind
 
 TEMPLATE = """
-# What shall happen when the monitor finds something. Each [[reaction]] has a thread of its own: one that fails, hangs
-# or is slow delays neither the monitor nor the others. Events that come while it is at work wait; of those with the
-# same kind and joint the newest stands for all.
+# Actions at events of the monitor. Each [[reaction]] has its own thread: one that fails, hangs or is slow delays
+# neither the monitor nor the others. Events during a running reaction wait; of events with the same kind and joint
+# only the newest is kept.
 #
 #   on               collision, contact, fault, cleared (healthy and no alarm, for the first time after any of them)
 #   joints           of collisions and contacts, and of faults of a joint; left out: all
-#   touch            kinds of touch, of collisions and contacts: impact, push, clamp, load, when they are known, most of
-#                    them 0.2 s after the alarm; unknown: at the alarm; left out: at the alarm, whatever it is
+#   touch            kinds of touch, of collisions and contacts: impact, push, clamp, load, when they are known, mostly
+#                    0.2 s after the alarm; unknown: at the alarm; left out: at the alarm, for any kind
 #   links            joints that carry them: when one of these links is touched, more likely than not
 #   newtons_over     when the force where the arm is touched is more than this; both are known 0.1 s after the alarm,
 #                    and a reaction bound to them runs once an alarm
-#   min_interval_s   an event of the same kind sooner than this after one that was taken is counted and left alone; 0
+#   min_interval_s   least time between two reactions to events of the same kind; earlier events are counted only; 0
 #   timeout_s        a command or function that takes longer is killed; 5
 #   and one of:
-#   command          program and arguments, no shell. It finds the facts in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_TOUCH,
+#   command          program and arguments, no shell. The facts are in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_TOUCH,
 #                    TAUEXT_LINK, TAUEXT_NEWTONS, TAUEXT_T_NS, TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH,
 #                    TAUEXT_CAUSES, and all of them as JSON on stdin
-#   python           "module:function", called with the facts as a dict, in a process of its own; modules are looked
-#                    for in the folder that the monitor was started in, too
+#   python           "module:function", called with the facts as a dict, in its own process; modules are
+#                    also searched in the folder where the monitor was started
 #   publish = true   publishes the event where the source can (ros2)
 #   stop = true      makes the robot stop where the source can (ur: its program; franka: its motion)
 
 [[reaction]]
 name = "log"
 on = ["collision", "contact", "fault", "cleared"]
-command = ["logger", "-t", "tauext", "the monitor found something"]
+command = ["logger", "-t", "tauext", "event of the monitor"]
 
 # [[reaction]]
 # name = "stop the arm"
@@ -70,12 +70,12 @@ command = ["logger", "-t", "tauext", "the monitor found something"]
 
 @dataclass(frozen=True)
 class Reaction:
-    """One entry of the file: when, and what."""
+    """One entry of the file: condition and action."""
 
     name: str
     on: tuple[EventKind, ...]
     joints: tuple[str, ...] | None = None
-    """None: all."""
+    """Joints; None: all."""
     min_interval_s: float = 0.0
     timeout_s: float = 5.0
     command: tuple[str, ...] = ()
@@ -83,11 +83,11 @@ class Reaction:
     publish: bool = False
     stop: bool = False
     touch: tuple[str, ...] | None = None
-    """None: at the alarm; else when its kind of touch is known to be one of these."""
+    """Kinds of touch; None: react at the alarm, else when the kind is known to be one of these."""
     links: tuple[str, ...] | None = None
-    """Joints that carry them. None: any; else when one of them is touched, more likely than not."""
+    """Joints that carry the links. None: any; else react when one of them is touched with probability over 0.5."""
     newtons_over: float | None = None
-    """None: any; else when the force at the most probable place is more than this."""
+    """Least force at the most probable place, [N]; None: any."""
 
 
 ACTIONS = ("command", "python", "publish", "stop")
@@ -130,11 +130,11 @@ def _reaction(path: Place, table: Any, keys: dict[str, Key]) -> Reaction:
     of_touch = [key for key in ("touch", "links", "newtons_over") if getattr(reaction, key) is not None]
     if of_touch and not {"collision", "contact"} & set(reaction.on):
         raise ConfigError(
-            f"{here} {' and '.join(of_touch)} cannot hold for {', '.join(reaction.on)}; on needs collision or contact"
+            f"{here} {' and '.join(of_touch)} cannot apply to {', '.join(reaction.on)}; on needs collision or contact"
         )
     given = [key for key in ACTIONS if table.get(key) not in (None, False)]
     if len(given) != 1:
-        what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
+        what = f"{' and '.join(given)} are given" if given else "no action is given"
         raise ConfigError(f"{here} {what}; it must be one of {', '.join(ACTIONS)}")
     return reaction
 

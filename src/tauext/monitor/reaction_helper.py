@@ -1,6 +1,6 @@
-"""The process that commands and functions of reactions run in.
+"""Process that runs commands and functions of reactions.
 
-It is started by its path and needs the standard library alone. A line of JSON on stdin is an event, {"facts": {...},
+It is started by its path and needs only the standard library. A line of JSON on stdin is an event, {"facts": {...},
 "environment": {...}}; answers are lines on the file descriptor given first: {"ready": true}, then for each event
 {"started_ns": time.monotonic_ns()} and {"error": null or text}.
 """
@@ -16,7 +16,7 @@ import typing
 
 Begun = typing.Callable[[], None]
 Act = typing.Callable[[dict, Begun], None]
-"""Does it for an event, and calls the other when it begins."""
+"""Runs the action for an event and calls the given function at its start."""
 
 
 def main() -> None:
@@ -46,23 +46,23 @@ def main() -> None:
 
 
 def usual_priority() -> None:
-    """A reaction runs on any core and at normal priority, whatever the monitor's own settings are."""
+    """Allow any core and reset to normal priority, regardless of the monitor's settings."""
     try:
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    except (AttributeError, OSError):  # another system; or not allowed to, and then it was not given either
+    except (AttributeError, OSError):  # unsupported, or not permitted and then never set
         pass
 
 
 def end_with(monitor: int) -> None:
-    """A monitor that was killed leaves nothing running: this process ends, and with it all that it started."""
+    """End this process and all that it started when the monitor is killed."""
     while os.getppid() == monitor:
         time.sleep(0.5)
     os.killpg(0, signal.SIGKILL)
 
 
 def command(words: list) -> Act:
-    """Runs the program with the facts in its environment and as JSON on its stdin."""
+    """Make the action that runs a program with the facts in its environment and as JSON on stdin."""
 
     def act(event: dict, started: Begun) -> None:
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=2, env=os.environ | event["environment"]) as process:
@@ -75,7 +75,7 @@ def command(words: list) -> Act:
 
 
 def function(name: str) -> Act:
-    """Calls the function with the facts."""
+    """Make the action that calls the function with the facts."""
     import importlib
 
     sys.path.insert(0, os.getcwd())

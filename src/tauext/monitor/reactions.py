@@ -1,4 +1,4 @@
-"""Reactions at work: a thread or process each, a bounded queue, and counts of what was dropped."""
+"""Execution of reactions: a thread or process each, a bounded queue, and counts of dropped events."""
 
 from __future__ import annotations
 
@@ -26,13 +26,12 @@ from tauext.monitor.source import Source, StopChecked, Stoppable
 
 # --- Commands and functions of reactions in processes of their own: a process that hangs is killed, one that died is
 # restarted.
-#
-# No reaction holds the monitor's interpreter, and no event makes it fork: the process waits for events from the start.
+# No reaction blocks the monitor's interpreter, and no event makes it fork: the process waits from the start.
 
 
 HELPER = Path(__file__).with_name("reaction_helper.py")
 START_S = 20.0
-"""A module that takes longer to import counts as broken."""
+"""Longest time to import a module."""
 
 
 class ReactionFailed(Exception):
@@ -46,7 +45,7 @@ class ReactionProcess:
         """Starts the process.
 
         Raises:
-            ConfigError: there is no such program, module or function.
+            ConfigError: the program, module or function is missing.
         """
         self._reaction, self._closed = reaction, False
         if reaction.command and shutil.which(reaction.command[0]) is None:
@@ -60,7 +59,7 @@ class ReactionProcess:
         """Run the reaction for this event; returns its start by time.monotonic_ns().
 
         Raises:
-            ReactionFailed: it failed, died, or was killed since it took too long; the next one finds a new process.
+            ReactionFailed: it failed, died, or was killed after the timeout; the next event gets a new process.
         """
         try:
             if self._process.poll() is not None:
@@ -78,7 +77,7 @@ class ReactionProcess:
                 started_ns = answer.get("started_ns", started_ns)
         except ReactionFailed:
             self._drop()
-            with suppress(ReactionFailed):  # now, so that the next event finds one that is ready
+            with suppress(ReactionFailed):  # now, so that a process is ready for the next event
                 self._start()
             raise
         if answer["error"] is not None:
@@ -86,7 +85,7 @@ class ReactionProcess:
         return started_ns
 
     def close(self) -> None:
-        """Kill the process and all that it started, for good; another thread's act() fails."""
+        """Kill the process and all that it started; another thread's act() fails."""
         self._closed = True
         self._drop()
 
@@ -98,7 +97,7 @@ class ReactionProcess:
                     end.close()
 
     def _kill(self) -> int:
-        """The exit status. A process that has been waited for is not killed: its id may have been reused."""
+        """Kill the process and return its exit status, unless it was waited for: its id may have been reused."""
         if self._process.returncode is None:
             with suppress(OSError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -117,7 +116,7 @@ class ReactionProcess:
             stdin=subprocess.PIPE,
             stdout=2,
             pass_fds=(writing,),
-            start_new_session=True,  # a Ctrl-C at the terminal is for the monitor, and all of it can be killed at once
+            start_new_session=True,  # Ctrl-C reaches only the monitor, and the group can be killed at once
         )
         os.close(writing)
         self._answers, self._read = os.fdopen(reading, "rb", buffering=0), b""
@@ -163,7 +162,7 @@ def content_of(event: Event) -> dict[str, Any]:
     return {"facts": facts, "environment": environment}
 
 
-# --- Reactions at work: a thread each, a bounded queue, and counts of dropped events.
+# --- Execution of reactions: a thread each, a bounded queue, and counts of dropped events.
 
 
 LEAST_PROBABILITY = 0.5
@@ -179,24 +178,24 @@ class ReactionNews:
     reaction: str
     event: Event
     start_us: float | None
-    """From the sample's reception to its start; None where it did not start."""
+    """Time from the sample's reception to the start; None: not started."""
     error: str | None = None
 
 
 @dataclass
 class ReactionCount:
-    """Counts of the events of one reaction; done + failed + merged + held_back + left = the events that it is for."""
+    """Counts of the events of one reaction; done + failed + merged + held_back + left = all matching events."""
 
     done: int = 0
     failed: int = 0
     merged: int = 0
     """Replaced by newer events of the same kind and joint."""
     held_back: int = 0
-    """Earlier than min_interval_s after the one before."""
+    """Less than min_interval_s after the one before."""
     left: int = 0
     """Not started, or not finished, when the loop ended."""
     start: Latencies = field(default_factory=Latencies)
-    """From a sample's reception to the reaction's start."""
+    """Time from a sample's reception to the reaction's start."""
 
     def summary(self) -> dict:
         counts = {name: getattr(self, name) for name in ("done", "failed", "merged", "held_back", "left")}
@@ -204,7 +203,7 @@ class ReactionCount:
 
 
 class ReactionThread:
-    """One reaction. Its queue holds one event of each kind and joint: it cannot grow."""
+    """Thread of one reaction. Its queue is bounded: one event of each kind and joint."""
 
     def __init__(self, reaction: Reaction, act: Callable[[Event], int | None], close: Callable[[], None] | None = None):
         """act: runs the reaction; may return its start by time.monotonic_ns(), and may raise anything."""
@@ -216,7 +215,7 @@ class ReactionThread:
         self._busy = self._left = False
         self._last_ns: dict[str, int] = {}
         self._answered_ns: int | None = None
-        """Rise time of the alarm for which a rule of a place has run: once per alarm."""
+        """Time of the alarm for which a place rule has run, as it runs once an alarm."""
         self._news: list[ReactionNews] = []
         self._thread = threading.Thread(target=self._work, name=f"reaction {reaction.name}", daemon=True)
         self._thread.start()
@@ -238,7 +237,7 @@ class ReactionThread:
             if older is not None:
                 self.count.merged += 1
                 event = replace(event, merged=older.merged + 1)
-            self._waiting[event.kind, event.joint] = event  # last: a reaction ends with what came last
+            self._waiting[event.kind, event.joint] = event  # moved to the end: the latest event comes last
             self._changed.notify()
 
     def _is_for(self, event: Event) -> bool:
@@ -264,7 +263,7 @@ class ReactionThread:
         return news
 
     def end(self, until: float) -> None:
-        """Let it finish waiting events until this time.monotonic(), then abandon it."""
+        """Finish waiting events until this time.monotonic(), then abandon the rest."""
         with self._changed:
             self._ended = True
             self._changed.notify()
@@ -288,7 +287,7 @@ class ReactionThread:
             began_ns, error = time.monotonic_ns(), None
             try:
                 began_ns = self._act(event) or began_ns
-            except BaseException as failure:  # SystemExit too: whatever it is, the next event may go well
+            except BaseException as failure:  # SystemExit too: the next event may succeed
                 began_ns = began_ns if not isinstance(failure, ReactionFailed) else 0
                 error = str(failure) or type(failure).__name__
             with self._changed:
@@ -319,17 +318,17 @@ class Reactions:
         return [news for thread in self.threads for news in thread.news()]
 
     def end(self) -> None:
-        """Give all of them END_S together for waiting events, then end their processes."""
+        """Give all reactions END_S in total for waiting events, then end their processes."""
         until = time.monotonic() + END_S
         for thread in self.threads:
             thread.end(until)
 
 
 def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[Sink]) -> Reactions:
-    """A thread, and where it needs one a process, for each reaction.
+    """Start a thread and, if needed, a process for each reaction.
 
     Raises:
-        ConfigError: a program, module or function is not there; or the source cannot stop, and nothing publishes.
+        ConfigError: a program, module or function is missing, or the source cannot stop or publish.
     """
     publishers = [sink for sink in sinks if isinstance(sink, Publisher)]
     processes: list[ReactionProcess] = []

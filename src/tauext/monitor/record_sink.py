@@ -1,4 +1,4 @@
-"""Recordings and flights of a live arm, written while the loop goes on."""
+"""Recordings and flights of a live arm, written while the loop runs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
-# --- Records a live arm: a day's free motion, for a new training.
+# --- Recordings of a live arm, for retraining.
 
 
 MOST_WAITING = 4
-"""Segments in memory beside the one that is written; then new ones are lost, and counted."""
+"""Most segments in memory beside the one being written; further ones are lost and counted."""
 GAP_S = 1.0
-"""A gap of stamps that begins a new segment."""
+"""Shortest gap of stamps that begins a new segment."""
 
 
 @dataclass
@@ -39,28 +39,28 @@ class RecordCount:
 
     files: int = 0
     samples: int = 0  # on disk
-    unfit: int = 0  # not finite, or not newer than the sample before: a recording cannot hold them
+    unfit: int = 0  # not finite, or not newer than the sample before
     lost: int = 0  # in segments that could not be written
-    error: str = ""  # of the first segment that could not be written
+    error: str = ""  # error of the first segment that could not be written
 
 
 class RecordSink:
-    """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; files that are there are never overwritten.
+    """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; never overwrites files.
 
-    `contact` follows the monitor: 1 where an alarm stands, 0 where it is healthy and none does, else -1, unknown;
-    training takes what is 0, with margins around what is 1. Torques are in the unit that the bundle takes. A sample
-    costs the loop a copy; a thread writes.
+    `contact` follows the monitor: 1 during an alarm, 0 while healthy without one, else -1 (unknown). Training uses
+    samples with 0, with margins around 1. Torques are in the bundle's input unit. The loop copies each sample; a thread
+    writes.
     """
 
     def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 25.0):
-        """source: its name, for the files' names and their provenance."""
+        """source: name of the source, for file names and provenance."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
         expect_folder(folder)
         self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread, at most once a second, while samples are lost; to be set before open()."""
+        """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
         self._reported = 0
         self._folder, self._bundle, self._source = folder, bundle, source
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
@@ -74,7 +74,7 @@ class RecordSink:
         self._number = 0
         self.count = RecordCount()
         self._waiting: queue.SimpleQueue[dict[str, np.ndarray] | None] = queue.SimpleQueue()
-        """None at the end."""
+        """Segments to write; None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
@@ -114,7 +114,7 @@ class RecordSink:
             self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error})")
 
     def close(self) -> None:
-        """Write what is left, and wait for the disk."""
+        """Write the remaining samples and wait for the disk."""
         self._hand_over(last=True)
         self._waiting.put(None)
         self._thread.join()
@@ -170,7 +170,7 @@ class RecordSink:
                 **segment,
             )
             save_recording(recording, path)
-        except Exception as error:  # whatever it is, the next segment is tried
+        except Exception as error:  # continue with the next segment
             self.count.lost += len(segment["t_ns"])
             self.count.error = self.count.error or str(error)
         else:
@@ -183,7 +183,7 @@ def file_name(text: str) -> str:
     return "".join(c if c.isalnum() or c in ".-" else "-" for c in text).strip("-.") or "live"
 
 
-# --- Flights of a live arm: written by a thread while the loop goes on.
+# --- Flights of a live arm, written by a thread while the loop runs.
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
     def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
-        """folder: exists. source: its name, for the files'."""
+        """folder: exists. source: name of the source, for file names."""
         super().__init__(recorder, self._write_here)
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
@@ -222,9 +222,9 @@ class FlightSink(FlightWriter):
         pass
 
     def close(self) -> None:
-        """Everything is on disk, or reported as lost."""
+        """Finish: everything is on disk or reported as lost."""
         self.__exit__(None, None, None)
 
     def _write_here(self, flight: Flight) -> Path:
-        assert self._source is not None  # a flight comes after a verdict
+        assert self._source is not None  # flights follow a verdict
         return write_flight(flight, self._folder, self._source)

@@ -24,7 +24,7 @@ from tauext.monitor.places import PlaceFinder
 class Pace:
     """Delays samples to their times: the recording runs `speed` times as fast as it was recorded.
 
-    A replay that is late does not wait until it has caught up. Times that go backwards are not waited for.
+    A late replay does not wait until it has caught up. Times that go backwards cause no wait.
     """
 
     def __init__(
@@ -39,13 +39,13 @@ class Pace:
         self._began: tuple[float, int] | None = None
 
     def wait_until(self, t_ns: int) -> None:
-        """Return when the sample of this stamp has been recorded; the first call starts the time and waits for none."""
+        """Wait until the time of this stamp; the first call starts the clock and does not wait."""
         left_s = self.left_s(t_ns)
         if left_s > 0:
             self._sleep(left_s)
 
     def left_s(self, t_ns: int) -> float:
-        """Wall time until this stamp, [s]; 0 or negative if it has passed. The first call starts the time."""
+        """Wall time until this stamp, [s]; 0 or negative if it has passed. The first call starts the clock."""
         if self.speed is None:
             return 0.0
         if self._began is None:
@@ -54,16 +54,16 @@ class Pace:
         return clock_s + (t_ns - first_ns) * 1e-9 / self.speed - self._clock()
 
 
-# --- Sends samples through the core's monitor, a chunk at a time: no Python runs between two samples of a chunk.
+# --- Samples through the core's monitor in chunks: no Python runs between two samples of a chunk.
 
 
 CHUNK_S = 1.0
 PACED_CHUNK_S = 0.02
-"""Wall time of a chunk of a paced replay: short enough that a viewer shows no delay."""
+"""Wall time of a chunk of a paced replay, short enough for viewers."""
 
 
 class Samples(Protocol):
-    """What is replayed: a Recording, or anything with its fields that may also hold NaN or times that go backwards."""
+    """Samples to replay: a Recording, or an object with its fields that may contain NaN or times that go backwards."""
 
     @property
     def t_ns(self) -> np.ndarray: ...  # (samples,) int64, [ns]
@@ -85,22 +85,22 @@ class Chunk:
     dq: np.ndarray
     """(rows, joints), [rad/s]."""
     estimates: dict[str, np.ndarray]
-    """As Monitor.run gives it: one row a sample."""
+    """Result of Monitor.run, one row a sample."""
     changes: list[Change]
     core_s: float
     """Time spent in the core, [s]."""
 
     def peak_row(self, joint: int) -> int:
-        """Where |tau_ext| of this joint is largest against its limit; the last row where there is no estimate."""
+        """Row with the largest ratio of |tau_ext| to the limit of this joint; the last row without estimates."""
         share = np.abs(self.estimates["tau_ext"][:, joint]) / self.estimates["limit_nm"][:, joint]
         return int(np.nanargmax(share)) if np.isfinite(share).any() else len(share) - 1
 
 
 class EventStream:
-    """A monitor and the changes in its estimates: the one stream of events of a replay and of the live loop."""
+    """A monitor and the changes in its estimates: the stream of events of a replay or the live loop."""
 
     def __init__(self, monitor: _core.Monitor, places: PlaceFinder | None = None):
-        """places: finds which link is touched, and where; None: places are not estimated."""
+        """places: estimates the touched link and place; None: not estimated."""
         self.monitor = monitor
         self._finder, self._places = ChangeFinder(), places
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
@@ -123,7 +123,7 @@ class EventStream:
         """Set the load from the sample of this row on, or from since_ns on.
 
         Raises:
-            CoreError: the bundle takes no such load.
+            CoreError: the bundle refuses the load.
         """
         self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
         self.note(LoadChange(row, t_ns, load, by, since_ns, self._left_out))
@@ -154,24 +154,24 @@ def replay(
     loads: Sequence[TimedLoad] = (),
     places: PlaceFinder | None = None,
 ) -> Iterator[Chunk]:
-    """Every sample in order, as a control loop would send it; chunks come when their last sample has its time.
+    """Send every sample in order, as a control loop would; chunks come at the time of their last sample.
 
-    Estimates and events do not depend on chunk_s or pace. A gap is judged by the stamp of the sample
-    that follows it, as in a loop that does not report missing samples.
+    Estimates and events do not depend on chunk_s or pace. A gap is detected by the stamp of the sample that follows it,
+    as in a loop that does not report missing samples.
 
     Args:
         monitor: newly made or reset.
         pace: None for no delay.
-        recorder: gets every sample; a flight must be taken from it after every chunk, and chunk_s not be longer than
-            what it keeps after an event, or flights may be missed.
-        acknowledge_after_s: a collision alarm is acknowledged before the first sample that is this much later than the
-            one that raised it, > 0; None: never.
+        recorder: receives every sample. Take its flight after every chunk, and keep chunk_s below the time kept after
+            an event, or flights may be missed.
+        acknowledge_after_s: time after which a collision alarm is acknowledged, before the next sample, > 0; None:
+            never.
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
         loads: loads of the arm with their start times, in the order of these times.
-        places: finds which link is touched, and where; None: places are not estimated.
+        places: estimates the touched link and place; None: not estimated.
 
     Raises:
-        CoreError: the bundle takes no such load.
+        CoreError: the bundle refuses the load.
     """
     pace = pace or Pace(None)
     events = EventStream(monitor, places)
@@ -203,9 +203,9 @@ def replay(
 
 
 def chunk_rows(t_ns: np.ndarray, wait_ns: int | None, due_ns: int | None) -> int:
-    """How many of these samples may go into one call, at least 1.
+    """Number of these samples for one call, at least 1.
 
-    It ends before the sample that an acknowledgement is due at, and no alarm that it raises may be due within it.
+    The call ends before the sample of a due acknowledgement, and no alarm raised in it may be due within it.
     """
     rows = len(t_ns)
     if wait_ns is not None:
@@ -226,18 +226,18 @@ class Tally:
     joints: tuple[str, ...]
     sample_period_ns: int
     units: tuple[str, ...] = ()
-    """Of the estimates, one a joint; empty: N m."""
+    """Units of the estimates, one a joint; empty: N m."""
     samples: int = 0
     bridged_ticks: int = 0
     restarts: int = 0
     core_s: float = 0.0
     acknowledged: int = 0
     hidden: int = 0
-    """Collisions that raised no alarm, since one was latched."""
+    """Collisions without alarm, since one was latched."""
     health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
-    """Samples of each health."""
+    """Number of samples of each health."""
     unfamiliar: Counter[Unseen] = field(default_factory=Counter)
-    """Samples whose motion the training data do not contain, by what is new."""
+    """Samples with motion that the training data do not contain, by kind and joints."""
     alarms: np.ndarray = field(init=False)
     """Number of alarms of each level raised by each joint, (levels, joints)."""
     worst_margin_nm: np.ndarray = field(init=False)
@@ -252,7 +252,7 @@ class Tally:
         """Count one more chunk; counters of the monitor are copied.
 
         Args:
-            came: whether each row is of a received sample, which is counted; empty: all are.
+            came: whether each row belongs to a received sample, which counts; empty: all.
         """
         for change in chunk.changes:
             self.hidden += isinstance(change, HiddenCollision)
@@ -299,7 +299,7 @@ class Tally:
         return self.samples * self.sample_period_ns * 1e-9 / 3600
 
     def summary(self) -> dict:
-        """Plain content for JSON; null where a number does not exist."""
+        """Content as plain JSON; null for missing numbers."""
         shares = self.health / self.samples if self.samples else np.zeros(len(HEALTHS))
         worst = [float(margin) if np.isfinite(margin) else None for margin in self.worst_margin_nm]
         return {
@@ -330,11 +330,11 @@ class Tally:
         }
 
 
-# --- Single samples of a replay, at a rate that the reader sets.
+# --- Single samples of a replay, at the reader's rate.
 
 
 class StatusClock:
-    """Picks the first sample of every period, counted from a recording's first sample, whatever the chunks."""
+    """Picks the first sample of every period from a recording's first sample on, independent of chunks."""
 
     def __init__(self, start_ns: int, period_ns: int):
         self._start_ns, self._period_ns = start_ns, period_ns
@@ -349,7 +349,7 @@ class StatusClock:
 
 
 def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
-    """The estimate at one row of Monitor.run, as plain JSON; null where a number does not exist."""
+    """Estimate at one row of Monitor.run, as plain JSON; null for missing numbers."""
     return {
         "health": HEALTHS[estimates["health"][row]],
         "causes": _core.cause_names(int(estimates["causes"][row])),

@@ -1,4 +1,4 @@
-"""Who receives samples, events and reports of the loop, and the events that reactions react to."""
+"""Receivers of samples, events and reports of the loop, and events for reactions."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Verdict:
     """The monitor's result for one sample or, with sample None, for one that did not come."""
 
     row: int
-    """Samples before it."""
+    """Number of samples before it."""
     t_ns: int
-    """By the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
+    """Time by the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
     sample: Sample | None
     estimates: Mapping[str, np.ndarray]
-    """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
+    """One row of Monitor.run: tau_ext (1, joints) [N m], health (1,), ..."""
     changes: tuple[Change, ...]
 
 
@@ -48,26 +48,26 @@ class Event:
     joint: str | None
     """The joint that raised the alarm, or that the fault concerns."""
     t_ns: int
-    """Of the sample, by the source's clock, [ns]."""
+    """Time of the sample, by the source's clock, [ns]."""
     received_ns: int
     """Reception of that sample by time.monotonic_ns(); for a missing sample, when it was detected as missing."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """Plain content for JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
+    """Content as plain JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
     merged: int = 1
     """Number of events of this kind and joint that this one, the newest, replaces: more than 1 if they had to wait."""
     touch: str | None = None
     """Kind of touch of a collision or contact, as known at this sample; None for other events."""
     news: bool = True
-    """False: the alarm rose before; only its kind of touch or its place is new."""
+    """Whether the alarm is new; False: only its kind of touch or place is."""
     links: tuple[tuple[str, float], ...] = ()
-    """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
+    """Joints that carry the touched link of a collision or contact, with probabilities, most probable first; empty
     while unknown."""
     newtons: float | None = None
     """Force at the most probable place on the most probable link, [N]; None: unknown."""
     alarm_t_ns: int = 0
     """Stamp at which the alarm of this event rose: the same for all events of one alarm."""
     of_place: bool = False
-    """Only the place is new."""
+    """Whether only the place is new."""
 
 
 @dataclass(frozen=True)
@@ -77,15 +77,15 @@ class LoopReport:
     t_ns: int
     """time.monotonic_ns() of the report."""
     samples: int
-    """Since the start."""
+    """Number of samples since the start."""
     missing: int
     """Missing samples since the start."""
     rate_hz: float
-    """Of the samples in the last second."""
+    """Rate of the samples in the last second."""
     counts: SourceCounts
-    """The source's, since the start."""
+    """The source's counts since the start."""
     tick_p50_us: float
-    """From a sample's reception until every sink has received its verdict, in the last second; NaN without a sample."""
+    """Time from a sample's reception until every sink has its verdict, in the last second; NaN without a sample."""
     tick_p99_us: float
     tick_max_us: float
     profile: str
@@ -95,29 +95,29 @@ class LoopReport:
 class Sink(Protocol):
     """Receives every verdict, in the loop's thread and in order: it must return at once; slow work belongs in a thread.
 
-    A sink that raises is reported once and not called again; the loop goes on.
+    A sink that raises is reported once and not called again; the loop continues.
     """
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        """Before the first sample."""
+        """Called before the first sample."""
         ...
 
     def verdict(self, verdict: Verdict) -> None:
-        """After every sample, and whenever one was missed."""
+        """Called after every sample and for every missing one."""
         ...
 
     def every_second(self, report: LoopReport) -> None:
-        """About once a second, also while no sample comes."""
+        """Called about once a second, also without samples."""
         ...
 
     def close(self) -> None:
-        """After the last sample."""
+        """Called after the last sample."""
         ...
 
 
 @runtime_checkable
 class Publisher(Protocol):
-    """A sink that reactions with `publish = true` use, too."""
+    """A sink that reactions with `publish = true` also use."""
 
     def publish_event(self, event: Event) -> None:
         """Called by the thread of the reaction, beside verdict() of the loop."""
@@ -132,19 +132,19 @@ class Control(Protocol):
     """Requests to the loop, from any thread: each is executed before the next sample, and logged."""
 
     def use_profile(self, name: str, by: str) -> None:
-        """Change to this profile. by: who requests it, for the log: `ros2 /tauext/profile`.
+        """Change to this profile. by: origin of the request, for the log: `ros2 /tauext/profile`.
 
         Raises:
-            ConfigError: there is no such profile.
+            ConfigError: the profile does not exist.
         """
         ...
 
     def acknowledge(self, by: str) -> None:
-        """End a latched alarm; it returns if its cause lasts."""
+        """End a latched alarm; it is raised again if its cause lasts."""
         ...
 
     def resume(self, by: str) -> None:
-        """End a latched alarm once nothing touches the arm any more, so that it can move on.
+        """End a latched alarm once nothing touches the arm any more, so that it can continue.
 
         A push changes static friction: limits of joints at rest are higher until they have slid.
         """
@@ -154,30 +154,30 @@ class Control(Protocol):
         """Set the load from the next sample on; mass 0: none.
 
         Args:
-            ago_s: the load holds from so many seconds before the last sample on; None: from now on.
+            ago_s: the load applies from this time before the last sample on, [s]; None: from now on.
 
         Raises:
-            ConfigError: the bundle takes no such load; the message gives the reason.
+            ConfigError: the bundle refuses the load; the message gives the reason.
         """
         ...
 
     def expect_load(self, expected: Expected, by: str) -> None:
-        """The gripper closes or opens: Monitor.expect_load() before the next sample.
+        """Announce a gripper's grasp or release: Monitor.expect_load() before the next sample.
 
         Raises:
-            ConfigError: the bundle expects no such load; the message gives the reason.
+            ConfigError: the bundle cannot expect the load; the message gives the reason.
         """
         ...
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
-        """Weigh what the arm carries, from `start` to `stop`; `stop` and `tell` report the result as a change.
+        """Weigh the load from `start` to `stop`; `stop` and `tell` report the result as a change.
 
         Args:
             what: `start`, `tell` or `stop`.
             reach_m: largest distance of the centre of mass from the load frame, [m].
 
         Raises:
-            ConfigError: this bundle weighs no loads, or there is no such reach; the message gives the reason.
+            ConfigError: the bundle cannot weigh loads, or the reach is invalid; the message gives the reason.
         """
         ...
 
@@ -186,14 +186,14 @@ class Control(Protocol):
         ...
 
 
-# --- From verdicts to the events that reactions react to.
+# --- From verdicts to events for reactions.
 
 
 class EventFinder:
     """Finds the events of one verdict after the other."""
 
     def __init__(self, joints: tuple[str, ...], facts: dict[str, Any]):
-        """facts: what every event contains beside the monitor's numbers: bundle, source."""
+        """facts: further content of every event: bundle, source."""
         self._joints, self._facts = joints, facts
         self._unsettled = False
         self._place: PlaceChange | None = None

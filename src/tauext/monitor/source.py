@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext._core import RATE_TOLERANCE_RANGE, ServoSettings
 
-# --- Where live samples come from: one small interface for recordings, robots and networks.
+# --- The interface of live sources: recordings, robots and networks.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,26 +18,27 @@ class Sample:
     """One measurement of the whole arm; arrays are (joints,) float64 in the order of the bundle's joints."""
 
     t_ns: int
-    """When it was measured, by the source's clock, [ns]; only differences matter."""
+    """Time of measurement by the source's clock, [ns]; only differences matter."""
     q: np.ndarray
-    """[rad]."""
+    """Position, [rad]."""
     dq: np.ndarray
-    """[rad/s]."""
+    """Velocity, [rad/s]."""
     tau: np.ndarray
-    """Motor torque at the joint, [N m], or what the bundle's recordings hold in its place (such as amperes), in the
-    units that the source was opened with: SourceSettings.torque_units. NaN where it was not measured."""
+    """Motor torque at the joint, [N m], or its substitute in the bundle's recordings (such as amperes), in the units of
+    SourceSettings.torque_units. NaN where it was not measured."""
     received_ns: int
-    """Reception in this process, by time.monotonic_ns()."""
+    """Time of reception in this process, by time.monotonic_ns()."""
     temperature: np.ndarray | None = None
-    """[degC], NaN where it was not measured; None: the source measures none."""
+    """Temperature, [degC], NaN where it was not measured; None: the source measures none."""
     q_des: np.ndarray | None = None
-    """Goal of a servo, [rad], NaN where it was not measured; None: the source measures none. So of the next three."""
+    """Goal of a servo, [rad], NaN where it was not measured; None: not measured by the source, as for the next
+    three."""
     current: np.ndarray | None = None
-    """[A], as the servo reports it: of its windings, or of its supply."""
+    """Current reported by a servo, of its windings or its supply, [A]."""
     duty: np.ndarray | None = None
     """Share of the supply voltage at its motor, -1 to 1."""
     voltage: np.ndarray | None = None
-    """Of its supply, [V]."""
+    """Supply voltage, [V]."""
 
 
 @dataclass
@@ -45,54 +46,54 @@ class SourceCounts:
     """Counts of samples before they reach the loop, since open()."""
 
     received: int = 0
-    lost: int = 0  # never received: detected by a gap of stamps or numbers
+    lost: int = 0  # never received, detected by a gap of stamps or numbers
     overrun: int = 0  # received while the loop was late, and replaced by newer ones
     refused: int = 0  # received but unusable: of another arm, or without velocity or torque
 
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """What a source needs from the bundle."""
+    """Settings of a source from the bundle."""
 
     joints: tuple[str, ...]
-    """Names, in the order that samples must have."""
+    """Names of the joints, in the order of the samples."""
     period_ns: int
-    """Of the bundle's samples, [ns]."""
+    """Sample period of the bundle, [ns]."""
     torque_units: tuple[str, ...] = ()
-    """Of the tau that the bundle takes, a joint: "N m", "N", "A" or "recorded unit"; empty: N m, or N."""
+    """Units of the bundle's input tau, one a joint: "N m", "N", "A" or "recorded unit"; empty: N m, or N."""
     torque_timing: str = ""
-    """What a torque sample of the bundle means: held, instant or averaged."""
+    """Timing of the bundle's torque samples: held, instant or averaged."""
     servo: ServoSettings | None = None
-    """What the loop makes torque from, of a bundle of servos' recordings; None, or off: tau is taken as it is."""
+    """Settings for computing torque from servo signals; None or off: tau is used unchanged."""
     rate_tolerance: float = RATE_TOLERANCE_RANGE[0]
-    """Of the period: a monitor reports a larger difference as a wrong rate."""
+    """Largest relative difference of the period; a monitor reports more as a wrong rate."""
 
 
 class Source(Protocol):
-    """Gives one sample after the other, oldest first; used by one thread, and closed by it.
+    """Returns samples in order, oldest first; used and closed by one thread.
 
-    A source may read ahead in a thread of its own, into a SampleQueue: bounded, where the newest sample wins and what
-    it pushes out is counted. A source never waits longer than timeout_s, makes up no sample, and drops none uncounted.
+    A source may read ahead in its own thread into a SampleQueue: bounded, keeps the newest samples and counts dropped
+    ones. A source never waits longer than timeout_s, invents no samples, and counts every dropped one.
     """
 
     name: str
-    """For people and files: `ur 192.168.0.2`."""
+    """Name for messages and files: `ur 192.168.0.2`."""
     counts: SourceCounts
 
     def open(self, settings: SourceSettings) -> None:
-        """Connect; refuse with ConfigError what cannot fit: joints that are not there, another rate.
+        """Connect; raise ConfigError for a mismatch such as missing joints or another rate.
 
-        A robot that is not there yet need not be an error: then next_sample() returns None until it is.
+        A missing robot need not be an error: next_sample() then returns None until it appears.
         """
         ...
 
     def next_sample(self, timeout_s: float) -> Sample | None:
-        """The next sample; None where none came for timeout_s, or after the last one."""
+        """Return the next sample; None if none came within timeout_s, or after the last one."""
         ...
 
     @property
     def ended(self) -> bool:
-        """No sample will come any more: a recording is over, a robot has closed the connection for good."""
+        """Whether no more samples will come: the recording is over or the connection closed for good."""
         ...
 
     def notes(self) -> list[str]:
@@ -100,7 +101,7 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Disconnect; more than one call does no harm."""
+        """Disconnect; repeated calls are allowed."""
         ...
 
 
@@ -109,7 +110,7 @@ class Stoppable(Protocol):
     """A source that can make its robot stop."""
 
     def stop(self) -> None:
-        """Called by the thread of a reaction, beside next_sample() of the loop; may take its time and may raise."""
+        """Called by a reaction's thread, concurrently with next_sample() of the loop; may be slow and may raise."""
         ...
 
 
@@ -126,20 +127,20 @@ class StopChecked(Protocol):
         ...
 
 
-# --- Velocity and torque of a servo arm's live samples, by the bundle's word.
+# --- Velocity and torque of a servo arm's live samples, by the bundle's settings.
 
 
 class ServoStage:
-    """Fills dq and tau of one sample after the other, as import did for the recordings that the bundle was trained on.
+    """Computes dq and tau of each sample, as import did for the bundle's training recordings.
 
-    A signal that is needed and that the source did not measure makes them NaN, which the monitor takes for a fault.
+    A missing signal makes them NaN, which the monitor reports as a fault.
     """
 
     def __init__(self, settings: _core.ServoSettings):
         self._input = _core.ServoInput(settings)
 
     def made(self, sample: Sample) -> Sample:
-        """The sample with dq [rad/s] and tau in the unit that the bundle takes."""
+        """Return the sample with dq [rad/s] and tau in the bundle's input unit."""
         kept = (sample.dq, sample.tau, sample.q_des, sample.current, sample.duty, sample.voltage)
         signals = (None if values is None else np.ascontiguousarray(values, dtype=np.float64) for values in kept)
         dq, tau = self._input.step(sample.t_ns, np.ascontiguousarray(sample.q, dtype=np.float64), *signals)

@@ -1,4 +1,4 @@
-"""The load of an arm from recordings: frame, rows, windows, mass and centre, in words."""
+"""Load of an arm from recordings: frame, rows, windows, mass, centre of mass, and messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tauext.bundle.fit import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 
-# --- The frame that a load is fixed to.
+# --- The frame to which a load is fixed.
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,14 @@ class NamedFrame:
 
 
 def load_frame(bundle: _core.Bundle, joint: str | None = None) -> NamedFrame:
-    """The frame that the bundle's loads are given in, or that of the link that a joint carries: its origin is on the
-    joint's axis, z along it.
+    """Frame of the bundle's loads, or of the link that a joint carries: its origin is on the joint's axis, z along it.
 
     Args:
-        joint: whose link carries the load; None: the bundle's frame or, if it names none, the link that most joints
-            carry.
+        joint: joint whose link carries the load; None: the bundle's frame or, if it names none, the link carried by
+            most joints.
 
     Raises:
-        ConfigError: there is no such joint.
+        ConfigError: the joint does not exist.
     """
     joints = [link.joint_name for link in bundle.links]
     known = bundle.load_settings
@@ -49,7 +48,7 @@ def load_frame(bundle: _core.Bundle, joint: str | None = None) -> NamedFrame:
 
 
 def carriers(bundle: _core.Bundle, link: int) -> int:
-    """How many joints carry a link."""
+    """Number of joints that carry a link."""
     count = 0
     while link >= 0:
         link, count = bundle.links[link].parent, count + 1
@@ -60,7 +59,7 @@ def carriers(bundle: _core.Bundle, link: int) -> int:
 
 
 def expect_weighable(bundle: _core.Bundle) -> None:
-    """Raise ConfigError where tau_ext does not show the weight of a load."""
+    """Raise ConfigError if tau_ext does not contain the weight of a load."""
     if bundle.observer.method.name != "momentum":
         raise ConfigError(
             f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
@@ -78,7 +77,7 @@ def expect_weighable(bundle: _core.Bundle) -> None:
 
 
 def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
-    """Joints whose torques can be added up, (n,) bool: those in N m or N; without any, those in one common unit.
+    """Joints whose torques can be combined, (n,) bool: those in N m or N; else those in one common unit.
 
     An ampere is a different number of N m at every joint.
     """
@@ -89,13 +88,13 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
 
 
-# --- Rows of a recording: the chain's estimate, its weight, and the torques of a load there.
+# --- Rows of a recording: the chain's estimate, its weight, and the torques of a load.
 
 
 ROW_S = 0.01
 """Period of the rows, equal to the network period: r changes little in less."""
 STAND_S = 0.5
-"""Friction at a standing joint does not change: a stand of any length holds as much information as this of sliding."""
+"""Information of a rest of any length, as time of sliding: friction of a resting joint does not change."""
 SIGMA_SHARE = 0.2
 """Standard error over the limit, for bundles without an error scale: their limits are about five standard errors."""
 
@@ -107,9 +106,9 @@ class Seen:
     recording: Recording
     samples: np.ndarray  # (rows,) of the recording
     time_s: np.ndarray  # (rows,) from the recording's first sample
-    tau_ext: np.ndarray  # (rows, n): without what the drift tracker takes off, which takes the load for drift
+    tau_ext: np.ndarray  # (rows, n): without drift tracking, which would absorb the load
     sigma: np.ndarray  # (rows, n)
-    worth: np.ndarray  # (rows, n): 1, less the longer a joint stands, 0 where its torque is in another unit
+    worth: np.ndarray  # (rows, n): 1, decreasing while a joint rests, 0 if its torque is in another unit
     moved: np.ndarray  # (rows, n): |dq|
 
     @property
@@ -120,7 +119,7 @@ class Seen:
     def of(
         cls, recording: Recording, samples: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, near: np.ndarray
     ) -> Seen:
-        """Some samples of a recording.
+        """Select samples of a recording.
 
         Args:
             samples: (rows,) of the recording.
@@ -139,7 +138,7 @@ class Seen:
         )
 
     def part(self, keep: np.ndarray) -> Seen:
-        """Some of the rows; keep: (rows,) bool."""
+        """Select rows; keep: (rows,) bool."""
         fields = (self.samples, self.time_s, self.tau_ext, self.sigma, self.worth, self.moved)
         return Seen(self.recording, *(values[keep] for values in fields))
 
@@ -148,7 +147,7 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
     """Run the chain on a recording and return its healthy rows.
 
     Raises:
-        BundleError: the recording is not one that the bundle was made for.
+        BundleError: the recording does not fit the bundle.
     """
     expect_fit(bundle, recording)
     recorded = (recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -178,7 +177,7 @@ def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
 def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.ndarray) -> np.ndarray:
     """The rows of `_core.LoadSums`, (rows, n, columns), about a load phi (10,) as known so far.
 
-    phi determines which side the gears are loaded on.
+    phi determines the loaded side of the gears.
     """
     r, sums = seen.recording, _core.LoadSums
     rows = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
@@ -198,30 +197,30 @@ def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[See
     return sums
 
 
-# --- A load from recordings: mass and centre of mass, their errors, and whether it is a load.
+# --- A load from recordings: mass and centre of mass, their errors, and the verdict.
 
 
 ROUNDS = 3
 """Iterations: inertia and the loaded side of each gear follow from the load of the previous one."""
 LEAST_ROWS = 30
-"""0.3 s: fewer rows are no measurement."""
+"""Fewest rows of a measurement, 0.3 s."""
 
 LoadEstimate = _core.LoadFound
-"""The result; lengths and axes are those of the load frame."""
+"""Result of weighing; lengths and axes are in the load frame."""
 
 
 def identify(
     bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], reach_m: float = 0.3, phi: np.ndarray | None = None
 ) -> LoadEstimate:
-    """The load that these rows show, by weighted least squares on tau_ext.
+    """Estimate the load from these rows by weighted least squares on tau_ext.
 
         tau_ext_j = X_j(m, h) + offset_j + Coulomb_j tanh(dq_j / v) + error,   weights worth / (scale_j sigma_j)^2
 
-    X holds gravity, inertia and the friction that the load adds, through the observer's filter. The centre of mass is
-    within the reach: h is drawn to 0 with a standard deviation of m reach / 2.
+    X contains gravity, inertia and added friction of the load, through the observer's filter. The centre of mass is
+    within the reach: h is regularised to 0 with a standard deviation of m reach / 2.
 
     Args:
-        phi: a load to begin with, (10,).
+        phi: initial load, (10,).
 
     Raises:
         RecordingError: fewer than LEAST_ROWS rows.
@@ -238,18 +237,18 @@ def identify(
     return found
 
 
-# --- Sections of recordings that are weighed.
+# --- Sections of recordings for weighing.
 
 
 WINDOW_S = 4.0
-"""About the time between two grasps, and short enough to detect a changed load."""
+"""Length of a window: about the time between two grasps, and short enough to detect a changed load."""
 
 
 def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
-    """The rows within these times of the recording.
+    """Select the rows within these times of the recording.
 
     Raises:
-        RecordingError: there are fewer than LEAST_ROWS.
+        RecordingError: fewer than LEAST_ROWS.
     """
     low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
     part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
@@ -261,7 +260,7 @@ def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
 
 
 def expect_different(recordings: Sequence[Recording]) -> None:
-    """Raise ConfigError where two hold the same motion: given twice, it would make the errors too small."""
+    """Raise ConfigError if two recordings have the same motion, which would make the errors too small."""
     for k, one in enumerate(recordings):
         for other in recordings[:k]:
             if np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau):
@@ -271,7 +270,7 @@ def expect_different(recordings: Sequence[Recording]) -> None:
 def each_window(
     bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], whole: LoadEstimate
 ) -> list[tuple[str, float, LoadEstimate]]:
-    """The load by each whole window alone: its recording, where it begins, and the load."""
+    """Estimate the load in each whole window: recording, begin, and load."""
     windows = []
     for part in parts:
         start = part.time_s[0]
@@ -284,38 +283,38 @@ def each_window(
     return windows
 
 
-# --- What was found of a load, in sentences, and what the motion does not show.
+# --- Messages on the load and on what the motion does not determine.
 
 
 SHOWS = 3.0
-"""Standard errors between a mass and 0: as the verdict has it."""
+"""Standard errors of a mass above 0, as in the verdict."""
 UNKNOWN_KG = 100.0
-"""A mass with a larger standard error is not reported: before any motion it is 1000 kg."""
+"""Largest standard error of a reported mass; without motion it is 1000 kg."""
 ALONG = 0.9
-"""Cosine from which a direction is named after the nearest axis of the frame."""
+"""Least cosine at which a direction is named after the nearest axis of the frame."""
 
 
 def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
-    """Mass, centre of mass, and what the motion does not show.
+    """Sentences on mass, centre of mass, and what the motion does not determine.
 
     Args:
-        where: what the frame is called.
-        unit: of the bundle's estimates; a mass is in kg only where that is N m.
+        where: name of the frame.
+        unit: unit of the bundle's estimates; a mass is in kg only if that is N m.
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
     mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
     if found.mass_error_kg > UNKNOWN_KG:
         return [
-            f"no weight shows there: gravity never pulls a load at {where} against a joint that weighs it; is the load "
-            "fixed to a link farther out (--frame)?"
+            f"no weight is visible there: gravity never pulls a load at {where} against a joint that weighs it; is the "
+            "load fixed to a link farther out (--frame)?"
         ]
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":
-        return [f"no load shows: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
+        return [f"no load is visible: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
     if found.verdict == "lifts":
         lift = -found.fits["load"].values[0]
-        return [f"what shows pulls up, as {lift:.2f} {kg} less would: no load, or one that the bundle was trained with"]
+        return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no load, or one present in training"]
     if found.verdict == "contact":
         return [contact_sentence(found, unit)]
     if found.verdict == "unclear":
@@ -328,7 +327,7 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
 
 
 def weighed(found: LoadEstimate, where: str, mass: str, kg: str) -> list[str]:
-    """Mass and centre of mass of a load, as far as the motion shows them."""
+    """Sentences on mass and centre of mass, as far as the motion determines them."""
     if not found.mass_seen:
         return [
             f"a load, but this motion does not separate its mass from its lever: {mass}. Only its pull at the joints "
@@ -348,7 +347,7 @@ def weighed(found: LoadEstimate, where: str, mass: str, kg: str) -> list[str]:
 
 
 def unseen_sentences(found: LoadEstimate) -> list[str]:
-    """Directions of the centre of mass that gravity never turned to, in words."""
+    """Sentence on directions of the centre of mass across which gravity never turned."""
     lines = []
     for direction in found.unseen:
         named = axis_name(direction)
@@ -361,7 +360,7 @@ def unseen_sentences(found: LoadEstimate) -> list[str]:
 
 
 def contact_sentence(found: LoadEstimate, unit: str) -> str:
-    """The force that fits better than a load, and by how much."""
+    """Sentence on a force that fits better than a load."""
     force_unit = "N" if unit == "N m" else "units of force"
     base, frame = found.fits["base"], found.fits["frame"]
     best, axes = (base, "the base") if base.cost <= frame.cost else (frame, "the frame")
@@ -375,7 +374,7 @@ def contact_sentence(found: LoadEstimate, unit: str) -> str:
 
 
 def axis_name(direction: np.ndarray) -> str:
-    """`the z axis of the frame`, or the direction in numbers."""
+    """Name a direction: `the z axis of the frame`, or in numbers."""
     k = int(np.abs(direction).argmax())
     if abs(direction[k]) >= ALONG:
         return f"the {'xyz'[k]} axis of the frame"

@@ -38,7 +38,7 @@ class Shape:
     points: np.ndarray | None = None
     """(n, 3) of the surface; None: it is that capsule."""
     areas: np.ndarray | None = None
-    """(n,) that each stands for, [m^2]."""
+    """(n,) area of each point, [m^2]."""
 
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> Shape:
         """The shape rotated, then shifted."""
@@ -47,12 +47,12 @@ class Shape:
 
 
 def surface(points: np.ndarray, areas: np.ndarray) -> Shape:
-    """That has no capsule of its own."""
+    """Shape of surface points, to be fitted by capsules."""
     return Shape(0.0, np.zeros(3), np.zeros(3), np.asarray(points, dtype=float), np.asarray(areas, dtype=float))
 
 
 def cylinder(radius: float, half_m: float) -> Shape:
-    """Along z; one that is wider than long is a surface."""
+    """Capsule along z, or surface points where the cylinder is wider than long."""
     if half_m >= radius:
         end = np.array([0, 0, half_m - radius])
         return Shape(float(radius), -end, end)
@@ -70,7 +70,7 @@ def cylinder(radius: float, half_m: float) -> Shape:
 
 
 def box(half_m: np.ndarray) -> Shape:
-    """A grid on each side."""
+    """Surface points of a box: a grid on each side."""
     grid = (np.arange(AROUND // 2) + 0.5) / (AROUND // 2) * 2 - 1
     u, v = (one.ravel() for one in np.meshgrid(grid, grid))
     points, areas = [], []
@@ -85,7 +85,7 @@ def box(half_m: np.ndarray) -> Shape:
 
 
 def ellipsoid(half_m: np.ndarray) -> Shape:
-    """Points of an even sphere, stretched; each for the area that it is stretched to."""
+    """Surface points of an ellipsoid: an even sphere's, stretched with their areas."""
     count = 4 * AROUND**2 // 4
     z = 1 - (2 * np.arange(count) + 1) / count
     turned = np.pi * (1 + 5**0.5) * np.arange(count)
@@ -101,7 +101,7 @@ def mesh(vertices: np.ndarray, faces: np.ndarray) -> Shape:
     return surface(corners.mean(axis=1), areas)
 
 
-# --- Shapes of a URDF's links: placed as in the file, meshes read by MuJoCo where they are found.
+# --- Shapes of a URDF's links; MuJoCo reads the meshes.
 
 
 READ_FORMATS = (".stl", ".obj", ".msh")
@@ -115,9 +115,10 @@ def is_urdf(path: Path) -> bool:
 
 
 def urdf_shapes(path: Path, bodies: list[str]) -> tuple[list[tuple[int, Shape]], list[str]]:
-    """Number of the body and its shape in the body's axes; and what could not be read.
+    """Body index and shape in the body's axes, and sentences about shapes that could not be read.
 
-    A link's collision elements, else its visual ones. `package://` is looked for in the file's folder and those above.
+    A link's collision elements are used, else its visual ones. `package://` is resolved in the file's folder and its
+    parents.
     """
     numbers, found = {name: number for number, name in enumerate(bodies)}, []
     lost: dict[str, list[str]] = {}
@@ -167,7 +168,7 @@ def _numbers(element: ElementTree.Element, key: str, count: int) -> np.ndarray:
 
 
 def _origin(origin: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and place: fixed-axis roll, pitch, yaw."""
+    """Rotation (fixed-axis roll, pitch, yaw) and position of an origin element."""
     place, angles = (
         _numbers(origin, key, 3) if origin is not None and origin.get(key) else np.zeros(3) for key in ("xyz", "rpy")
     )
@@ -196,7 +197,7 @@ def _found(name: str, path: Path) -> Path:
 
 
 def _mesh(file: Path, scale: np.ndarray) -> Shape:
-    """Its triangles in the file's own axes."""
+    """Shape of a mesh file's triangles, in the file's own axes."""
     spec = mujoco.MjSpec()
     spec.add_mesh(name="one", file=str(file), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="one")
@@ -210,14 +211,14 @@ def _mesh(file: Path, scale: np.ndarray) -> Shape:
     return mesh(vertices * scale, model.mesh_face)
 
 
-# --- Capsules whose surface is as near as can be to a given one.
+# --- Capsules fitted to surface points.
 
 
 MOST_POINTS = 600
-"""Of a mesh; more do not move a capsule."""
+"""Most points of a mesh that are used; more do not change the capsule."""
 GOOD_SHARE, GOOD_M = 0.15, 0.01
-"""A capsule is good enough whose surface is, root mean square, so near to the given one: as a share of its radius, or
-1 cm, which is less than a place is known to."""
+"""A capsule is accepted if its RMS distance from the surface is below this share of its radius, or below 1 cm. Contact
+places are less accurate than that."""
 MOST_SPLITS = 2
 """One shape becomes four capsules at most."""
 LEAST_RADIUS_M = 1e-3
@@ -233,7 +234,7 @@ def as_capsules(shape: Shape) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 
 def thinned(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Drawn by their areas, always the same way; degenerate triangles left out."""
+    """Draw points with probability by area and a fixed seed; degenerate triangles are left out."""
     sound = np.isfinite(points).all(axis=1) & (areas > 0)
     points, areas = points[sound], areas[sound]
     if len(points) <= MOST_POINTS:
@@ -243,7 +244,7 @@ def thinned(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def split(points: np.ndarray, areas: np.ndarray, most: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """One capsule, or those of both halves where it is bad."""
+    """One capsule, or those of both halves where one fits badly."""
     start, end, radius, rms = fitted(points, areas)
     if rms <= max(GOOD_SHARE * radius, GOOD_M) or most == 0 or len(points) < 24:
         return [(start, end, radius)]
@@ -306,7 +307,7 @@ Ends = tuple[list[float], list[float], float]
 @dataclass(frozen=True)
 class BodyCapsules:
     bodies: dict[str, list[Ends]]
-    """By the body's or link's name, in its axes."""
+    """Capsules by name of body or link, in its axes."""
     notes: list[str]
     """Shapes that could not be read, one sentence each."""
 
@@ -314,8 +315,8 @@ class BodyCapsules:
 def body_capsules(path: str | os.PathLike[str]) -> BodyCapsules:
     """The shapes of a robot file's links: each body's collision geometry, else its visual one.
 
-    Cylinders become capsules that end where they end, spheres and capsules stay what they are; boxes, ellipsoids and
-    meshes get one to four capsules by least squares of their surface's distance. Mesh files that are missing are noted.
+    Cylinders become capsules of the same length; spheres and capsules stay unchanged. Boxes, ellipsoids and meshes
+    become one to four capsules, fitted by least squares to the surface. Missing mesh files are listed.
 
     Raises:
         RobotError: the file cannot be read.
@@ -370,10 +371,10 @@ def read_shapes(path: Path) -> BodyCapsules:
 
 
 def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsule], list[str]]:
-    """Capsules of the links that joints in use move, in the core's frames of these links; and what could not be read.
+    """Capsules of the moving links, in the core's link frames, and sentences about shapes that could not be read.
 
     Args:
-        path: URDF or MJCF that the tree is of; shapes kept beside it by write_shapes() go before its own.
+        path: URDF or MJCF of the tree; shapes beside it from write_shapes() take precedence.
         tree: defines which joints are in use.
 
     Raises:
@@ -406,7 +407,7 @@ def area_m2(capsule: Capsule) -> float:
 
 
 def mjcf_shapes(model: mujoco.MjModel) -> Iterator[tuple[int, Shape]]:
-    """Body and shape, in the body's axes, of what of it collides; of all it shows where nothing does."""
+    """Body index and colliding shapes in the body's axes; all visible shapes where none collide."""
     for body in range(1, model.nbody):
         geoms = range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
         colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
@@ -419,7 +420,7 @@ def mjcf_shapes(model: mujoco.MjModel) -> Iterator[tuple[int, Shape]]:
 
 
 def of_geom(model: mujoco.MjModel, geom: int) -> Shape | None:
-    """In the geom's axes; None: planes, height fields and others that no link is shaped as."""
+    """Shape of a geom in its own axes; None: planes, height fields and others that are no link."""
     size, kinds = model.geom_size[geom], mujoco.mjtGeom
     match model.geom_type[geom]:
         case kinds.mjGEOM_SPHERE:

@@ -1,4 +1,4 @@
-"""Frames of the robot file: those at which forces are reported, and the one that carries the load."""
+"""Frames of the robot file at which forces are reported and loads are attached."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tauext.errors import RobotError
 from tauext.robot.load import PlacedBody, placed_bodies
 from tauext.robot.write import PAYLOAD
 
-# --- Frames of the robot file at which forces can be reported: every link or body that a joint in use moves.
+# --- Frames at which forces can be reported: every link or body that a joint in use moves.
 
 
 def wrench_frames(path: str | os.PathLike[str], tree: Tree) -> list[WrenchFrame]:
-    """Links (URDF) or bodies (MJCF) that a joint in use moves, as seen from the core's frames of their links.
+    """Links (URDF) or bodies (MJCF) that a joint in use moves, placed in the core's link frames.
 
     Args:
         path: URDF or MJCF that the tree is of.
@@ -30,21 +30,21 @@ def wrench_frames(path: str | os.PathLike[str], tree: Tree) -> list[WrenchFrame]
     ]
 
 
-# --- Where a robot file lets something be fixed to the arm: its last fixed frame behind the last joint in use.
+# --- The load frame: the last frame fixed behind the last joint in use.
 
 
 USUAL_FRAMES = ("tool0", "tcp", "end_effector", "ee_link", "flange")
-"""Where several links are fixed to one, the way goes on to a name with the first of these in it, or ends."""
+"""Where several links are fixed to one, the search continues at a name that contains the first of these, or ends."""
 
 
 def load_frame(path: str | os.PathLike[str], tree: Tree, name: str | None = None) -> PlacedBody:
-    """The frame that a load is given in.
+    """The frame in which loads are specified.
 
     Args:
         path: URDF or MJCF that the tree is of.
         tree: defines which joints are in use.
-        name: of a link (URDF) or body (MJCF) that a joint in use moves; None: the last one that is fixed to the link
-            at the end of the arm, else that link itself.
+        name: link (URDF) or body (MJCF) that a joint in use moves; None: the last one fixed to the arm's end link, else
+            that link itself.
 
     Raises:
         RobotError: there is no such link, nothing moves it, or the arm has several ends and none is named.
@@ -53,14 +53,14 @@ def load_frame(path: str | os.PathLike[str], tree: Tree, name: str | None = None
     model, joint_ids, placed = placed_bodies(path, tree)
     if name and name not in (known := [body.name for body in placed if body.name]):
         raise RobotError(
-            f"{path}: load frame {name!r} is no link that a joint in use moves; they are {', '.join(known)}"
+            f"{path}: load frame {name!r} is no link that a joint in use moves; those are {', '.join(known)}"
         )
     number = None if name else _last_fixed(model, joint_ids, tree, path)
     return next(body for body in placed if (body.name == name if name else body.number == number))
 
 
 def _last_fixed(model: mujoco.MjModel, joint_ids: Sequence[int], tree: Tree, path: Path) -> int:
-    """As far as one fixed link follows the other behind the last joint."""
+    """Index of the last body in the chain of fixed links behind the last joint."""
     parents = {link.parent for link in tree.links}
     ends = [k for k in range(tree.size) if k not in parents]
     if len(ends) > 1:

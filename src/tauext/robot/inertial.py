@@ -7,11 +7,11 @@ import numpy as np
 from tauext._core import Link, Tree
 
 PARAMETERS = ("m", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "rotor")
-"""Mass [kg], first moment m com [kg m], inertia about the joint's origin, in the link frame, rotor inertia [kg m^2]."""
+"""Mass [kg], first moment m com [kg m], inertia about the joint's origin in the link frame, rotor inertia [kg m^2]."""
 
 
 def inertial_parameters(link: Link) -> np.ndarray:
-    """(11,) in the order of PARAMETERS: I_origin = I_com + m (|c|^2 1 - c c^T)."""
+    """Return a link's parameters (11,), in the order of PARAMETERS: I_origin = I_com + m (|c|^2 1 - c c^T)."""
     com = np.array(link.com)
     xx, yy, zz, xy, xz, yz = link.inertia
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + point_inertia(link.mass, com)
@@ -38,12 +38,12 @@ def point_inertia(mass: float, arm: np.ndarray) -> np.ndarray:
 
 
 def six_of(inertia: np.ndarray) -> np.ndarray:
-    """xx, yy, zz, xy, xz, yz of a symmetric (3, 3)."""
+    """Return xx, yy, zz, xy, xz, yz of a symmetric (3, 3)."""
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def with_more_at_end(tree: Tree, more: np.ndarray) -> Tree:
-    """The tree whose last link has more of its first parameters, (up to 11,)."""
+    """Return the tree with `more` (up to 11,) added to the first parameters of its last link."""
     links = tree.links
     parameters = inertial_parameters(links[-1])
     parameters[: len(more)] += more
@@ -52,5 +52,5 @@ def with_more_at_end(tree: Tree, more: np.ndarray) -> Tree:
 
 
 def unit_loads(tree: Tree) -> list[Tree]:
-    """The tree with 1 kg more at its last link, and with a first moment of 1 kg m along each of the axes x, y and z."""
+    """Return trees with 1 kg added to the last link, and with a first moment of 1 kg m along x, y and z."""
     return [with_more_at_end(tree, unit) for unit in np.eye(4)]

@@ -32,7 +32,7 @@ _KIND = {
 
 @dataclass(frozen=True)
 class JointChoice:
-    """Joints in use, by their index in the model, and the pose: 0 for those in use, locked positions for the rest."""
+    """Joints in use, by index in the model, and the pose: 0 for joints in use, locked positions for the rest."""
 
     joint_ids: list[int]
     qpos: np.ndarray
@@ -96,15 +96,15 @@ def _check_locked(model: mujoco.MjModel, joint: int, position: float, where: str
         raise RobotError(f"{where}: joint {name!r}: locked position {position} must be finite, [rad or m]")
 
 
-# --- Turn a compiled MuJoCo model into a tree: one link per joint in use, everything rigidly attached fused into it.
+# --- Turn a compiled MuJoCo model into a tree: one link per joint in use, with everything rigidly attached.
 
 
 LEAST = 2e-15
-"""Mass [kg] and inertia [kg m^2] at or below this count as none; MuJoCo's own least mass of a moving body is 1e-15."""
+"""Mass [kg] and inertia [kg m^2] up to this count as zero; MuJoCo's least mass of a moving body is 1e-15."""
 
 
 def carriers(model: mujoco.MjModel, joint_ids: Sequence[int]) -> list[int]:
-    """For each body of the model, the joint in use that carries it, as position in `joint_ids`; -1: it never moves."""
+    """For each body, the joint in use that carries it, as an index into `joint_ids`; -1: it never moves."""
     place = {joint: i for i, joint in enumerate(joint_ids)}
     carrier = [-1] * model.nbody
     for body in range(1, model.nbody):
@@ -117,13 +117,13 @@ def carriers(model: mujoco.MjModel, joint_ids: Sequence[int]) -> list[int]:
 def make_tree(
     model: mujoco.MjModel, joint_ids: Sequence[int], qpos: np.ndarray, gravity: Sequence[float], where: str
 ) -> Tree:
-    """The tree whose q = 0 is the pose `qpos`, in which joints in use stand at 0 and the others where they are locked.
+    """Build the tree whose q = 0 is the pose `qpos`: joints in use at 0, the others where they are locked.
 
-    All quantities are read in the base frame at that pose, where MuJoCo has resolved joint offsets, reference positions
+    All quantities are read in the base frame at that pose. MuJoCo has then resolved joint offsets, reference positions
     and several joints on one body.
 
     Raises:
-        RobotError: a link that moves has no mass, or a number of it makes no sense.
+        RobotError: a moving link has no mass, or one of its numbers is invalid.
     """
     data = posed(model, qpos)
     carrier = carriers(model, joint_ids)
@@ -144,7 +144,7 @@ def make_tree(
         carried = [body for body in range(model.nbody) if carrier[body] == i]
         body = int(model.jnt_bodyid[joint])
         _set_inertia(link, model, data, carried, frames[i], origins[i])
-        # A body of several joints hangs on the last one; the links before it are rightly empty.
+        # A body with several joints belongs to the last one; the links before it are empty by design.
         if link.mass == 0 and carrier[body] == i:
             raise RobotError(
                 f"{where}: joint {link.joint_name!r} moves link {model.body(body).name!r}, which has no mass; "
@@ -158,13 +158,13 @@ def make_tree(
 
 
 def frame_of_joint(data: mujoco.MjData, joint: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and origin, in the base, of the link's frame that this joint moves, at the pose of `data`."""
+    """Rotation and origin, in the base, of the frame of the link that this joint moves, at the pose of `data`."""
     return _frame_along(np.array(data.xaxis[joint])), np.array(data.xanchor[joint])
 
 
 @dataclass(frozen=True)
 class PlacedBody:
-    """A body of the model that a joint in use moves, as seen from the core's frame of its link."""
+    """A body of the model that a joint in use moves, placed in the core's frame of its link."""
 
     number: int
     name: str
@@ -176,7 +176,7 @@ class PlacedBody:
 
 
 def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], list[PlacedBody]]:
-    """The model of a robot file with its fixed links, the tree's joints in it, and the bodies that these move.
+    """A robot file's model with fixed links, the model's indices of the tree's joints, and the bodies they move.
 
     Args:
         path: URDF or MJCF that the tree is of.
@@ -216,7 +216,7 @@ def _parent(model: mujoco.MjModel, joint: int, joint_ids: Sequence[int], carrier
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Rotation with `axis` as its z; turning it about that axis would be as good."""
+    """Rotation with `axis` as its z; the angle about that axis is arbitrary."""
     z = axis / np.linalg.norm(axis)
     x = np.eye(3)[np.argmin(np.abs(z))]
     x = x - (x @ z) * z
@@ -283,7 +283,7 @@ def _check_mimic(model: mujoco.MjModel, k: int, joint_ids: list[int], where: str
     if follower not in joint_ids:
         return
     name = model.joint(follower).name
-    what = f"follows {model.joint(leader).name!r} (mimic)" if leader >= 0 else "is held by an equality"
+    what = f"follows {model.joint(leader).name!r} (mimic)" if leader >= 0 else "is fixed by an equality"
     raise RobotError(
         f"{where}: joint {name!r} {what} and is not independent: lock it, with locked={{{name!r}: position}} "
         "or by leaving it out of `joints`"
@@ -325,13 +325,13 @@ _DROPPED = ("visual", "collision", "material", "limit", "safety_controller")
 
 
 def read_urdf(path: Path) -> mujoco.MjSpec:
-    """MuJoCo's reading of a URDF, after dropping what a tree has no use for: how it looks, what it hits, its limits.
+    """Read a URDF with MuJoCo, without appearance, collision shapes and limits.
 
-    Rotor inertia has no place in the URDF standard; Drake's is understood: in a transmission of one joint,
-    `rotor_inertia` times the square of `gear_ratio`, or of the standard's `mechanicalReduction`, of its actuator.
+    The URDF standard has no rotor inertia; Drake's extension is supported. A transmission of one joint adds its
+    actuator's `rotor_inertia` times the square of `gear_ratio`, or of the standard's `mechanicalReduction`.
 
     Raises:
-        RobotError: the file is a xacro template, a joint's or link's name stands twice, or a number cannot be read.
+        RobotError: the file is a xacro template, two joints or links share a name, or a number cannot be read.
         ElementTree.ParseError, ValueError: the file is no XML, or no URDF to MuJoCo.
     """
     robot = ElementTree.parse(path).getroot()
@@ -355,7 +355,7 @@ def _refuse_xacro(robot: ElementTree.Element, path: Path) -> None:
 
 
 def _refuse_repeated_names(robot: ElementTree.Element, path: Path) -> None:
-    """MuJoCo would silently drop the second name."""
+    """Refuse repeated names: MuJoCo would silently drop the second one."""
     for kind in ("joint", "link"):
         for name, count in Counter(element.get("name") for element in robot.findall(kind)).items():
             if count > 1:
@@ -371,7 +371,7 @@ def _rotor_inertias(robot: ElementTree.Element, path: Path) -> dict[str, float]:
             if "rotor_inertia" not in values:
                 continue
             if len(joints) != 1:
-                raise RobotError(f"{path}: rotor inertia in a transmission of {len(joints)} joints; it must have one")
+                raise RobotError(f"{path}: rotor inertia in a transmission of {len(joints)} joints; it must be one")
             inertia = _number(values, "rotor_inertia", joints[0], path, least=0.0)
             gear = "gear_ratio" if "gear_ratio" in values else "mechanicalReduction"
             ratio = _number(values, gear, joints[0], path) if gear in values else 1.0
@@ -398,7 +398,7 @@ def _number(values: dict[str, str | None], key: str, joint: str, path: Path, lea
 
 
 MOST_JOINTS = 1000
-"""Of a robot file: a humanoid with its hands has a hundred; a chain of ten thousand takes MuJoCo gigabytes."""
+"""Largest number of joints in a file. A humanoid with hands has a hundred; ten thousand take MuJoCo gigabytes."""
 
 
 def load_tree(
@@ -410,25 +410,23 @@ def load_tree(
     """Read a URDF or MJCF file into the tree of its moving joints.
 
     Links, masses, inertia and rotor inertia are read (`armature` of joints and actuators, a motor's times its gear
-    squared); friction, springs, limits, contacts and gravity compensation are not part of a tree. Of a URDF, `visual`
-    and `collision` are dropped before anything is read, so missing meshes are no obstacle.
+    squared). Friction, springs, limits, contacts and gravity compensation are not part of a tree. A URDF's `visual` and
+    `collision` elements are ignored, so meshes may be missing.
 
-    q = 0 of the tree is q = 0 of the file, and link i of the tree belongs to joints[i], in whatever order they are
-    asked for: a link need not come after its parent. What a locked joint carries becomes part of the link before it.
+    q = 0 of the tree is q = 0 of the file. Link i of the tree belongs to joints[i], in any order: a link may precede
+    its parent. Bodies behind a locked joint become part of the link before it.
 
     Args:
         path: URDF or MJCF file.
         joints: joints in use, in the order of the recordings' columns; None: every joint that is not in `locked`,
             depth first from the base.
-        locked: position at which joints that are not in use are held, [rad or m]; one that is not named is held at
-            the file's own rest position: 0, or `ref` in MJCF.
-        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it has
-            nothing.
+        locked: positions at which joints not in use are held, [rad or m]; the others are held at the file's rest
+            position: 0, or `ref` in MJCF.
+        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, else (0, 0, -9.81).
 
     Raises:
-        RobotError: the file is missing, cannot be read or is no fixed-base tree of hinges and slides; a link that moves
-            has no mass; a number makes no sense; a joint is unknown, named twice, both used and locked, or follows
-            another one.
+        RobotError: the file is missing, cannot be read or is no fixed-base tree of hinges and slides; a moving link has
+            no mass; a number is invalid; a joint is unknown, named twice, both used and locked, or follows another one.
     """
     path = Path(path)
     model = compiled(path)
@@ -438,7 +436,7 @@ def load_tree(
 
 
 def movable_joints(path: str | os.PathLike[str]) -> list[str]:
-    """Joints of a robot file that can be in use, depth first: named hinges and slides that follow no other joint.
+    """Names of the joints that can be in use, depth first: hinges and slides that follow no other joint.
 
     Raises:
         RobotError: the file is missing or cannot be read.
@@ -452,7 +450,7 @@ def movable_joints(path: str | os.PathLike[str]) -> list[str]:
 
 
 def robot_sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a robot file's bytes, hexadecimal: it identifies the robot of a recording. Includes are not followed.
+    """SHA-256 of a robot file's bytes, hexadecimal, which identifies a recording's robot; includes are not followed.
 
     Raises:
         RobotError: the file cannot be read.
@@ -464,10 +462,10 @@ def robot_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def compiled(path: Path, keep_fixed: bool = False) -> mujoco.MjModel:
-    """The robot file as MuJoCo understands it.
+    """Compile the robot file with MuJoCo.
 
     Args:
-        keep_fixed: links that are fixed to others stay bodies of their own, where MuJoCo would make one of them.
+        keep_fixed: keep links that are fixed to others as separate bodies; MuJoCo would merge them.
 
     Raises:
         RobotError: the file is missing or cannot be read.
@@ -480,7 +478,7 @@ def compiled(path: Path, keep_fixed: bool = False) -> mujoco.MjModel:
 
 @contextmanager
 def no_mujoco_warnings() -> Iterator[None]:
-    """MuJoCo would print them and write a file in the current folder; relevant problems are checked separately."""
+    """Suppress MuJoCo's warnings, which are printed and written to a file; relevant problems are checked separately."""
     mujoco.set_mju_user_warning(lambda text: None)
     try:
         yield
@@ -490,7 +488,7 @@ def no_mujoco_warnings() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, failed: str) -> Iterator[None]:
-    """What reading a robot file raises becomes a RobotError with its name; `failed` introduces the reader's reason."""
+    """Convert the readers' errors to a RobotError with the file's name; `failed` introduces the reason."""
     try:
         yield
     except RecursionError as error:
@@ -517,8 +515,7 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
             raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
         _refuse_negative_mass(spec, path)
         spec.compiler.fusestatic = spec.compiler.fusestatic and not keep_fixed
-        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree refuses only where it
-        # matters.
+        # MuJoCo refuses any moving body without mass; make_tree refuses one only where its joint is in use.
         spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
         spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
         with warnings.catch_warnings():
@@ -527,7 +524,7 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
 
 
 def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
-    """The least mass and inertia that MuJoCo is given below would hide it."""
+    """Refuse negative mass and inertia, which MuJoCo's lower bounds, set below, would hide."""
     for body in spec.bodies:
         if body.explicitinertial and not (body.mass >= 0 and (body.inertia >= 0).all()):
             raise RobotError(
@@ -536,7 +533,7 @@ def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _root_tag(path: Path) -> tuple[str, int]:
-    """Name of the root element, and how many joints stand in the file, read without keeping it."""
+    """Name of the root element and number of joints, read without keeping the file in memory."""
     root, joints = "", 0
     with path.open("rb") as file:
         for _, element in ElementTree.iterparse(file, events=("start",)):

@@ -1,4 +1,4 @@
-"""Models that are wrong on purpose: the cases of the paper, and no model at all."""
+"""Deliberately wrong models: the cases of the paper, and no model at all."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tauext.errors import ConfigError, RobotError
 from tauext.robot.load import load_tree
 from tauext.robot.write import is_placeholder
 
-# --- Wrong models on purpose: the cases of the paper, and tests of how little the model matters.
+# --- Deliberately wrong models: the cases of the paper.
 
 
 def perturbed(tree: Tree, mass_factor: float = 1.0, com_factor: float = 1.0) -> Tree:
     """The tree with every mass times `mass_factor` and every centre of mass times `com_factor`.
 
-    A centre of mass moves on the line to its joint's origin: 1 leaves it, 0 puts it there. Inertia about the centre of
-    mass and rotor inertia do not change, so neither p nor beta scales as a whole.
+    com_factor scales a centre of mass towards its joint's origin: 1 keeps it, 0 puts it there. Inertia about the centre
+    of mass and rotor inertia do not change, so neither p nor beta scales as a whole.
 
     Raises:
         RobotError: a factor is negative or not finite.
@@ -36,7 +36,7 @@ def perturbed(tree: Tree, mass_factor: float = 1.0, com_factor: float = 1.0) -> 
 
 
 def empty(tree: Tree) -> Tree:
-    """No model: the same joints with neither mass, inertia nor rotor inertia, so that p = beta = 0 in every state."""
+    """Return the same joints without mass, inertia and rotor inertia, so that p = beta = 0 in every state."""
     links: list[Link] = []
     for link in tree.links:
         link.mass = link.rotor_inertia = 0.0
@@ -46,12 +46,12 @@ def empty(tree: Tree) -> Tree:
     return Tree(links, tree.gravity)
 
 
-# --- The estimated model: the robot file as it is, wrong on purpose as in the paper, or none at all.
+# --- The estimated model: the robot file's, a deliberately wrong one as in the paper, or none.
 
 
 def chosen_case(name: CaseName | None, robot: Path) -> tuple[CaseName, str]:
-    """The case asked for; left out: exact, or, where the robot file is a placeholder, none. Beside it what is to be
-    a sentence about such a choice; empty: none.
+    """Resolve the model case: None means exact, or none where the robot file is a placeholder. Returns the case and a
+    sentence about that choice (empty: none).
 
     Raises:
         ConfigError: another case than none, and the robot file is a placeholder.
@@ -69,6 +69,6 @@ def chosen_case(name: CaseName | None, robot: Path) -> tuple[CaseName, str]:
 
 
 def estimated_model(robot: Path, joints: Sequence[str], case: ModelCase) -> Tree:
-    """These joints of the robot file, as the case's wrong or missing model."""
+    """Tree of these joints of the robot file, changed as the case states."""
     tree = load_tree(robot, joints=joints)
     return empty(tree) if case.no_model else perturbed(tree, case.mass_factor, case.com_factor)

@@ -1,4 +1,4 @@
-"""The largest torques of the drives, by the robot file."""
+"""Largest torques of the drives according to the robot file."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from tauext.errors import RobotError
 def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.ndarray:
     """Largest torque of each joint's drive (n,), [N m or N]; infinite where the file states none.
 
-    URDF: `effort` of the joint's limit, where 0 states none. MJCF: the joint's `actuatorfrcrange`, and the `forcerange`
-    of a motor on it times its gear, whichever is less.
+    URDF: `effort` of the joint's limit; 0 means none. MJCF: the lesser of the joint's `actuatorfrcrange` and the
+    `forcerange` of its motor times the gear.
 
     Args:
         path: a file that `tauext.robot.load.load_tree` reads.
         joints: names of moving joints, in the order of the recordings' columns.
 
     Raises:
-        RobotError: an effort that is no number >= 0, an MJCF without one of the joints, or a file that cannot be read.
+        RobotError: an effort is no number >= 0, an MJCF lacks one of the joints, or the file cannot be read.
     """
     path = Path(path)
     try:

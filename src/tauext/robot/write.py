@@ -1,4 +1,4 @@
-"""Write the robot file of a dataset: the arm's own, with payload, rotor inertia and gravity where they were given."""
+"""Write a dataset's robot file: the arm's own, with the given payload, rotor inertia and gravity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_MODEL = "no_model"
 PAYLOAD = "tauext_payload"
 """Name of the link that a payload becomes."""
 NO_MODEL_MASS_KG = 1e-9
-"""Of each link of a placeholder: small enough to weigh nothing, since a link that moves must have a mass."""
+"""Mass of each link of a placeholder, [kg]: negligible but not zero, since a moving link must have a mass."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Payload:
     link: str
     mass_kg: float
     com_m: Sequence[float]
-    """In the link's frame."""
+    """Centre of mass in the link's frame, [m]."""
     inertia_kg_m2: Sequence[float]
-    """About its centre of mass along the link's axes: xx, yy, zz, xy, xz, yz."""
+    """Inertia about the centre of mass along the link's axes: xx, yy, zz, xy, xz, yz."""
 
 
 def write_robot(
@@ -42,10 +42,10 @@ def write_robot(
     payload: Payload | None = None,
     gravity: Sequence[float] | None = None,
 ) -> Path:
-    """Copy a URDF or MJCF into a folder as robot.urdf or robot.xml, with what was given put in; returns its path.
+    """Copy a URDF or MJCF into a folder as robot.urdf or robot.xml with the given changes; returns its path.
 
-    Without anything to put in a URDF is copied byte for byte. An MJCF is rewritten from MuJoCo's model, without shapes
-    and meshes, whose files would be missing.
+    Without changes a URDF is copied byte for byte. An MJCF is rewritten from MuJoCo's model without shapes and meshes,
+    whose files would be missing.
 
     Args:
         rotor_inertia: joint: motor inertia [kg m^2] and gear ratio; it replaces the file's value of that joint.
@@ -68,9 +68,9 @@ def write_robot(
 
 
 def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
-    """A robot.urdf for an arm without a model: these joints in a row, whose links weigh nothing; returns its path.
+    """Write a robot.urdf for an arm without a model: these joints in series with massless links; returns its path.
 
-    It gives momentum and gravity of zero, to rounding; its axes and lengths are invented.
+    Its momentum and gravity are zero up to rounding; its axes and lengths are arbitrary.
     """
     root = ElementTree.Element("robot", name=NO_MODEL)
     root.append(ElementTree.Comment(" no model was given: axes and lengths are made up, masses nil "))
@@ -89,7 +89,7 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
 
 
 def is_placeholder(path: Path) -> bool:
-    """Whether a robot file is one of write_placeholder, which stands for no model; what cannot be read is none."""
+    """Whether write_placeholder() wrote this robot file, that is, there is no model; False if unreadable."""
     try:
         expect_file(path)
         return ElementTree.parse(path).getroot().get("name") == NO_MODEL
@@ -148,7 +148,7 @@ def _changed_mjcf(
 ) -> str:
     spec = mujoco.MjSpec.from_file(str(source))
     model = spec.compile()
-    for body in spec.bodies[1:]:  # a mass that came from shapes must outlive them
+    for body in spec.bodies[1:]:  # keep a mass that was computed from shapes
         row = model.body(body.name).id if body.name else body.id
         body.mass, body.ipos, body.iquat = model.body_mass[row], model.body_ipos[row], model.body_iquat[row]
         body.inertia, body.fullinertia = model.body_inertia[row], [float("nan")] + [0.0] * 5
@@ -183,7 +183,7 @@ def _changed_mjcf(
 def _require(source: Path, kind: str, name: str, there: list[str]) -> None:
     if name not in there:
         near = difflib.get_close_matches(name, there, 3, 0.3)
-        hint = f"near to it: {', '.join(near)}" if near else f"its {kind}s are {', '.join(there)}"
+        hint = f"similar: {', '.join(near)}" if near else f"its {kind}s are {', '.join(there)}"
         raise RobotError(f"{source}: no {kind} {name!r}; {hint}")
 
 

@@ -1,5 +1,5 @@
 """Stages that write bundles: training, calibration of limits, refit.
 
-In goes a dataset and settings, or a bundle and new recordings. Out come a bundle and the facts of its provenance. It
+Input: a dataset and settings, or a bundle and new recordings. Output: a bundle and the facts of its provenance. It
 imports the packages before it; it prints nothing.
 """

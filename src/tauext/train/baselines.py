@@ -1,4 +1,4 @@
-"""Every method that tauext is compared with, as bundles of one dataset."""
+"""Bundles of all methods that tauext is compared with, from one dataset."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ def train_baselines(
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
 ) -> dict[str, Path]:
-    """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
+    """Train the baselines into folder/NAME.tauext; returns the bundles by name, simplest first.
 
-    Limits keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
-    is finished with these settings is kept. What cannot exist for the case is left out, and the reason reported.
+    With calibration recordings all limits keep the same promise; else they are the paper's. Bundles already finished
+    with these settings are kept. Baselines that the case does not allow are left out, and the reason is reported.
 
     Args:
         robot: URDF or MJCF; None: the dataset's own.
-        case_name: None: as chosen_case.
+        case_name: None: see chosen_case().
         names: train only these; None: all.
         skip: leave these out.
-        accept: as of train_bundle.
+        accept: see train_bundle().
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.
-        ConfigError: a name that is none of theirs, a bundle of other settings in the folder, no training recording,
-            or a case that the dataset has no model for.
+        ConfigError: an unknown name, a bundle with other settings in the folder, no training recording, or a case that
+            needs a model that the dataset lacks.
     """
     known = baselines()
     for name in (*(names or ()), *skip):
@@ -73,7 +73,7 @@ def train_baselines(
     if missing:
         training, validation = dataset.training(), dataset.recordings("validation")
         given = Given(robot_file, case, training, validation, calibration)
-        # One check for all: none of them uses more than limits that keep a promise do.
+        # One check for all: none of them uses more data than promised limits.
         checked = check_data(dataset, given, TrainConfig(seed=seed, threads=threads), accept, report)
         for name, config in missing.items():
             train_on_recordings(given, config, bundles[name], report, checked, accept=accept)

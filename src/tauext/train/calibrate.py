@@ -1,4 +1,4 @@
-"""Limits of a bundle from calibration recordings: put into one that is being trained, or into a copy of one."""
+"""Limits from calibration recordings, for a bundle in training or a copy of a bundle."""
 
 from __future__ import annotations
 
@@ -49,24 +49,24 @@ def recalibrate(
     refit_error_scale: bool = False,
     accept: Sequence[str] = (),
 ) -> PromisedLimits:
-    """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
+    """Write a copy of a bundle with limits for another promise or from other recordings; nothing is trained.
 
-    First the quick checks (tauext.check) run on every recording: faults refuse, warnings are reported and kept.
-    A killed or interrupted run goes on with the recording after the last one that was taken in.
+    The quick checks (tauext.check) run first on every recording: faults are refused, warnings are reported and stored.
+    An interrupted run resumes after its last finished recording.
 
-    Its run file, with what the first one knew, and its wall time stand beside it.
+    Its run file, with the first one's content, and its wall time are written beside it.
 
     Args:
-        dataset: its calibration recordings are used.
-        refit_error_scale: find anew how errors grow with the motion, on the first SCALE_SHARE of the recordings; limits
-            follow from the others, since what was fitted to a recording has no surprises there.
+        dataset: dataset with calibration recordings.
+        refit_error_scale: refit the error scale to the first SCALE_SHARE of the recordings; limits follow from the
+            others, since errors of a fit are too small on its own data.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
 
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.
-        ConfigError: the dataset has no calibration recordings, or too few to set some apart.
-        BundleError: there is no such bundle.
-        BundleError, TrainingError: as calibrate_bundle.
+        ConfigError: the dataset has no calibration recordings, or too few for refit_error_scale.
+        BundleError: the bundle does not exist.
+        BundleError, TrainingError: see calibrate_bundle().
     """
     started = time.monotonic()
     expect_codes(accept)
@@ -97,7 +97,7 @@ def recalibrate(
 
 
 def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
-    """One after the other, each one of the bundle's robot, rate and timing."""
+    """Load the recordings one by one and check that they have the bundle's robot, rate and timing."""
     for recording in ahead(loaders):
         expect_fit(bundle, recording)
         yield recording
@@ -106,10 +106,10 @@ def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) ->
 def refit_scale(
     bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], threads: int, report: Reporter = SILENT
 ) -> tuple[Sequence[Callable[[], Recording]], dict]:
-    """Fit the error scale to the first recordings; the others' loaders, and the facts for the provenance.
+    """Fit the error scale to the first recordings; returns the other loaders and facts for provenance.
 
     Raises:
-        ConfigError: there is one recording only.
+        ConfigError: there is only one recording.
         TrainingError: no free motion, or too much that is impossible.
     """
     if len(loaders) < 2:
@@ -129,7 +129,7 @@ def refit_scale(
 
 
 def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_out: LeftOut) -> Recording:
-    """The recording, whose name is noted and whose impossible samples are counted: the bundle refuses them itself."""
+    """Return the recording after noting its name and counting impossible samples, which the bundle refuses itself."""
     expect_fit(bundle, recording)
     names.append(recording.name)
     left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
@@ -137,10 +137,10 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
 
 
 def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
-    """Report impossible samples of the recordings; returns the facts for the provenance.
+    """Report impossible samples of the recordings; returns facts for provenance.
 
     Raises:
-        TrainingError: too many samples were.
+        TrainingError: too many samples are impossible.
     """
     left_out.expect_few()
     if not left_out.found:
@@ -151,7 +151,7 @@ def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
 
 @contextmanager
 def no_freeze(bundle: _core.Bundle) -> Iterator[None]:
-    """Limits that are to be replaced must not freeze the drift tracker while the new ones are found."""
+    """Keep limits to be replaced from freezing the drift tracker while new ones are found."""
     share, bundle.drift.freeze_share = bundle.drift.freeze_share, 0.0
     try:
         yield
@@ -169,14 +169,14 @@ def calibrate_bundle(
     report: Reporter = SILENT,
     out: Place | None = None,
 ) -> tuple[PromisedLimits, dict]:
-    """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
+    """Set the bundle's limits from the recordings; returns their promise and facts for provenance.
 
-    A checkpoint beside `out`, the bundle to be written, lets a killed process resume. The caller that writes the bundle
+    A checkpoint beside `out`, the bundle to write, lets an interrupted run resume. The caller that writes the bundle
     calls `remove_checkpoint`.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.
-        TrainingError: no free motion, too few peaks to say anything, or too much that is impossible.
+        TrainingError: no free motion, too few peaks, or too many impossible samples.
     """
     kept = kept_peaks(out, bundle, loaders, [asdict(alarm), asdict(margins)])
     names = list(kept.names) if kept else []
@@ -184,7 +184,7 @@ def calibrate_bundle(
     with report.progress(f"calibrate {name}") as show:
 
         def load_all() -> Iterator[Recording]:
-            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is reported again
+            for recording in ahead(loaders[: len(names)]):  # their impossible samples are reported again
                 left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
             for recording in ahead(loaders[len(names) :]):
                 yield counted(bundle, recording, names, left_out)
@@ -202,7 +202,7 @@ def calibrate_bundle(
 def kept_peaks(
     out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
 ) -> KeptPeaks | None:
-    """Checkpoint of a killed process for these files and this bundle; None: none."""
+    """Checkpoint of an interrupted run for these files and this bundle; None: none."""
     if out is None or not all(isinstance(load, partial) for load in loaders):
         return None
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
@@ -212,16 +212,16 @@ def kept_peaks(
 
 
 def file_of(load: Callable[[], Recording]) -> Place:
-    """That a dataset's loader reads."""
+    """File that a dataset's loader reads."""
     assert isinstance(load, partial)
     return place_of(load.args[0])
 
 
 def checkpoint_file(out: Place) -> Path:
-    """Where the work on a bundle's limits is kept: on this machine."""
+    """Path of the checkpoint for a bundle's limits, on this machine."""
     return at_home(out).with_suffix(".limits.half-done")
 
 
 def remove_checkpoint(out: Place) -> None:
-    """Delete the checkpoint; the bundle is written."""
+    """Delete the checkpoint after the bundle is written."""
     checkpoint_file(out).unlink(missing_ok=True)

@@ -1,12 +1,12 @@
-r"""How errors grow with the motion: the weights of the core's error scale (cpp/src/error_scale.hpp).
+r"""Growth of errors with the motion: weights of the core's error scale (cpp/src/error_scale.hpp).
 
-With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion
-that nothing was trained on, the scale sigma = sum_m w_m F_m minimises
+With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion not
+used in training, the scale sigma = sum_m w_m F_m minimises
 
 .. math:: \overline{\ln\sigma} + \frac1p \ln\overline{(e/\sigma)^p}, \qquad w \ge 0,
 
-which no factor on sigma changes. p = 2 is the likelihood of a normal error of that standard error. A larger p asks for
-the moments that set a limit: the scale whose limit, p-th moments taken for largest values, is lowest on average.
+which is independent of a factor on sigma. p = 2 is the likelihood of a normal error with standard error sigma. A larger
+p weights the largest errors, which set a limit: the average limit becomes lowest.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from tauext.data.free_motion import free_samples, standing_joints
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 
-# --- What limits are found on: samples of free motion, and the error that a bundle makes there.
+# --- Samples of free motion from which limits follow, and the bundle's error there.
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A recording, which of its samples count, and who is judged on them."""
+    """A recording, the span that counts, and the bundle evaluated on it."""
 
     recording: Recording
     span: slice = field(default_factory=lambda: slice(None))
     bundle: _core.Bundle | None = None
-    """A stand-in that was fitted without these samples; None: the bundle itself, which never saw them."""
+    """A bundle fitted without these samples; None: the bundle itself, whose training did not contain them."""
 
 
 def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
-    """Each recording once, however many spans of it are judged."""
+    """Each recording once, for any number of spans."""
     return list({id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}.values())
 
 
@@ -48,11 +48,11 @@ def errors(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
 
-    |tau_ext| is divided by the error scale of whoever judges, where it has one: what it would be in usual motion.
+    |tau_ext| is divided by the bundle's error scale, if any, which gives its size in usual motion.
 
-    Counted are samples of free motion within the span at which an alarm could rise: where tau_ext is held against the
-    limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
-    that filters are warm where the span begins.
+    Samples of free motion within the span count where tau_ext is compared with limits; that includes saturated drives,
+    although they are unhealthy. The whole recording runs through the chain, so that filters are warm at the span's
+    start.
     """
     estimates, error, counted = judge(bundle, judged, threads, margins)
     recording = judged.recording if isinstance(judged, Judged) else judged
@@ -62,7 +62,7 @@ def errors(
 def judge(
     bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """All estimates of the recording, and of errors() |tau_ext| and which samples count."""
+    """All estimates of the recording, and |tau_ext| and counted samples as in errors()."""
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -74,27 +74,27 @@ def judge(
         & np.isfinite(estimates["tau_ext"]).all(axis=1)
         & free_samples(recording, margins)
     )
-    # What the prior's doubt raises the limits by is no error that limits must stand.
+    # Limits are raised by the prior's doubt, so it is not part of the error.
     error = np.maximum(np.abs(estimates["tau_ext"]) - estimates["doubt"], 0) / estimates["limit_scale"]
     return estimates, error, counted
 
 
 def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:
-    """What to raise where no recording holds a sample that counts."""
+    """Error for recordings without a sample that counts."""
     warm_s = warm_up_s(bundle.observer.gain_per_s, bundle.observer.low_pass_per_s)
     window = " and the network's window" if bundle.has_network else ""
     return TrainingError(
-        f"limits need free motion: no recording holds any beyond the warm-up of {warm_s:g} s{window}, with "
+        f"limits need free motion: no recording has any beyond the warm-up of {warm_s:g} s{window}, with "
         f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact left out"
     )
 
 
-# --- The paper's limits: what free motion that the network was not trained on reached at most.
+# --- The paper's limits: the largest values in free motion not used in training.
 
 
 @dataclass(frozen=True)
 class LevelLimits:
-    """Limits of one level of the alarm: what |tau_ext| of a joint must exceed, [N m]."""
+    """Limits of |tau_ext| of one level of the alarm, [N m]."""
 
     sliding_nm: np.ndarray  # (n,)
     near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
@@ -108,14 +108,14 @@ def paper_limits(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> LevelLimits:
-    """Largest |tau_ext| of each joint on validation free motion, sliding and near stiction apart [Lim2021].
+    """Largest |tau_ext| of each joint on validation free motion, separately for sliding and near stiction [Lim2021].
 
-    Where a joint was never near stiction, or less wrong there, its near-stiction limit is the sliding one: a stuck
-    joint's friction is known no better than a moving one's. A joint that never slid has in both regions the limit that
-    it has at rest: its errors in motion are unknown, and `warning` states it. Contacts, with margins, are left out.
+    A joint that was never near stiction, or has smaller errors there, gets the sliding limit in both regions: friction
+    at rest is no more certain than in motion. A joint that never slid gets its limit at rest in both regions; its
+    errors in motion are unknown, and `warning` states it. Contacts, with margins, are left out.
 
     Raises:
-        TrainingError: no healthy sample of free motion, or a joint whose |tau_ext| is zero throughout.
+        TrainingError: no healthy sample of free motion, or |tau_ext| of a joint is zero throughout.
     """
     n = bundle.joints
     sliding, near, samples = np.zeros(n), np.zeros(n), 0
@@ -141,13 +141,14 @@ def paper_limits(
 
 
 def at_rest_sentence(joints: Sequence[str], of: int) -> str:
-    """What limits of joints that stood still are worth, in words."""
+    """Sentence on the limits of joints that stood still."""
     which = "no joint moves" if len(joints) == of else f"{', '.join(joints)} stand{'s' * (len(joints) == 1)} still"
     return f"limits at rest only: {which} in the recordings; in motion expect false alarms"
 
 
 def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) -> None:
-    """Put limits and hold times into a bundle. The paper has one limit: contact and collision differ in time only."""
+    """Set limits and hold times of a bundle. The paper has one limit: contact and collision differ in hold time
+    only."""
     bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = limits.sliding_nm.tolist()
     bundle.near_stiction_limit_nm = bundle.contact_near_stiction_limit_nm = limits.near_stiction_nm.tolist()
     bundle.hold_s = alarm.collision_hold_s
@@ -156,14 +157,14 @@ def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) ->
 
 
 def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float = 0.0) -> None:
-    """Multiply every limit of a bundle, in both regions and of both alarms, and add so much of each joint, [N m]."""
+    """Multiply all limits of a bundle by `factor` and add `by_nm`, one a joint or for all, [N m]."""
     for kind in ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction"):
         name = f"{kind}_limit_nm"
         setattr(bundle, name, (factor * np.array(getattr(bundle, name)) + by_nm).tolist())
 
 
 def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
-    """What a joint's speed stays below for 95 % of the recording where that is largest, (n,), [rad/s]."""
+    """Largest 95 % quantile of each joint's speed over the recordings, (n,), [rad/s]."""
     speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
     return np.max(speeds, axis=0)
 
@@ -173,24 +174,24 @@ def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
 
 FEATURES = tuple(_core.MotionFeature)
 SHARP_HOURS = 1.0
-"""With so much left-out motion the limits' scale is fitted to its largest errors, with less more to all of them ..."""
+"""Hours of held-out motion from which the limits' scale is fitted to the largest errors, with power SHARP ..."""
 SHARP, BLUNT = 8.0, 4.0
-"""... by these powers p."""
+"""... and below which to all errors, with power BLUNT."""
 STOOD_S = 60.0
-"""A joint that stood for less than this in all of the motion showed too little of what its friction hides at rest:
-there its limit is that of usual motion at least."""
+"""Least time at rest for a limit at rest. A joint that rested less gets at least the limit of usual motion, since
+friction at rest may hide more."""
 LEAST_CONSTANT = 0.05
-"""Of usual motion's scale: no motion makes limits vanish."""
+"""Least constant as a share of usual motion's scale, which keeps limits above zero."""
 STANDS_RAD_S = 0.002
-"""A joint slower than this stands."""
+"""Speed below which a joint rests."""
 MOST_ROWS = 1_000_000
-"""Over an hour and a half at the network's rate."""
+"""Largest number of rows: over an hour and a half at the network's rate."""
 LEAST_ROWS = 300
-"""A region with fewer rows takes the standard error of both."""
+"""A region with fewer rows uses the standard error of both."""
 RESERVE_SPEED_RAD_S = 3.0
-"""Up to this speed the reserve for friction grows."""
+"""Speed up to which the friction reserve grows."""
 ONE_SIGMA = 0.6827
-"""Share of errors within one standard error, as of a normal one: sigma is scaled to it."""
+"""Share of normal errors within one standard error; sigma is scaled to it."""
 
 
 @dataclass(frozen=True)
@@ -201,14 +202,14 @@ class Rows:
     near_stiction: np.ndarray  # (rows, joints), bool
     features: np.ndarray  # (rows, joints, features)
     period_s: float
-    """Between two rows of a recording."""
+    """Period between two rows of a recording."""
     t_ns: np.ndarray  # (rows,)
     recording: np.ndarray  # (rows,): its number in `recordings`
     recordings: tuple[str, ...]
 
     @property
     def hours(self) -> float:
-        """Of motion."""
+        """Hours of motion."""
         return len(self.error_nm) * self.period_s / 3600
 
     @property
@@ -217,7 +218,7 @@ class Rows:
         return SHARP if self.hours >= SHARP_HOURS else BLUNT
 
     def only(self, inside: np.ndarray) -> Rows:
-        """Those of them, (rows,) bool or indices."""
+        """Select rows, by (rows,) bool or indices."""
         return replace(
             self,
             error_nm=self.error_nm[inside],
@@ -233,11 +234,10 @@ def fit_error_scale(
     rows: Rows,
     drift: DriftConfig = DriftConfig(),  # noqa: B008
 ) -> dict:
-    """Put an error scale into a bundle that has none, and the floor of its drift tracker's freeze; the facts for its
-    provenance.
+    """Set a bundle's error scale and the floor of its drift tracker's freeze; returns facts for provenance.
 
     Args:
-        rows: of the bundle's errors (collect_rows).
+        rows: the bundle's errors (collect_rows).
     """
     bundle.error_scale = scale_of(rows)
     if bundle.drift.time_constant_s > 0:
@@ -248,7 +248,7 @@ def fit_error_scale(
 
 
 def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
-    """Give a bundle with constant limits the standard error of these rows, sliding and near stiction; limits stay."""
+    """Set the standard errors of a bundle with constant limits from these rows, sliding and near stiction."""
     scale = _core.ErrorScaleSettings()
     scale.features = [_core.MotionFeature.constant]
     scale.limit_weights = scale.largest = [1.0] * bundle.joints
@@ -263,7 +263,7 @@ def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
 
 
 def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
-    """The error scale that fits these rows."""
+    """Fit an error scale to these rows."""
     joints = rows.error_nm.shape[1]
     weights = np.array([limit_weights(rows, j) for j in range(joints)])
     scale = _core.ErrorScaleSettings()
@@ -287,14 +287,14 @@ def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
 def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per_speed: np.ndarray) -> None:
     """Add a share of the friction, at_rest_nm + per_speed |dq|, to limits that follow the error.
 
-    It stands in the weights of the constant and of the speed, in units of the sliding collision limit; other limits get
-    it in proportion to theirs.
+    The weights of the constant and the speed contain it, in units of the sliding collision limit; other limits grow in
+    proportion.
     """
     scale, level = bundle.error_scale, np.array(bundle.sliding_limit_nm)
     weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
     weights[:, FEATURES.index(_core.MotionFeature.constant)] += share * at_rest_nm / level
     weights[:, FEATURES.index(_core.MotionFeature.speed)] += share * per_speed / level
-    # What bounds the scale was the largest of training motion: at most the friction of a very high speed more.
+    # The bound was the largest scale in training motion; add at most the friction at a very high speed.
     scale.largest = (np.array(scale.largest) + share * (at_rest_nm + per_speed * RESERVE_SPEED_RAD_S) / level).tolist()
     scale.limit_weights = weights.ravel().tolist()
     bundle.error_scale = scale
@@ -302,7 +302,7 @@ def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per
 
 @dataclass(frozen=True)
 class LeftOutErrors:
-    """What limits that follow the error would be on motion that nothing was trained on."""
+    """Limits that follow the error, on motion not used in training."""
 
     usual_limit_nm: np.ndarray  # (joints,): sliding, in usual motion
     limit_nm: np.ndarray  # (rows, joints)
@@ -311,7 +311,7 @@ class LeftOutErrors:
 def left_out_errors(
     bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> LeftOutErrors:
-    """The limits that nothing of this motion passes, as they follow its largest standardised errors.
+    """Find limits from the largest standardised errors, which this motion does not exceed.
 
     Raises:
         TrainingError: no free motion.
@@ -328,10 +328,10 @@ def left_out_errors(
 
 
 def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) -> np.ndarray:
-    """What a joint's |tau_ext| must be over to freeze the drift tracker, (joints,), [N m].
+    """Least |tau_ext| that freezes the drift tracker, (joints,), [N m].
 
-    One multiple of every joint's RMS error: the one that lets the tracker stand still in config.most_frozen of these
-    rows, freeze_s after each row over it included.
+    It is a common multiple of the joints' RMS errors. The multiple freezes the tracker in config.most_frozen of these
+    rows, including freeze_s after each row above it.
 
     Args:
         error_nm: (rows, joints), period_s apart.
@@ -339,7 +339,7 @@ def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) 
     rms = np.sqrt(np.mean(error_nm**2, axis=0))
     over = (error_nm / np.maximum(rms, 1e-300)).max(axis=1)
     back = max(1, round(config.freeze_s / period_s) + 1)
-    recent = maximum_filter1d(over, back, origin=(back - 1) // 2)  # of this row and those before it
+    recent = maximum_filter1d(over, back, origin=(back - 1) // 2)  # includes this row and those before it
     return float(np.quantile(recent, 1 - config.most_frozen)) * rms
 
 
@@ -349,7 +349,7 @@ def collect_rows(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> Rows:
-    """Errors and features of free motion, a row a network period, or as many fewer as MOST_ROWS ask for.
+    """Collect errors and features of free motion, one row a network period, thinned to at most MOST_ROWS.
 
     Raises:
         TrainingError: no free motion.
@@ -370,7 +370,7 @@ def collect_rows(
         number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
         found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))
         count += len(at)
-        if count > MOST_ROWS:  # every other one of all serves as well
+        if count > MOST_ROWS:  # thin out evenly
             found = [tuple(column[::2] for column in rows) for rows in found]
             count, stride = sum(len(rows[0]) for rows in found), 2 * stride
     if not found:
@@ -381,7 +381,7 @@ def collect_rows(
 
 
 def limit_weights(rows: Rows, joint: int) -> np.ndarray:
-    """Weights of a joint's limits, (features,): their scale is 1 in the median, and never below LEAST_CONSTANT."""
+    """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below LEAST_CONSTANT."""
     features = rows.features[:, joint]
     weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
     weights = weights / float(np.median(features @ weights))
@@ -394,7 +394,7 @@ def limit_weights(rows: Rows, joint: int) -> np.ndarray:
 
 
 def unit_scale(joints: int) -> _core.ErrorScaleSettings:
-    """All features, and a scale of 1 whatever the motion."""
+    """Scale with all features that is 1 for any motion."""
     scale = _core.ErrorScaleSettings()
     scale.features = list(FEATURES)
     constant = [1.0] + [0.0] * (len(FEATURES) - 1)
@@ -404,10 +404,9 @@ def unit_scale(joints: int) -> _core.ErrorScaleSettings:
 
 
 def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Weights of the standard error, scaled so that as many errors lie within it as of a normal one.
+    """Weights of the standard error, scaled so that as many errors lie within it as of normal ones.
 
-    Where that is none, since most errors are 0 (a servo that stands at its goal to the count), it is their root mean
-    square.
+    If most errors are 0 (a servo exactly at its goal), the scale is their root mean square.
     """
     weights = fit_weights(features, error, 2.0)
     sigma = features @ weights
@@ -417,8 +416,8 @@ def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:
-    """The weights w >= 0 of the module's equation, (features,), of any scale; the constant's is above 0."""
-    if not error.any():  # whatever the motion, no error: the constant alone
+    """Fit the weights w >= 0 of the module's equation, (features,), up to a factor; the constant's is above 0."""
+    if not error.any():  # no error in any motion: only the constant
         return np.r_[1.0, np.zeros(features.shape[1] - 1)]
     size = features.mean(axis=0)
     used = size > 0

@@ -22,11 +22,11 @@ from tauext.fit.training_set import Setup, with_presliding
 from tauext.recipes import FULL_PRIOR
 from tauext.train.preparation import Job
 
-# --- The observer, and what a recipe fits to its r: a prior, by the function that the recipe's row names.
+# --- The observer, and a recipe's prior, fitted to r by the function in the recipe's row.
 
 
 class Fit(Protocol):
-    """What a row's `fit` names."""
+    """Signature of the `fit` in a recipe's row."""
 
     def __call__(
         self,
@@ -37,12 +37,12 @@ class Fit(Protocol):
         report: Callable[[str], None],
         known: Kinematics | None,
     ) -> PriorFit:
-        """A prior for the setup, from free motion.
+        """Fit a prior to free motion.
 
         Args:
-            setup: without a prior; with presliding states where the row has them.
-            report: receives a line about what was found.
-            known: an arm that was found in the motion before, where there is no model.
+            setup: without a prior; with presliding states if the row has them.
+            report: receives a line about the result.
+            known: an arm already found in the motion, without a model.
 
         Raises:
             TrainingError: too little motion.
@@ -50,25 +50,25 @@ class Fit(Protocol):
 
 
 def observe(job: Job, gain_per_s: float | None = None) -> Setup:
-    """The setup up to r: the estimated model, torque constants, and the observer and filters of the recipe.
+    """Build the setup up to r: estimated model, torque constants, and the recipe's observer and filters.
 
     Args:
-        gain_per_s: of the observer; None: that of the settings, or the paper's where it is still to be chosen.
+        gain_per_s: observer gain; None: that of the settings, or the paper's while it is still to be chosen.
 
     Raises:
-        TrainingError: the recordings' joints are not the model's, or a rate is not that of the others.
+        TrainingError: the recordings' joints differ from the model's, or their rates differ.
     """
     config = job.config.observer if gain_per_s is None else replace(job.config.observer, gain_per_s=gain_per_s)
     setup = build_setup(job.tree, job.training[0], config, job.config.recipe, job.config.filters)
     setup = replace(setup, threads=job.threads)
-    rate_tolerance(job.training, setup.observer)  # refuses before anything is learned
+    rate_tolerance(job.training, setup.observer)  # fails early
     if job.constants is None:
         return setup
     return replace(setup, observer=with_constants(setup.observer, job.constants.used))
 
 
 def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:
-    """The recipe's prior from this motion; None: it has none.
+    """Fit the recipe's prior to this motion; None: the recipe has none.
 
     Raises:
         TrainingError: too little motion.
@@ -85,14 +85,14 @@ def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorF
 
 
 def with_fit(setup: Setup, fit: PriorFit | None) -> Setup:
-    """The setup with the prior that was fitted, if there is one."""
+    """Return the setup with the fitted prior, if any."""
     return setup if fit is None else replace(setup, prior=fit.settings)
 
 
 def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
-    """Facts of the prior, and what of the bundle follows from it: the limits' region, and how far drift is followed.
+    """Set the prior's facts, the limits' region and the bounds of the drift tracker.
 
-    Behind the gate, which judges what the prior leaves, not what drifts.
+    Called after the gate, which compares residuals without drift tracking.
     """
     if fit is None:
         return
@@ -105,7 +105,7 @@ def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
 
 
 def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
-    """Add the coverage of training motion, where the recipe has it, and its facts."""
+    """Add the coverage of training motion and its facts, if the recipe has it."""
     if not job.config.row.coverage:
         return
     fit = fit_coverage(setup, job.motion.uncut)
@@ -116,16 +116,16 @@ def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
 
 
 def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
-    """Set the presliding width that decides which region's limits hold."""
+    """Set the presliding width that decides which region's limits apply."""
     if fit.settings.widths_rad:
         bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
 
 
-# --- A training that starts where a fleet of the same type already is.
+# --- Training from a fleet prior of the same arm type.
 
 
 def like_settings(config: TrainConfig, like: FleetPrior | None) -> TrainConfig:
-    """The settings with the fleet's observer gain, unless a number was asked for.
+    """Return the settings with the fleet's observer gain, unless they have a number.
 
     Raises:
         ConfigError: the recipe has no prior that a fleet prior could replace.
@@ -133,14 +133,14 @@ def like_settings(config: TrainConfig, like: FleetPrior | None) -> TrainConfig:
     if like is None:
         return config
     if config.row.fit != FULL_PRIOR["fit"]:
-        raise ConfigError(f"like: recipe = {config.recipe} must be tauext or prior, whose weights a fleet prior holds")
+        raise ConfigError(f"like: recipe = {config.recipe} must be tauext or prior, whose weights a fleet prior has")
     if isinstance(config.observer.gain_per_s, int | float):
         return config
     return replace(config, observer=replace(config.observer, gain_per_s=like.gain_per_s))
 
 
 def arm_type(job: Job, setup: Setup) -> ArmType:
-    """What a fleet's arms must have in common with this one."""
+    """Properties that a fleet's arms must share with this one."""
     training = job.training[0]
     return ArmType(
         joints=job.joints,
@@ -154,7 +154,7 @@ def arm_type(job: Job, setup: Setup) -> ArmType:
 
 
 def units_of(job: Job) -> tuple[str, ...]:
-    """Of each joint's torque as the prior sees it: newton metres, or this arm's own unit."""
+    """Unit of each joint's torque in the prior: newton metres, or this arm's own unit."""
     if job.constants is None:
         return (job.units.given.name,) * len(job.joints)
     unknown = job.units.unknown or [0] * len(job.joints)
@@ -163,13 +163,13 @@ def units_of(job: Job) -> tuple[str, ...]:
 
 
 def expect_like(job: Job, setup: Setup) -> None:
-    """Raise ConfigError where the fleet's arms are of another type than this one."""
+    """Raise ConfigError if the fleet's arms are of another type."""
     if job.like is not None:
         job.like.type.expect(arm_type(job, setup), "the fleet prior", job.name)
 
 
 def like_facts(like: FleetPrior) -> dict:
-    """For provenance: which fleet prior, by its content."""
+    """Facts that identify the fleet prior by content, for provenance."""
     errors = like.errors
     return {
         "sha256": like.sha256,

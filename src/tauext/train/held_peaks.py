@@ -1,4 +1,4 @@
-"""Peaks of the error in free motion that an alarm with a hold time sees, and moments that decide a limit."""
+"""Peaks of the error in free motion behind a hold time, and moments that alone determine a limit."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
 from tauext.train.error_scale import Judged, errors, no_free_motion
 
-# --- What an alarm with a hold time sees of an error: the least of the last samples.
-#
-# An alarm rises at sample k when |tau_ext| of a joint has been over its limit L without a break since a sample that is
-# `hold_s` old or older. So it rises over L exactly where the held minimum does:
+# --- Held minimum: the error that remains behind a hold time.
+# An alarm rises at sample k when |tau_ext| of a joint was over its limit L at all samples since one that is `hold_s`
+# old or older. Equivalently, the held minimum exceeds L:
 #
 # .. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
 #
-# and m stands for |tau_ext| wherever limits are compared. With no hold time m is |tau_ext| itself.
+# m replaces |tau_ext| wherever limits are compared. Without hold time m is |tau_ext| itself.
 
 
 def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
-    """m of every sample: the least |tau_ext| of the last hold_samples + 1 samples, (samples,), [N m]; exact.
+    """Least |tau_ext| of the last hold_samples + 1 samples, for every sample, (samples,), [N m].
 
     NaN where one of them is unhealthy or NaN, or would lie before the first: no alarm can rise there.
 
@@ -39,13 +38,13 @@ def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | n
         hold_samples: one number for all samples, or one for each, (samples,), as `hold_lengths` gives.
 
     Raises:
-        ConfigError: shapes that differ, or hold_samples < 0.
+        ConfigError: shapes differ, or hold_samples < 0.
     """
     tau_abs, healthy, hold = np.asarray(tau_abs, dtype=float), np.asarray(healthy, dtype=bool), np.asarray(hold_samples)
     if tau_abs.ndim != 1 or healthy.shape != tau_abs.shape or hold.shape not in ((), tau_abs.shape):
         raise ConfigError(
             f"held minimum: |tau_ext|, healthy and hold_samples have shapes {tau_abs.shape}, {healthy.shape} and "
-            f"{hold.shape}; they must be one and the same (samples,)"
+            f"{hold.shape}; they must be equal, (samples,)"
         )
     if (hold < 0).any():
         raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
@@ -63,21 +62,21 @@ def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | n
 
 
 def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
-    """Samples back to the youngest that is hold_s old or older, (samples,), int64; k + 1, one too many, if none is.
+    """Samples back to the latest that is hold_s old or older, (samples,), int64; k + 1 if there is none.
 
-    From stamps and not from a rate, as in the alarm: where samples are missing, fewer of them fill the same time.
+    As in the alarm, it follows from stamps, not from a rate: with lost samples, fewer fill the same time.
 
     Args:
         t_ns: sample times, increasing, (samples,), [ns].
     """
     so_far, hold_ns, steps = np.arange(1, len(t_ns) + 1), round(hold_s * 1e9), np.diff(t_ns)
-    if len(steps) and (steps == steps[0]).all():  # nothing to search for in a regular recording
+    if len(steps) and (steps == steps[0]).all():  # regular recording: no search needed
         return np.minimum(so_far, -(-hold_ns // int(steps[0])))
     return so_far - np.searchsorted(t_ns, t_ns - hold_ns, side="right")
 
 
 def _one_length(hold: np.ndarray) -> int | None:
-    """The hold time in samples where all samples have the same, but for those that reach before the first one."""
+    """Common hold time in samples, ignoring samples too close to the beginning; None if it varies."""
     if hold.ndim == 0:
         return int(hold)
     length = int(hold[-1]) if len(hold) else 0
@@ -85,7 +84,8 @@ def _one_length(hold: np.ndarray) -> int | None:
 
 
 def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
-    """Least of each `samples` values in a row, (len(values) - samples + 1 or 0,), as two overlapping blocks of 2^p."""
+    """Least of every `samples` successive values, (len(values) - samples + 1 or 0,), by two overlapping blocks of
+    2^p."""
     if samples > len(values):
         return np.zeros(0)
     power, table = samples.bit_length() - 1, values
@@ -96,9 +96,9 @@ def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
 
 
 def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Least of values[first..last] for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
+    """Least of values[first..last] for each pair of indices, first <= last, by two overlapping blocks of 2^p values.
 
-    Memory of one block size at a time; O(samples log of the longest range).
+    Memory for one block size at a time; O(samples log of the longest range).
     """
     power = np.frexp(last - first + 1)[1] - 1
     out = np.empty(len(first))
@@ -112,11 +112,11 @@ def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
     return out
 
 
-# --- Peaks of calibration recordings that a killed process had picked already.
+# --- Peaks of calibration recordings kept from an interrupted process.
 
 
 class KeptPeaks:
-    """Peaks of the first recordings, from a process that was killed, and what this one does of it."""
+    """Checkpoint of the peaks: those of an interrupted process, and this process's own."""
 
     def __init__(self, checkpoint: Checkpoint):
         self._checkpoint = checkpoint
@@ -126,29 +126,29 @@ class KeptPeaks:
         self._taken = len(self.names)
 
     def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
-        """One more recording is taken in; names of these and of the next few, which are estimated already."""
+        """Offer a checkpoint after one more recording; `names` includes the next few, already estimated."""
         self._taken += 1
         self._checkpoint.offer((collectors, list(names[: self._taken])))
 
 
-# --- Peaks of the error in free motion, as an alarm with a hold time sees it: of the held minimum (held_minimum.py).
+# --- Peaks of the held minimum in free motion.
 #
 # A joint has one limit for sliding and one near stiction. A window with samples of both counts for both: an alarm there
 # has every sample over its own limit, hence the window's minimum over the lower of the two. So the alarms of an arm are
-# at most the sum of what is counted for its joints and regions.
+# at most the sum over joints and regions.
 
 
 REGIONS = ("sliding", "near_stiction")
 GAP_S = 0.5
 """Alarms less than this apart are one false alarm, [s]."""
 KEEP = 4000
-"""Peaks that are kept of each joint and region: the largest. A tail is a twentieth of them at most."""
+"""Largest peaks kept for each joint and region. A tail uses at most a twentieth of them."""
 AT_A_TIME = 4
-"""Recordings that are estimated at a time, at most."""
+"""Most recordings estimated at a time."""
 
 
 def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
-    """The largest value of each episode over a floor, (episodes,), in order of time. Over a limit: its false alarms.
+    """Largest value of each episode over a floor, (episodes,), in order of time; over a limit, its false alarms.
 
     An episode is a set of values > floor, each less than gap_s after the one before; NaN is never over the floor.
 
@@ -168,18 +168,17 @@ def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, f
 
 
 def peak_places(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
-    """Indices of values > floor with none larger less than gap_s before or after, (peaks,), rising.
+    """Indices of values > floor without a larger value less than gap_s before or after, (peaks,), ascending.
 
-    Of equal ones the first. Any two lie gap_s or more apart, and **over any level from the floor up there are at least
-    as many peaks as episodes**, because the largest value of each episode is a peak. The largest values of episodes
-    over a low floor are no substitute: one of those may be several alarms to a higher limit, which then would be
-    promised too few.
+    Of equal values the first counts. Peaks are gap_s or more apart. **Over any level above the floor there are at least
+    as many peaks as episodes**, because the largest value of each episode is a peak. Largest values of episodes over a
+    low floor are no substitute: one episode may give several alarms at a higher limit.
 
     Args:
-        values: (samples,); NaN is no value.
+        values: (samples,); NaN is ignored.
         t_ns: increasing, (samples,), [ns].
     """
-    at = np.flatnonzero(values > floor)  # what is larger than a value over the floor is over it too
+    at = np.flatnonzero(values > floor)  # values below the floor cannot exceed a peak
     if len(at) == 0:
         return at
     value, t, gap_ns = values[at], t_ns[at], max(1, round(gap_s * 1e9))
@@ -189,7 +188,7 @@ def peak_places(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floo
     of_block = np.repeat(np.arange(len(starts)), ends - starts)
     largest = np.flatnonzero(value == np.maximum.reduceat(value, starts)[of_block])
     k = largest[np.unique(of_block[largest], return_index=True)[1]]
-    # What else is less than a gap away stands at the end of the block before and at the beginning of the next one.
+    # Other values less than a gap away are at the end of the block before and the beginning of the next one.
     first, last = np.searchsorted(t, t[k] - gap_ns, side="right"), np.searchsorted(t, t[k] + gap_ns, side="left")
     before, after = _largest_between(value, first, starts), _largest_between(value, ends, last)
     return at[k[(value[k] > before) & (value[k] >= after)]]
@@ -197,28 +196,28 @@ def peak_places(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floo
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """Peaks of the held error in free motion, and the time in which they were seen."""
+    """Peaks of the held error in free motion, and the time observed."""
 
     joints: tuple[str, ...]
     hold_s: float
     gap_s: float
     hours: float
-    """Of healthy operation: what a budget of false alarms counts."""
+    """Hours of healthy operation, to which a budget of false alarms refers."""
     region_hours: np.ndarray
-    """(joints, regions): how long a joint was in a region."""
+    """(joints, regions): hours of a joint in a region."""
     nm: tuple[tuple[np.ndarray, ...], ...]
-    """[joint][region]: the largest peaks, falling, (peaks,), [N m]."""
+    """[joint][region]: the largest peaks, descending, (peaks,), [N m]."""
     at: tuple[tuple[np.ndarray, ...], ...]
-    """[joint][region]: which recording each of them is of, and when after its first sample [ns], (peaks, 2), int64."""
+    """[joint][region]: recording of each peak and time after its first sample [ns], (peaks, 2), int64."""
     recordings: tuple[str, ...] = ()
-    """Names, in the order in which they came; a recording of which several spans are judged comes several times."""
+    """Names in order of input; a recording with several spans occurs several times."""
 
 
 class PeakCollector:
-    """Takes in one recording after the other and keeps the largest peaks of every joint and region.
+    """Collects the largest peaks of every joint and region from one recording after the other.
 
-    The floor under which peaks are left out is the least that is kept, once `keep` are there: what is kept at the end
-    are the largest of all recordings, in whatever order they came.
+    Once `keep` peaks are stored, the least of them is the floor for new ones. The result is the largest peaks of all
+    recordings, independent of their order.
 
     Raises:
         ConfigError: a hold time outside 0 to 60 s, a gap not > 0 or keep < 1.
@@ -240,11 +239,11 @@ class PeakCollector:
         self._recordings = 0
 
     def add(self, t_ns: np.ndarray, tau_ext: np.ndarray, near_stiction: np.ndarray, healthy: np.ndarray) -> None:
-        """Take in one recording of free motion; peaks of two recordings are separate however they follow.
+        """Add one recording of free motion; peaks of two recordings are always separate.
 
         Args:
             t_ns: increasing, (samples,), [ns].
-            tau_ext: (samples, joints), [N m]; what it is while unhealthy does not matter.
+            tau_ext: (samples, joints), [N m]; unhealthy samples are ignored.
             near_stiction: (samples, joints), bool.
             healthy: (samples,), bool.
         """
@@ -262,7 +261,7 @@ class PeakCollector:
                 self._region_hours[joint, region] += float(step_h @ inside[1:])
                 kept = self._nm[joint][region]
                 floor = float(kept[-1]) if len(kept) == self._keep else 0.0
-                at = np.flatnonzero(held > floor)  # soon few, so what follows costs little
+                at = np.flatnonzero(held > floor)  # few, as the floor rises
                 near_samples = near_before[at + 1] - near_before[first[at]]
                 touched = at[near_samples > 0 if region else near_samples < at + 1 - first[at]]
                 found = touched[peak_places(held[touched], t_ns[touched], self._gap_s, floor)]
@@ -274,7 +273,7 @@ class PeakCollector:
         self._recordings += 1
 
     def peaks(self, recordings: Sequence[str] = ()) -> Peaks:
-        """What was found so far, in recordings of these names."""
+        """Peaks found so far, in recordings of these names."""
         nm, at = (
             tuple(tuple(of_region.copy() for of_region in of_joint) for of_joint in kept)
             for kept in (self._nm, self._at)
@@ -293,21 +292,20 @@ def collect_peaks(
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     kept: KeptPeaks | None = None,
 ) -> tuple[Peaks, ...]:
-    """Run the bundle on recordings of free motion; the peaks for each hold time, in their order.
+    """Run the bundle on recordings of free motion; returns the peaks for each hold time, in order.
 
-    Contacts and what is near them are left out.
+    Contacts, with margins, are left out.
 
-    Recordings are taken one at a time, and the next few are estimated while the peaks of one are picked: a generator
-    that loads them needs the memory of AT_A_TIME and two more. They must fit the bundle, and be none that it was
-    trained on.
+    Recordings are loaded one at a time, and the next few are estimated while the peaks of one are collected. Memory is
+    needed for AT_A_TIME recordings and two more. They must fit the bundle and must not be its training recordings.
 
     Args:
-        threads: of the estimates, 0: one a core. The result does not depend on it.
-        kept: what a killed process has done of this; `recordings` begins behind that.
+        threads: threads of the estimates, 0: one a core. The result does not depend on it.
+        kept: results of an interrupted process; `recordings` begins after them.
 
     Raises:
         TrainingError: no recording with a healthy sample of free motion.
-        ConfigError: as PeakCollector.
+        ConfigError: see PeakCollector.
     """
     collectors = [PeakCollector([link.joint_name for link in bundle.links], hold, gap_s, keep) for hold in holds_s]
     names: list[str] = []
@@ -333,8 +331,8 @@ def collect_peaks(
 def _errors(
     bundle: _core.Bundle, recordings: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> Iterator[tuple[np.ndarray, ...]]:
-    """What PeakCollector.add takes, for each recording in their order; up to AT_A_TIME are estimated at a time, since
-    only the network's part of an estimate runs in several threads."""
+    """Yield the arguments of PeakCollector.add for each recording, in order. Up to AT_A_TIME are estimated at a time,
+    since only the network's part of an estimate runs in several threads."""
     workers = min(threads, AT_A_TIME)
     with ThreadPoolExecutor(workers) as pool:
         coming: deque[Future] = deque()
@@ -354,37 +352,37 @@ def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> 
     return out
 
 
-# --- Limits that one moment carries: an end-of-program stop, an unlabelled touch, a glitch, or the truth.  Such a limit
-# stays: large errors of free motion are what limits are for. But the moment is reported.
+# --- Limits that depend on one moment: an end-of-program stop, an unlabelled touch, a glitch, or a true error. The
+# limit is kept, since limits must cover large errors of free motion. But the moment is reported.
 
 
 CODE = "one-moment-limit"
 MOMENT_S = 1.0
-"""A moment is a peak and what lies so near it, [s]: a touch or a stop, and what rings after it."""
+"""Time around a peak that belongs to its moment, [s]: a touch or a stop with its decay."""
 CARRIED = 0.6
-"""Told where the limit without the moment is less than this share of it: the moment does more than the factor of 1.6
-on limits from minutes, which stands for all that minutes do not show. By chance a tail of shape 0.2 has such a largest
-peak once in 13 times (0.6^5), one of Gaussian noise hardly ever."""
+"""A moment is reported if the limit without it is below this share of the limit: the moment then has more effect than
+the factor of 1.6 on limits from minutes. By chance a tail of shape 0.2 has such a largest peak once in 13 times
+(0.6^5), Gaussian noise hardly ever."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What sets one joint's limit in one region, all by itself."""
+    """A moment that alone determines one joint's limit in one region."""
 
     joint: str
     region: str
     recording: str
     time_s: float
-    """Of its largest peak, after the recording's first sample."""
+    """Time of its largest peak after the recording's first sample."""
     limit_nm: float
     without_nm: float
 
     def scaled(self, factor: float, by_nm: float = 0.0) -> Moment:
-        """For limits that are raised afterwards."""
+        """Return the moment for limits that are raised afterwards."""
         return replace(self, limit_nm=factor * self.limit_nm + by_nm, without_nm=factor * self.without_nm + by_nm)
 
     def sentence(self, unit: str = "Nm") -> str:
-        """Text for a person who inspects it."""
+        """Message that asks the user to inspect the moment."""
         return (
             f"warning: {CODE} ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, sets its limit "
             f"{self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it {self.without_nm:.3g} {unit}. If "
@@ -392,18 +390,18 @@ class Moment:
         )
 
     def facts(self) -> dict:
-        """For provenance, as plain JSON."""
+        """Facts for provenance, as plain JSON."""
         return asdict(self)
 
 
 def carrying_moments(peaks: Peaks, limits_of: Callable[[int, Sequence[np.ndarray]], np.ndarray]) -> list[Moment]:
-    """Moments without which a limit would be less than CARRIED of what it is; one a joint and moment, of the region
-    where it matters most.
+    """Find moments without which a limit would fall below its share CARRIED; one a joint and moment, for the region
+    with the largest effect.
 
-    Only peaks are needed again: what lies within MOMENT_S of a region's largest one is left out of both regions.
+    Only peaks are used: those within MOMENT_S of a region's largest one are left out of both regions.
 
     Args:
-        limits_of: both limits of a joint (regions,), [N m], from its peaks in each region, falling.
+        limits_of: both limits of a joint (regions,), [N m], from its peaks in each region, descending.
     """
     first: dict[str, int] = {}
     same = np.array([first.setdefault(name, k) for k, name in enumerate(peaks.recordings)])
@@ -429,6 +427,6 @@ def carrying_moments(peaks: Peaks, limits_of: Callable[[int, Sequence[np.ndarray
 def _without(
     nm: Sequence[np.ndarray], at: Sequence[np.ndarray], same: np.ndarray, number: int, at_ns: int
 ) -> list[np.ndarray]:
-    """The peaks of each region that do not belong to a moment."""
+    """Peaks of each region outside of a moment."""
     near = [(same[one[:, 0]] == number) & (np.abs(one[:, 1] - at_ns) <= MOMENT_S * 1e9) for one in at]
     return [values[~left_out] for values, left_out in zip(nm, near, strict=True)]

@@ -1,4 +1,4 @@
-"""How a training finds its limits: by a promise, from minutes of data, from a fleet, or as in the paper."""
+"""Limits of a training: by a promise, from minutes of data, from a fleet, or as in the paper."""
 
 from __future__ import annotations
 
@@ -41,23 +41,22 @@ from tauext.train.preparation import Job
 from tauext.train.promised_limits import NOT_MEASURED, apply_promised, other_motion, promised_limits
 from tauext.train.wrench import fit_wrench
 
-# --- Limits of an arm that has shown a minute of itself: those that errors of other arms in its place ask for.
+# --- Limits of an arm with a minute of its own motion, from the errors of a fleet's arms.
 #
-# Each arm of the fleet was given a minute of its own and the prior of the others, and judged on the rest of its motion.
-# Its errors, limits and their growth with the motion hold for one more arm of the type, but for
-# its size: a joint's errors on its own minute, left out of the fit in turn, over what the fleet's scale predicts for
-# it.
+# Each arm of the fleet was fitted to a minute of its own with the prior of the others and evaluated on the rest of its
+# motion. Errors, limits and their growth with the motion apply to another arm of the type up to a factor, its size: a
+# joint's held-out errors on its own minute, divided by the prediction of the fleet's scale.
 
 
 ENOUGH_S = 540.0
-"""Time of motion from which an arm's own errors determine its limits better than the fleet's, [s]. From this time on,
-short recordings need no friction reserve either."""
+"""Time of motion from which an arm's own errors determine limits better than the fleet's, [s]. From this time on, short
+recordings need no friction reserve either."""
 LEAST_SIZE, LARGEST_SIZE = 0.5, 2.0
-"""A minute's errors do not show that an arm is twice as quiet as the fleet; one that is twice as loud is reported."""
+"""Bounds of an arm's errors relative to the fleet's: a minute cannot prove smaller ones; larger ones are reported."""
 
 
 def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
-    """The fleet's errors for this arm; None: there are none, or the arm's own determine more."""
+    """The fleet's errors for this arm; None: none, or the arm's own errors determine more."""
     like = job.like
     if like is None or like.errors is None or bundle.has_network:
         return None
@@ -66,7 +65,7 @@ def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
 
 
 def sizes(rows: Rows, scale: _core.ErrorScaleSettings) -> np.ndarray:
-    """Ratio of each joint's errors to those that a scale predicts for the same motion, (n,)."""
+    """Ratio of each joint's errors to the scale's prediction for the same motion, (n,)."""
     used = [FEATURES.index(kind) for kind in scale.features]
     F, n = rows.features[:, :, used], rows.error_nm.shape[1]
     sliding, near = (
@@ -77,7 +76,7 @@ def sizes(rows: Rows, scale: _core.ErrorScaleSettings) -> np.ndarray:
 
 
 def scale_settings(errors: FleetErrors, size: np.ndarray) -> _core.ErrorScaleSettings:
-    """The fleet's error scale for an arm whose errors are so large beside the fleet's, (n,)."""
+    """The fleet's error scale for an arm with this size of errors relative to the fleet's, (n,)."""
     scale = _core.ErrorScaleSettings()
     scale.features = [getattr(_core.MotionFeature, name) for name in errors.features]
     by_joint = size[:, None]
@@ -92,7 +91,7 @@ def scale_settings(errors: FleetErrors, size: np.ndarray) -> _core.ErrorScaleSet
 def put_fleet_scale(
     job: Job, bundle: _core.Bundle, judged: Sequence[Recording | Judged], errors: FleetErrors, drift: DriftConfig
 ) -> None:
-    """Put the fleet's error scale into the bundle, as large as this arm's own errors are."""
+    """Set the fleet's error scale, adjusted to the size of this arm's errors."""
     rows = collect_rows(bundle, judged, job.threads, job.config.margins)
     found = sizes(rows, scale_settings(errors, np.ones(bundle.joints)))
     size = np.clip(found, LEAST_SIZE, None)
@@ -107,13 +106,13 @@ def put_fleet_scale(
     loud = [f"{name} {value:.1f}" for name, value in by_joint.items() if value > LARGEST_SIZE]
     if loud:
         job.notes.append(
-            f"errors are larger than the fleet's by {', '.join(loud)}: this arm is not like the others there, and its "
-            "limits are raised by as much"
+            f"errors are larger than the fleet's by {', '.join(loud)}: this arm differs from the others there, and its "
+            "limits are raised as much"
         )
 
 
 def put_fleet_limits(bundle: _core.Bundle, errors: FleetErrors, alarm: AlarmConfig) -> tuple[str, dict]:
-    """Put the fleet's limits into the bundle; their basis as text, and the facts."""
+    """Set the fleet's limits; returns their basis as text, and facts."""
     set_limits(bundle, LevelLimits(errors.sliding_limit_nm, errors.near_stiction_limit_nm), alarm)
     bundle.contact_sliding_limit_nm = errors.contact_sliding_limit_nm.tolist()
     bundle.contact_near_stiction_limit_nm = errors.contact_near_stiction_limit_nm.tolist()
@@ -127,30 +126,30 @@ def put_fleet_limits(bundle: _core.Bundle, errors: FleetErrors, alarm: AlarmConf
     return words, dict(errors.facts) | {"sentence": words, "like": True}
 
 
-# --- How a training finds its limits: on a promise, for what minutes support, or as the paper does.
+# --- Limits from a promise, from minutes of motion, or as in the paper.
 
 
 SHORT_S = 240.0
-"""The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
-minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
+"""Decay time of the friction reserve with the length T of the recordings, exp(-T / this), [s]. One minute contains one
+state of the gears; ten contain the warm-up (5 to 7 minutes)."""
 UNPROMISED_FACTOR = 1.6
-"""On the largest errors, where the motion is too short for any budget: nothing bounds the false alarms there."""
+"""Factor on the largest errors if the motion is too short for any budget, so that false alarms are unbounded."""
 LEAST_RESERVE = 0.02
-"""A smaller share of the friction is none: from nine minutes on."""
+"""Least share of the friction used as a reserve; it is smaller from nine minutes on."""
 FORGOTTEN = 2.0
-"""Where limits follow from minutes, which saw a joint break away a few times, it is near stiction for so many 1/K0
-after it began to slide: r still shows how it broke away. Hours show how large that is."""
+"""Time near stiction after a joint began to slide, in 1/K0, for limits from minutes: r still contains the breakaway,
+and minutes have few of them."""
 EVEN_ODDS = 0.5
-"""With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
-at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
-error ever seen, and half of all contacts stayed below."""
+"""Confidence with which each limit keeps its share of the supported budget. The budget itself already has the promise's
+confidence. Using that for each of a dozen limits too doubled them beyond the largest error, and half of all contacts
+stayed below."""
 
 
 def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
-    """Put limits and hold times into the bundle, and let its drift tracker stand still by them.
+    """Set limits, hold times and the freeze of the drift tracker.
 
     Raises:
-        ConfigError: the limits shall keep a promise, and there are no calibration recordings.
+        ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
     config, kind = job.config, limits_kind(job.config, job.calibration)
@@ -201,10 +200,10 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
-    """How limits are found: promised, supported or paper.
+    """Return the kind of limits: promised, supported or paper.
 
     Raises:
-        ConfigError: they shall follow from a budget, and there is nothing to find them on.
+        ConfigError: promised limits without calibration recordings.
     """
     if config.limits == "promised" and not calibration:
         raise ConfigError(f"limits = promised {NO_CALIBRATION}")
@@ -218,19 +217,19 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
 def unseen_motion(
     job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None
 ) -> tuple[list[Recording | Judged], list[Judged]]:
-    """Free motion that neither the bundle nor its cross-validation priors were trained on."""
+    """Free motion not used in training the bundle or its cross-validation priors."""
     by_fit = fit is not None and not bundle.has_network
-    # What was cut off to validate was trained on in the end where no network ships.
+    # Without a network, the prior was finally fitted to the validation motion too.
     unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
     left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
     return unseen, left_out
 
 
 def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[Judged]:
-    """Every fifth of the training motion, judged by a prior that was fitted to the other four.
+    """Each fifth of the training motion, evaluated with a prior fitted to the other four.
 
-    So all of it shows how large errors on unseen motion are, where a tenth of it set apart would show few of them.
-    The stand-ins saw less than the bundle, hence are worse and never better than it on average.
+    All motion then has errors of an independent fit; a tenth set apart would have few. These priors use less data than
+    the bundle, so on average their errors are larger.
     """
     judged = []
     for fold in fit.left_out:
@@ -252,15 +251,15 @@ def set_supported_limits(
     fit: PriorFit | None,
     rows: Rows | None = None,
 ) -> tuple[str, dict]:
-    """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
+    """Set limits for the smallest budget of false alarms that this motion supports.
 
-    Where it is too short even for that, the largest error. Either is raised, since friction changes with temperature
-    and time by more than minutes show: limits that follow the error by `factor_after` and a share of the friction,
-    constant ones by a share of the friction at the speed that a joint stays below for 95 % of its motion. Returned is
-    what was done, in words, and the facts.
+    If the motion is too short for that, the largest error is used. Both are raised, since minutes do not contain all
+    changes of friction with temperature and time: limits that follow the error by `factor_after` and a share of the
+    friction, constant ones by a share of the friction at the 95 % quantile of a joint's speed. Returns the basis as
+    text, and facts.
 
     Args:
-        rows: the errors that the error scale was fitted to; they show how the promise holds in other motion.
+        rows: errors of the error scale's fit, for testing the promise in other motion.
     """
     seen_s = total_s(whole_recordings(judged))
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
@@ -309,9 +308,9 @@ def set_supported_limits(
 
 
 def factor_after(seen_s: float, most: float) -> float:
-    """The factor on limits that follow the error, from so many seconds of motion: 1 + (most - 1)(1 - exp(-T/SHORT_S)).
+    """Factor on limits that follow the error, for T seconds of motion: 1 + (most - 1)(1 - exp(-T/SHORT_S)).
 
-    It grows as the reserve for friction fades. That reserve alone covers what a single minute does not show.
+    It grows as the friction reserve decays; for a single minute the reserve suffices.
     """
     return 1 - (most - 1) * math.expm1(-seen_s / SHORT_S)
 
@@ -320,8 +319,7 @@ def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) 
     """Add to the facts the limits with and without decisive moments, as the limits were raised.
 
     Args:
-        facts: of the limits.
-        by_nm: added, by joint; none: 0.
+        facts: facts of the limits. by_nm: amount added by joint; missing: 0.
     """
     if "one_moment" in facts:
         moments = [Moment(**entry) for entry in facts["one_moment"]]
@@ -329,10 +327,10 @@ def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) 
 
 
 def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Friction at rest and its growth with the speed, (n,) [N m] and [N m s/rad], of a line through two of its points.
+    """Friction at rest and its growth with speed, (n,) [N m] and [N m s/rad], from a line through two points.
 
     Args:
-        speed_rad_s: a usual speed of each joint, (n,); the other point is a tenth of it.
+        speed_rad_s: usual speed of each joint, (n,); the other point is at a tenth of it.
     """
     usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
     slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)

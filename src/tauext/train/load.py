@@ -1,4 +1,4 @@
-"""The load that the arm may carry: its frame, its smallest mass, and the errors of an arm that was found."""
+"""Loads of the arm: frame, range of masses, and errors of an arm found in the motion."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from tauext.fit.training_set import Setup
 from tauext.robot.frames import load_frame
 from tauext.train.preparation import Job
 
-# --- How far an arm that was found in the motion can be trusted to carry a load that training never saw.
+# --- Accuracy of an arm found in the motion for loads not in training.
 
 
 PROBE_M = 0.1
-"""The probe's centre of mass lies so far along the last axis: about where a flange is."""
+"""Distance of the probe's centre of mass along the last axis: about that of a flange."""
 
 OFF_M = 0.2
-"""Half a link: enough to show, and the search still finds back."""
+"""Initial error of lengths: half a link, large enough to be noticed, and the search still converges."""
 STANDS_OUT = 3.0
-"""Times the error: a sign that is wrong would be twice the torque off."""
+"""Least weight torque in multiples of the error; a wrong sign would be off by twice the torque."""
 
 
 def load_disagreement(
     setup: Setup, recordings: Sequence[Recording], config: PriorConfig, kinematics: Kinematics
 ) -> float | None:
-    """By what share a load's torques differ between the arms that each half of the motion makes of this one.
+    """Relative difference of a load's torques between arms refitted to each half of the motion.
 
-    Axes stay. Lengths are first put off by OFF_M, those of each half otherwise, and follow that half alone: one that
-    the motion does not determine stays wrong, and shows. The largest over joints of the root mean square, over the
-    largest of what the load weighs on a joint.
+    Axes are kept. Lengths start off by OFF_M, differently for each half, and are fitted to that half: a length not
+    determined by the motion stays wrong and increases the difference. The result is the largest root mean square over
+    joints, divided by the largest weight torque of the load.
 
     Returns:
-        The share; None where a half is too short, or nothing weighs on the arm.
+        The share; None if a half is too short, or nothing weighs on the arm.
     """
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     joints = tuple(link.joint_name for link in setup.tree.links)
@@ -65,9 +65,9 @@ def load_disagreement(
 def last_axis_shows(
     links: Sequence[_core.Link], gravity: Sequence[float], recordings: Sequence[Recording], error_nm: float
 ) -> bool:
-    """Whether what the last link weighs on its own joint stands out of what the prior leaves there, error_nm.
+    """Whether the last link's weight torque on its own joint exceeds the prior's error there, error_nm.
 
-    Else the direction of its axis is unknown, and a load is put at its end on a guess.
+    Otherwise the direction of its axis is unknown, and so is the place of a load.
     """
     poses = np.ascontiguousarray(np.concatenate([one.q[:: max(1, one.samples // 500)] for one in recordings]))
     torque = _core.Tree(list(links), list(gravity)).momentum(poses, np.zeros_like(poses))[1][:, -1]
@@ -81,29 +81,29 @@ def weight(kinematics: Kinematics, joints: Sequence[str], gravity: Sequence[floa
     return _core.Tree(links, list(gravity)).momentum(poses, np.zeros_like(poses))[1]
 
 
-# --- What the arm may carry: in which frame a load is given, and from which mass on it is none.
+# --- Loads of the arm: frame and largest mass.
 
 
 MOST_POSES = 5000
 MOST_DISAGREEMENT = 0.1
-"""Of a load's torques by the arms that each half of the motion makes: three times what a load is wrong by itself."""
+"""Largest relative difference of a load's torques between the halves' arms: three times a load's own error."""
 LEAST_REACH_M = 0.3
-LEAST_LEVER_NM = 1e-6  # of a kilogram: a smaller lever does not determine the mass
+LEAST_LEVER_NM = 1e-6  # for a kilogram; a smaller lever does not determine the mass
 
 
 def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
-    """Let the bundle accept a load if its model can carry one; otherwise report the reason.
+    """Enable loads in the bundle if its model allows it; otherwise report the reason.
 
-    The frame is the robot file's (robot.load_frame), or the last link's of an arm that was found in the motion and that
-    each half of it finds again. The largest mass is the one whose weight at that frame takes a drive to its limit at
-    some pose of training; half the arm's own where the robot file states no limits.
+    The frame is the robot file's (robot.load_frame), or the last link's of an arm found in the motion and confirmed by
+    each half. The largest mass is the one whose weight at that frame takes a drive to its limit at some pose of
+    training; half the arm's own if the robot file states no limits.
 
     Args:
         setup: with the prior, if there is one.
-        fit: what the prior came from; None: there is none.
+        fit: fit of the prior; None: no prior.
 
     Raises:
-        ConfigError: a load frame is asked for that there is none.
+        ConfigError: the requested load frame does not exist.
     """
     bundle.assume_load()
     settings, asked = bundle.load_settings, job.config.load_frame
@@ -134,13 +134,13 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
 def put_found_arm(
     job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup, fit: PriorFit, found: Kinematics
 ) -> None:
-    """Let the arm that was found in the motion carry loads, where its last axis shows and each half of the motion finds
-    its lengths again."""
+    """Enable loads for an arm found in the motion, if its last axis is determined and both halves confirm its
+    lengths."""
     motion, last = job.motion.uncut, job.joints[-1]
     if not last_axis_shows(fit.settings.corrected_links, bundle.gravity, motion, float(fit.error_nm[-1])):
         settings.refused = (
-            "the bundle has no model of the arm, and in that found in the motion nothing shows where the axis of "
-            f"{last} points: hardly anything weighs on it"
+            "the bundle has no model of the arm, and the motion does not determine the direction of the axis of "
+            f"{last}: hardly anything weighs on it"
         )
         return
     share = load_disagreement(setup, motion, job.config.prior, found)
@@ -148,7 +148,7 @@ def put_found_arm(
         why = (
             "there is too little motion to check it" if share is None else f"its halves differ by {share:.0%} of a load"
         )
-        settings.refused = f"the bundle has no model of the arm, and that found in the motion is not sure enough: {why}"
+        settings.refused = f"the bundle has no model of the arm, and the one found in the motion is uncertain: {why}"
         return
     job.facts["load_disagreement"] = round(share, 4)
     tree = found.tree(job.joints, job.tree.gravity)
@@ -161,9 +161,9 @@ def put_found_arm(
 
 
 def largest_mass_kg(job: Job, settings: LoadSettings, tree: Tree, limits: np.ndarray) -> float | None:
-    """The mass at the frame's origin whose weight is more than a joint's limit at some pose of training.
+    """Mass at the frame's origin whose weight takes a joint to its limit at some pose of training.
 
-    None: there is no limit of a joint that the mass weighs on.
+    None: no joint that the mass weighs on has a limit.
     """
     poses = np.concatenate([recording.q for recording in job.training])
     poses = np.ascontiguousarray(poses[:: max(1, len(poses) // MOST_POSES)])
@@ -177,7 +177,7 @@ def largest_mass_kg(job: Job, settings: LoadSettings, tree: Tree, limits: np.nda
 
 
 def facts_of(settings: LoadSettings) -> dict:
-    """What was found, as plain JSON."""
+    """Load settings as plain JSON."""
     if not settings.settable:
         return {"refused": settings.refused}
     bounds = {"largest_mass_kg": settings.largest_mass_kg, "largest_reach_m": settings.largest_reach_m}

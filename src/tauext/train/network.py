@@ -1,4 +1,4 @@
-"""The network on what observer and prior leave, and the observer gain, both from the data."""
+"""The network on the residual of observer and prior, and the observer gain, both from data."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from tauext.train.fitting import observe, put_region, with_fit
 from tauext.train.limits import unseen_motion
 from tauext.train.preparation import Job
 
-# --- The network, on what observer and prior leave, and the bundle with it.
+# --- The network on the residual of observer and prior, and its bundle.
 
 
 CHECKPOINT = ".checkpoint.npz"
-"""Of a bundle's network, beside the bundle until that is written."""
+"""Ending of a network's checkpoint, beside the bundle until that is written."""
 
 
 @dataclass(frozen=True)
 class ScaledNetwork:
-    """A trained network, and what its inputs and outputs are scaled by."""
+    """A trained network with the scales of its inputs and outputs."""
 
     scaling: Scaling
     trained: TrainedNetwork
 
 
 def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
-    """Train the recipe's network; None: it has none, or the motion is too short and the prior can do without.
+    """Train the recipe's network; None: it has none, or the motion is too short and there is a prior.
 
     Raises:
         TrainingError: too little data, or a loss that diverges.
@@ -74,48 +74,48 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
 
 
 def assemble(job: Job, setup: Setup, network: ScaledNetwork | None = None) -> Bundle:
-    """The bundle of this setup, without limits yet.
+    """Make the bundle of this setup, without limits.
 
     Raises:
-        TrainingError: no recording is as long as a window.
+        TrainingError: all recordings are shorter than a window.
     """
     learned = (network.scaling, network.trained) if network else ()
     bundle = make_bundle(job.name, setup, job.config.observer.near_stiction_rad_s, job.reference(setup), *learned)
     bundle.units = job.units
-    # Before gate and limits, which judge by the same watch as the control loop.
+    # Set before gate and limits, which use the same signal watch as the control loop.
     set_signal_ranges(bundle, job.training, job.possible.torque_limit_nm, job.possible.bounds)
     return bundle
 
 
 def model_digest(tree: Tree) -> str:
-    """A checkpoint of another estimated model must not be resumed: SHA-256 of the model's numbers."""
+    """SHA-256 of the model's numbers, so that checkpoints of another model are not resumed."""
     fields = ("joint_name", "parent", "rotation", "translation", "mass", "com", "inertia", "rotor_inertia")
     numbers = [[getattr(link, field) for field in fields] for link in tree.links]
     return hashlib.sha256(json.dumps([numbers, tree.gravity]).encode()).hexdigest()
 
 
-# --- The observer's gain, from the data: a fast observer shows a hit sooner, and a slow one hides more of the errors.
+# --- Observer gain from data: a fast observer detects a hit sooner, a slow one suppresses more errors.
 
 
 GAINS_PER_S = (PAPER_GAIN_PER_S, 50.0, 100.0)
 MOST_A_STEP = 0.5
-"""Largest K0 times sample period: a faster observer follows samples, not the arm."""
+"""Largest K0 times sample period."""
 HIT = 4.0
-"""What gains are compared by is a hit of so many limits of the first gain: the same torque for all of them ..."""
+"""Hit for comparing gains, in limits of the first gain; equal torque for all gains ..."""
 HIT_S = 0.06
-"""... a half sine of this length, between those of a hard shell and of a padded one ..."""
+"""... as a half sine of this length, between hits of a hard and a padded shell ..."""
 LATEST_S = 0.2
-"""... that counts as found so late where it stays below the limit."""
+"""... with this delay if it stays below the limit."""
 WORTH = 0.05
-"""A faster observer must find the hit sooner by this share: it shows more of all noise, and finds slow pushes later."""
+"""Share by which a faster observer must detect the hit sooner: it has more noise and detects slow pushes later."""
 
 
 def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]:
-    """The setup and the prior with the gain that finds a hit soonest; both as they are where that is the first.
+    """Choose the gain that detects a hit soonest; returns setup and prior, unchanged if that is the first gain.
 
-    The time at which its response passes a limit is compared on the mean over joints and all left-out motion, with each
-    gain's own error scale and the limits that nothing of that motion passes. The terms of the prior are those chosen at
-    the first gain, fitted anew to each.
+    Gains are compared by the time until the response passes a limit, on the mean over joints and all held-out motion.
+    Each gain has its own error scale and the limits that this motion does not exceed. The prior's terms are those
+    chosen at the first gain, refitted for each.
 
     Args:
         setup: without the prior, at the first gain.
@@ -145,7 +145,7 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
 
 
 def of_gain(job: Job, setup: Setup, fit: PriorFit) -> LeftOutErrors:
-    """What a bundle of this gain would be wrong by on motion that it has not seen."""
+    """Errors of a bundle with this gain on motion not used in its fit."""
     bundle = assemble(job, with_fit(setup, fit))
     put_region(job, bundle, fit)
     unseen, left_out = unseen_motion(job, bundle, setup, fit)
@@ -153,9 +153,9 @@ def of_gain(job: Job, setup: Setup, fit: PriorFit) -> LeftOutErrors:
 
 
 def mean_delay_s(gain_per_s: float, limit_nm: np.ndarray, hit_nm: np.ndarray) -> float:
-    r"""Mean time after which a hit of hit_nm, (joints,), is over limit_nm, (rows, joints), LATEST_S where never, [s].
+    r"""Mean time until a hit of hit_nm, (joints,), exceeds limit_nm, (rows, joints), [s]; LATEST_S if never.
 
-    A half sine S sin(w t), w = pi / HIT_S, shows behind the observer as
+    The observer's response to a half sine S sin(w t), w = pi / HIT_S, is
 
     .. math:: S \frac{K_0}{K_0^2 + w^2}\left(K_0 \sin w t - w \cos w t + w\,e^{-K_0 t}\right), \quad t \le HIT\_S.
     """

@@ -1,4 +1,4 @@
-"""The data check before training: faults of a dataset's recordings refuse the training."""
+"""Data check before training: faults in a dataset's recordings stop it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tauext.train.preparation import Given, chosen_recordings, wants_constants
 
 
 def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
-    """Check all that a training of the dataset would use; the facts for provenance: what was accepted, warnings.
+    """Check all data of a training; returns accepted faults and warnings as facts for provenance.
 
     Args:
         accept: codes of findings that are accepted, CODE or CODE:joint.
 
     Raises:
-        ConfigError: a code that does not exist, or a joint.
-        FaultyDataError: a fault that is not accepted.
+        ConfigError: an unknown code or joint.
+        FaultyDataError: a fault is not accepted.
     """
     expect_codes(accept, given.training[0].joints)
     given.expect_joints()
@@ -31,12 +31,12 @@ def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequ
 
 
 def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, CheckResult]:
-    """Findings in the recordings of the training, and in those of the limits.
+    """Findings in the recordings for training and for limits.
 
     Without a model nothing is compared with the robot file: the training does not use it.
     """
     training, validation = chosen_recordings(given.training, given.validation, config)
-    # constants that were given may be corrected, by a little: a larger correction is reported
+    # given constants may be corrected slightly; larger corrections are reported
     unknown = wants_constants(config, training, given.case) and (
         bool(config.fit_torque_constants) or in_amperes(training)
     )
@@ -50,5 +50,5 @@ def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: R
 
 
 def uses_calibration(config: TrainConfig) -> bool:
-    """Whether limits are found on calibration recordings where there are some."""
+    """Whether limits use calibration recordings if there are any."""
     return config.limits == "promised" or (config.limits == "auto" and not config.row.largest_error_limits)

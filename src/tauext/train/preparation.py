@@ -1,4 +1,4 @@
-"""What a training begins with: settings, recordings, free motion, bounds, and tau in N m."""
+"""Preparation of a training: settings, recordings, free motion, bounds, and tau in N m."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.error_scale import at_rest_sentence
 
-# --- What a trained bundle depends on beside the data, so that it is distinguished from one of other settings.
+# --- Settings that determine a trained bundle besides the data.
 
 
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
-    """What the trained bundle depends on beside the data; not the number of threads."""
+    """Settings that determine a trained bundle besides the data; without the number of threads."""
     plain = asdict(config.resolved())
     if config.backend == "core":
         del plain["backend"]
@@ -59,14 +59,14 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
     if config.torque_constants is None:
         del plain["torque_constants"]
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in config.row.unused}}
-    return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
+    return json.loads(json.dumps(settings))  # as read from a file: lists, no tuples
 
 
 def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
     """Whether this bundle was already trained with these settings.
 
     Raises:
-        ConfigError: a bundle of other settings stands there.
+        ConfigError: a bundle with other settings exists there.
     """
     run = bundle.with_suffix(".run.json")
     if not bundle.exists() or not run.exists():
@@ -78,7 +78,7 @@ def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
 
 
 def run_settings(run: Path) -> dict:
-    """The settings in a run file.
+    """Read the settings in a run file.
 
     Raises:
         ConfigError: it is damaged.
@@ -92,26 +92,26 @@ def run_settings(run: Path) -> dict:
 
 
 def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:
-    """Why there is no such bundle; None: there is."""
+    """Reason why the recipe does not support the case; None: it does."""
     if recipe.needs_model and case.no_model:
-        return f"recipe = {recipe.name} needs a model, which the case '{case.name}' has not: {recipe.needs_model}"
+        return f"recipe = {recipe.name} needs a model, which the case '{case.name}' lacks: {recipe.needs_model}"
     return None
 
 
-# --- Recordings as a training takes them: as many minutes as it shall, and what their tau is.
+# --- Recordings of a training: the chosen minutes, and the unit of tau.
 
 
 LEAST_S = 30.0
-"""Of motion, before an arm is searched in it for torque constants, [s]."""
+"""Least motion for fitting torque constants without a model, [s]."""
 
 
 def chosen_recordings(
     training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig
 ) -> tuple[Sequence[Recording], Sequence[Recording]]:
-    """What config.minutes leaves of them: of validation at least a minute, or a window where that is longer.
+    """Cut the recordings to config.minutes; validation keeps at least a minute, or a window if longer.
 
     Raises:
-        ConfigError: there are not so many minutes.
+        ConfigError: the recordings are shorter.
     """
     if config.minutes is None:
         return training, validation
@@ -119,7 +119,7 @@ def chosen_recordings(
     if wanted_s > there_s + 1e-6:
         most = int(there_s / 0.6) / 100
         raise ConfigError(
-            f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings hold no more"
+            f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings have no more"
         )
     window_s = config.warm_up_s + config.observer.window_s
     chosen = first_seconds(training, wanted_s)
@@ -131,17 +131,17 @@ def chosen_recordings(
 
 
 def given_unit(config: TrainConfig, training: Sequence[Recording]) -> TorqueUnit:
-    """What a number of the recordings' tau stands for: that is what the bundle takes."""
+    """Unit of the recordings' tau, which is the bundle's input unit."""
     if in_amperes(training):
         return TorqueUnit.ampere
-    # To ask for constants of what was no current means that it is no torque either.
+    # Fitting constants of a tau that is no current means that it is no torque either.
     asked = config.fit_torque_constants and not from_amperes(training)
     return TorqueUnit.recorded if asked else TorqueUnit.newton_metre
 
 
 def wants_constants(config: TrainConfig, training: Sequence[Recording], case: ModelCase) -> bool:
-    """Whether torque constants are to be fitted or, where they were given, corrected; by default where the recordings
-    were currents and a model or half a minute of motion determines them."""
+    """Whether to fit torque constants or correct given ones; by default for currents, if a model or half a minute of
+    motion determines the constants."""
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
     if not case.no_model:
@@ -150,27 +150,27 @@ def wants_constants(config: TrainConfig, training: Sequence[Recording], case: Mo
     return total_s(training) >= LEAST_S and determined
 
 
-# --- Which stretches of a dataset's recordings are trained on and which validate, and what that leaves out, in words.
+# --- Stretches for training and for validation, and sentences about what is left out.
 
 
 VALIDATION_SHARE = 0.2
 NETWORK_LEAST_MIN = 30.0
-"""With less motion, and no recordings to validate on, no network is tried behind a prior, [minutes]: the end of a
-recording shows the same trajectory as its beginning, and what helps there may harm on another one."""
+"""Least motion for a network behind a prior without validation recordings, [minutes]. The end of a recording shows the
+same trajectory as its beginning; a network that helps there may harm on another one."""
 
 
 @dataclass(frozen=True)
 class TrainingMotion:
-    """What a training works on; notes are sentences for people and for the run file."""
+    """Motion of a training; notes are sentences for the user and the run file."""
 
     training: list[Recording]
-    """Free motion; for a recipe that learns nothing the recordings as they are."""
+    """Free motion for training; the whole recordings for a recipe without training."""
     validation: list[Recording]
-    """The same, for what is learned by steps."""
+    """Free motion that validates training by steps."""
     for_limits: list[Recording]
-    """Whole recordings that nothing is trained on: limits are found on their free motion."""
+    """Whole recordings not used in training; limits are found on their free motion."""
     uncut: list[Recording]
-    """Free motion of the training recordings before any validation was cut off: all of it where none was."""
+    """Free motion of the training recordings before validation was cut off."""
     notes: list[str]
     network: bool = False
     """Whether a network is tried."""
@@ -183,7 +183,7 @@ def training_motion(
 
     Raises:
         ConfigError: no training recording.
-        TrainingError: nothing of free motion is left; or no joint moves, and the recipe is to learn from motion.
+        TrainingError: no free motion is left, or no joint moves and the recipe learns from motion.
     """
     expect_some(training)
     stand = standing_joints(training)
@@ -192,7 +192,7 @@ def training_motion(
     if stand.all():
         raise TrainingError(
             f"no joint moves in any of {len(training)} training recordings: friction and model cannot be learned, so "
-            f"recipe {config.recipe} has nothing to say. What can be had is --recipe observer (or highpass), with "
+            f"recipe {config.recipe} cannot be trained. Use --recipe observer (or highpass), with "
             "limits that hold at rest only; or record motion of every joint"
         )
     notes = left_out_sentences([*training, *validation], config)
@@ -208,21 +208,21 @@ def training_motion(
     if not validation and not network:
         validated_on = uncut
         notes.append(
-            "the dataset has no validation recordings: for the limits every fifth of the motion is judged by a fit to "
-            "the other four"
+            "the dataset has no validation recordings: for the limits each fifth of the motion is evaluated with a fit "
+            "to the other four"
         )
     elif not validation:
         beginnings, validation = split_validation(training, config)
         learned_on, validated_on = (free_pieces(some, config.margins) for some in (beginnings, validation))
         notes.append(
             f"the dataset has no validation recordings: the last {VALIDATION_SHARE:.0%} of each training recording "
-            f"({total_s(validation):.1f} s together) validate, {reach_s(config):g} s after what is trained on"
+            f"({total_s(validation):.1f} s together) validate, {reach_s(config):g} s after the training motion"
         )
     expect_motion(learned_on, "training", config)
     expect_motion(validated_on, "validation", config)
     if stand.any():
         names = ", ".join(np.array(training[0].joints)[stand])
-        notes.append(f"{names} never moved in the training recordings: nothing is known of their friction")
+        notes.append(f"{names} never moved in the training recordings: their friction is unknown")
     return TrainingMotion(learned_on, validated_on, list(validation), uncut, notes, network)
 
 
@@ -233,7 +233,7 @@ def expect_some(training: Sequence[Recording]) -> None:
 
 
 def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], notes: list[str]) -> TrainingMotion:
-    """The recordings of a recipe that learns nothing: they serve for its limits alone."""
+    """Recordings of a recipe without training, used for limits only."""
     if not validation:
         notes.append("the dataset has no validation recordings: limits are found on the training recordings")
     judged = list(validation or training)
@@ -241,7 +241,7 @@ def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], 
 
 
 def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> list[str]:
-    """How much of the recordings is no free motion; nothing where all of it is."""
+    """Sentences on how much of the recordings is no free motion; empty if all is."""
     left_out_s = sum(float((~free_samples(r, config.margins)).sum() / r.rate_hz) for r in recordings)
     if not left_out_s:
         return []
@@ -255,7 +255,7 @@ def expect_motion(pieces: Sequence[Recording], what: str, config: TrainConfig) -
     """Raise TrainingError where no piece of free motion is left."""
     if not pieces:
         raise TrainingError(
-            f"the {what} recordings hold no second of free motion that is {config.margins.before_s:g} s before and "
+            f"the {what} recordings have no second of free motion that is {config.margins.before_s:g} s before and "
             f"{config.margins.after_s:g} s after every contact"
         )
 
@@ -278,7 +278,7 @@ def split_validation(training: Sequence[Recording], config: TrainConfig) -> tupl
 
 
 def reach_s(config: TrainConfig) -> float:
-    """How far a bundle looks back: a window and the observer's warm-up, [s]."""
+    """Memory of a bundle: a window plus the observer's warm-up, [s]."""
     return config.observer.window_s + config.warm_up_s
 
 
@@ -286,25 +286,25 @@ def reach_s(config: TrainConfig) -> float:
 
 
 AT_LIMIT = 0.999
-"""Share of a drive's limit from which on a monitor calls it saturated (SignalWatch::kSaturated)."""
+"""Share of a drive's limit at which a monitor reports saturation (SignalWatch::kSaturated)."""
 MOST_AT_LIMIT = 2e-3
-"""Share of the training samples: of seven joints together, 1.4 % of the samples would be saturated at most."""
+"""Largest share of saturated training samples of a joint; seven joints together reach 1.4 % at most."""
 
 
 @dataclass(frozen=True)
 class PossibleMotion:
-    """The recordings as a monitor of this bundle would see them."""
+    """Recordings without samples that a monitor of this bundle would refuse, with the arm's bounds."""
 
     training: list[Recording]
     validation: list[Recording]
     bounds: SignalBounds
     torque_limit_nm: np.ndarray
-    """Of each drive, infinite where unknown."""
+    """Torque limit of each drive, infinite where unknown."""
     constants: TorqueConstants | None
-    """That tau is to be multiplied by; None: it is in N m, or unknown."""
+    """Factors of tau; None: tau is in N m, or its unit is unknown."""
     left_out: LeftOut
     passed: np.ndarray
-    """Joints whose drive limit of the robot file does not hold, (n,) bool; see passed_limits."""
+    """Joints whose drive limit in the robot file is exceeded, (n,) bool; see passed_limits()."""
 
 
 def possible_motion(
@@ -315,14 +315,14 @@ def possible_motion(
     torque_limit_nm: np.ndarray,
     config: TrainConfig,
 ) -> PossibleMotion:
-    """Leave impossible samples out, and find torque constants on what is left.
+    """Leave impossible samples out and find torque constants on the rest.
 
-    Bounds are in the unit of the bundle's answers, which follows from the constants: those are fitted in the
+    Bounds are in the unit of the bundle's estimates, which follows from the constants. Constants are fitted in the
     recordings' own unit, for which there is no drive limit.
 
     Args:
         training: at least one.
-        torque_limit_nm: the robot file's limit of each drive, infinite where it has none.
+        torque_limit_nm: the robot file's limit of each drive, infinite if missing.
 
     Raises:
         ConfigError: torque constants are not one a joint.
@@ -353,10 +353,10 @@ def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per
     """Joints, (n,) bool, whose torque is at or beyond the robot file's limit in MOST_AT_LIMIT of free motion or more.
 
     With such a limit the monitor would report its own training motion as saturated: the file is wrong, or the drive
-    usually works at its limit. During a contact a drive may well reach a limit that is right.
+    usually works at its limit. Contacts do not count, since a drive may reach a correct limit there.
 
     Args:
-        free: free motion; none of it passes no limit.
+        free: free motion; if empty, no limit is passed.
     """
     if not free:
         return np.zeros(len(torque_limit_nm), dtype=bool)
@@ -365,7 +365,7 @@ def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per
 
 
 def known_constants(nm_per_unit: Sequence[float], training: Sequence[Recording]) -> TorqueConstants:
-    """Constants on a person's word.
+    """Torque constants given by the user.
 
     Raises:
         ConfigError: they are not one a joint.
@@ -389,25 +389,25 @@ def in_newton_metres(
     return constants.given or (constants.determined & (constants.relative_to is None))
 
 
-# --- What a training begins with: settings that can be served, recordings, and what their tau is in N m.
+# --- Input and state of a training.
 
 
 @dataclass(frozen=True)
 class Given:
-    """What a training starts from: the arm's recordings and its estimated model."""
+    """Input of a training: the arm's recordings and its estimated model."""
 
     robot: Path
-    """URDF or MJCF of the arm; its drives' torques are bounds."""
+    """URDF or MJCF of the arm; its drive torques are bounds."""
     case: ModelCase
     """How the estimated model differs from the robot file."""
     training: Sequence[Recording]
-    """As in the dataset, contacts included, of one robot, rate and torque timing."""
+    """Recordings of the dataset, with contacts, of one robot, rate and torque timing."""
     validation: Sequence[Recording] = ()
-    """Others, which nothing is trained on; none: the recipe does without, or cuts some off."""
+    """Recordings for validation only; empty: the recipe needs none or cuts some off."""
     calibration: Sequence[Callable[[], Recording]] = ()
-    """Load the recordings that a promise about false alarms is based on."""
+    """Loaders of the calibration recordings, from which promised limits follow."""
     model: Tree | None = None
-    """None: the robot file's, changed as the case says."""
+    """Estimated model; None: the robot file's, changed according to the case."""
 
     @cached_property
     def tree(self) -> Tree:
@@ -418,12 +418,12 @@ class Given:
 
     def expect_joints(self) -> None:
         """Raise RobotError where the robot file lacks a joint of the recordings, or cannot be read."""
-        _ = self.tree  # which is kept for the training
+        _ = self.tree  # cached for the training
 
 
 @dataclass(frozen=True)
 class Job:
-    """State of a training: settings, data, and results of the steps so far."""
+    """State of a training: settings, data and results so far."""
 
     tree: Tree
     case: ModelCase
@@ -431,76 +431,77 @@ class Job:
     out: Place
     possible: PossibleMotion
     calibration: list[Callable[[], Recording]]
-    """Load recordings, contacts and all."""
+    """Loaders of recordings, contacts included."""
     motion: TrainingMotion
     report: Reporter
     run: dict
     """Provenance: settings, versions, seed and the recordings' names."""
     facts: dict = field(default_factory=dict)
-    """What was found, for provenance: the steps add to it."""
+    """Facts for provenance; each step adds its own."""
     like: FleetPrior | None = None
-    """The fleet prior of this type; None: the arm is by itself."""
+    """Fleet prior of this arm type; None: the arm is trained alone."""
     times: WallTimes = field(default_factory=WallTimes)
     """Wall times of the training's phases."""
 
     @property
     def name(self) -> str:
-        """Of the bundle."""
+        """Name of the bundle."""
         return self.out.stem
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names, in the recordings' order."""
+        """Names of the joints, in the recordings' order."""
         return self.training[0].joints
 
     @property
     def training(self) -> list[Recording]:
-        """As many minutes as shall be trained on, contacts and all, without samples that are impossible."""
+        """Training recordings of the chosen minutes, contacts included, without impossible samples."""
         return self.possible.training
 
     @property
     def validation(self) -> list[Recording]:
-        """Likewise."""
+        """Validation recordings, contacts included, without impossible samples."""
         return self.possible.validation
 
     @property
     def constants(self) -> TorqueConstants | None:
-        """That the recordings' tau is to be multiplied by; None: it is in N m, or unknown."""
+        """Factors of the recordings' tau; None: tau is in N m, or its unit is unknown."""
         return self.possible.constants
 
     @property
     def units(self) -> TorqueUnits:
-        """What the bundle takes and answers in."""
+        """Units of the bundle's inputs and estimates."""
         given = given_unit(self.config, self.training)
         return self.constants.units(given) if self.constants else TorqueUnits(given)
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for people and for the run file: the steps add to it."""
+        """Sentences for the user and the run file; each step adds its own."""
         return self.motion.notes
 
     @property
     def threads(self) -> int:
-        """At least 1."""
+        """Number of threads, at least 1."""
         return self.config.threads or os.cpu_count() or 1
 
     def reference(self, setup: Setup) -> Recording:
-        """The recording whose first window the bundle keeps, to replay when it is loaded."""
+        """Recording whose first window the bundle stores, to replay on loading."""
         return reference_recording(setup, [*self.validation, *self.training])
 
     def say(self, sentence: str) -> None:
-        """Tell the reporter, under the bundle's name."""
+        """Report a sentence under the bundle's name."""
         self.report.say(f"{self.name}: {sentence}")
 
 
 def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None = None) -> Job:
-    """Choose the minutes, leave out what is impossible, find torque constants, leave contacts out.
+    """Cut to the chosen minutes, leave out impossible samples and contacts, and find torque constants.
 
     See train_on_recordings for the arguments.
 
     Raises:
-        ConfigError: settings that the case or the recordings cannot serve.
-        TrainingError: too little motion, or too much of it is impossible.
+        ConfigError: the case or the recordings do not allow the settings.
+        TrainingError: too little motion, or too much
+        of it is impossible.
     """
     if impossible := why_impossible(config.row, given.case):
         raise ConfigError(impossible)
@@ -522,7 +523,7 @@ def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, lik
 
 
 def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.ndarray) -> str:
-    """Which drive limits of the robot file are ignored, and why."""
+    """Sentence on the drive limits of the robot file that are ignored."""
     named = [f"{name} {limit:g}" for name, limit, one in zip(joints, limits_nm, passed, strict=True) if one]
     return (
         f"the robot file's torque limits of {', '.join(named)} are ignored: the torque reaches them in "
@@ -531,7 +532,7 @@ def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.nda
 
 
 def note_recordings(job: Job) -> None:
-    """Note what the recordings leave open: torque constants that are guesses, joints that never moved."""
+    """Add notes on guessed torque constants and on joints that never moved."""
     if job.constants is not None:
         job.notes.extend(job.constants.sentences(job.joints))
     stand = standing_joints([*job.training, *job.validation])

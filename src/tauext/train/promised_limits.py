@@ -1,4 +1,4 @@
-"""Limits with a stated rate of false alarms, and their check on motion that was left out."""
+"""Limits with a stated rate of false alarms, and their check on held-out motion."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from tauext.train.held_peaks import (
 )
 from tauext.train.tail import FalseAlarmBudget, Promise, Tail, TooFewPeaks, duration, fit_tail, split
 
-# --- Limits with a meaning: those that a budget of false alarms asks for, as far as the recordings can support it.
+# --- Limits for a budget of false alarms, as far as the recordings support it.
 
 
 HARD_PUSH = 3.0
-"""Hold times are compared on a push of so many times the limit that no hold time at all would have."""
+"""Push for comparing hold times, as a multiple of the limit without hold time."""
 
 HOLD_WORTH = 0.01
-"""A longer hold time must find that push sooner by this share: the fits of the tails are no more precise."""
+"""Share by which a longer hold time must detect that push sooner; tail fits are no more precise."""
 
 
 @dataclass(frozen=True)
 class PromisedLimits:
-    """Limits of both levels, the hold time that belongs to them, and what they promise."""
+    """Limits of both levels, their hold time, and their promise."""
 
     collision: LevelLimits
     contact: LevelLimits
@@ -51,24 +51,22 @@ class PromisedLimits:
     budget: FalseAlarmBudget
     """Budget of the limits: the requested one, or the smallest that the recordings support."""
     tails: dict
-    """Facts of every fit, by joint and region."""
+    """Facts of each fit, by joint and region."""
     moments: list[Moment] = field(default_factory=list)
-    """Those that carry a collision limit."""
+    """Moments that alone determine a collision limit."""
 
     @property
     def misfits(self) -> list[str]:
-        """Joints and regions whose tail is no generalised Pareto distribution: their limits are weakly founded."""
+        """Joints and regions whose tail is no generalised Pareto distribution, so that their limits are uncertain."""
         return [name for name, tail in self.tails.items() if not tail["fits"]]
 
     def sentence(self) -> str:
-        """In words: what is promised, what the limits were set for, and what the data do not bear out."""
+        """Sentences on the promise, the budget of the limits, and tails that do not fit."""
         words = self.promise.sentence()
         if not self.promise.is_supported:
             words += f" The limits are set for {self.budget}."
         if self.misfits:
-            words += (
-                f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a guess on the safe side."
-            )
+            words += f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a conservative guess."
         return words
 
     def facts(self) -> dict:
@@ -93,25 +91,25 @@ def promised_limits(
     at_most_seen: bool = False,
     kept: KeptPeaks | None = None,
 ) -> PromisedLimits:
-    """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
+    """Find limits from the tail of the error on calibration recordings, not used in training or validation.
 
-    The budget is split equally over joints and regions. Each limit is the level that peaks of the held error exceed at
-    most at its share of the rate, with the confidence of the promise. A longer hold time lowers the limits and delays
-    every alarm; the one is taken that finds a hard push first: behind an observer that reaches S (1 - exp(-K0 t)),
+    The budget is split equally over joints and regions. Peaks of the held error exceed each limit at most at its share
+    of the rate, with the confidence of the promise. A longer hold time lowers the limits and delays every alarm. The
+    chosen one detects a hard push first, with an observer output of S (1 - exp(-K0 t)):
 
         t = -ln(1 - limit(hold) / S) / K0 + hold,     S = HARD_PUSH limit(0)
 
-    on the mean over joints in the sliding region. Where the recordings are too short for the budget, the limits are set
-    for the smallest budget that they support, and the promise states how much is missing.
+    on the mean over joints in the sliding region. If the recordings are too short, the limits are set for the smallest
+    supported budget, and the promise states how much is missing.
 
     Args:
         recordings: loads them one at a time; called once.
-        level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
-        kept: what a killed process has done of this; `recordings` begins behind that.
-        at_most_seen: no limit is above `most_seen` of the largest peaks, however far the tail's fit reaches beyond it.
+        level_confidence: confidence with which each limit keeps its share of the budget; None: the promise's.
+        kept: results of an interrupted process; `recordings` begins after them.
+        at_most_seen: bound limits by `most_seen` of the largest peaks, even if the fitted tail reaches further.
 
     Raises:
-        TrainingError: no free motion, or too few peaks to say anything.
+        TrainingError: no free motion, or too few peaks.
     """
     n = bundle.joints
     found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins, kept=kept)
@@ -129,8 +127,8 @@ def promised_limits(
 
     best = simplest(range(len(found)), delay_s, HOLD_WORTH)
     limits, tails = choices[best]
-    # A contact is held at least as long as a collision: else what that hold time was chosen to outlast would cross the
-    # contact's limits at once, which are no higher.
+    # A contact's hold time is at least a collision's: its limits are no higher, so short errors would cross them at
+    # once.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
     contact, _ = limits_of(found[held], contact_budget, 0.5, at_most_seen)
@@ -154,10 +152,10 @@ def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_
 def limits_of(
     peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
 ) -> tuple[LevelLimits, dict]:
-    """The limits that these peaks ask for, each with this confidence, and facts of every fit by joint and region.
+    """Find limits from these peaks, each with this confidence, and facts of each fit by joint and region.
 
     Raises:
-        TooFewPeaks: of some joint.
+        TooFewPeaks: a joint has too few.
     """
     facts: dict = {}
     levels = []
@@ -178,7 +176,7 @@ def _of_joint(
     confidence: float,
     at_most_seen: bool,
 ) -> tuple[np.ndarray, list[Tail]]:
-    """The levels of a joint's regions, (regions,), from these of its peaks, and their tails."""
+    """Levels of a joint's regions, (regions,), from its peaks, and the fitted tails."""
     shares = split(budget, len(peaks.joints), len(REGIONS))[joint]
     tails = [_tail(nm, region, peaks.hours) for region in range(len(REGIONS))]
     levels = np.array([tail.upper_level(float(share), confidence) for tail, share in zip(tails, shares, strict=True)])
@@ -188,16 +186,16 @@ def _of_joint(
 
 
 def most_seen(peaks_nm: np.ndarray) -> float:
-    """The geometric mean of the two largest peaks, [N m]: one event twice as large as any other counts 1.4 times.
+    """Geometric mean of the two largest peaks, [N m]: an event twice as large as any other counts 1.4 times.
 
     Args:
-        peaks_nm: falling, (peaks,), two or more.
+        peaks_nm: descending, (peaks,), two or more.
     """
     return float(np.sqrt(peaks_nm[0] * peaks_nm[1]))
 
 
 def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:
-    """Of a region that a joint hardly enters too little is known: it takes the tail of both regions together."""
+    """Fit a region's tail; a region that the joint hardly enters uses the tail of both regions."""
     try:
         return fit_tail(nm[region], hours)
     except TooFewPeaks:
@@ -205,7 +203,7 @@ def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:
 
 
 def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:
-    """Put limits and hold times into a bundle."""
+    """Set limits and hold times of a bundle."""
     bundle.sliding_limit_nm = found.collision.sliding_nm.tolist()
     bundle.near_stiction_limit_nm = found.collision.near_stiction_nm.tolist()
     bundle.hold_s = found.hold_s
@@ -215,14 +213,13 @@ def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConf
     bundle.contact_release_s = alarm.contact_release_s
 
 
-# --- By how much limits from minutes of data fail in motion that the minutes do not show: each recording in turn is
-# judged by limits that follow from the others.
+# --- Limits from minutes of data in other motion: each recording is evaluated with limits from the others.
 
 
 FEWEST = 3
-"""Recordings. With two, one alone would have to show every error of the other."""
+"""Fewest recordings. With two, one would have to contain every error of the other."""
 NOT_MEASURED = (
-    f"How the limits hold in other kinds of motion is unknown: that takes {FEWEST} recordings or more, each long "
+    f"The false alarm rate in other kinds of motion is unknown: it takes {FEWEST} recordings or more, each long "
     "enough to be left out in turn."
 )
 MOST_TURNS = 40
@@ -236,35 +233,35 @@ class OtherMotion:
     """False alarms in recordings whose limits follow from the others."""
 
     false: dict[str, int]
-    """Of each recording."""
+    """Number of false alarms by recording."""
     promised: float
-    """False alarms that the budget of these limits allows in the same time."""
+    """False alarms allowed by the budget of these limits in the same time."""
     hours: float
     kept_by: float
-    """Limits so many times as high would have kept the promise in them."""
+    """Factor on the limits that would have kept the promise in these recordings."""
 
     @property
     def factor(self) -> float:
-        """False alarms for each promised one."""
+        """Ratio of false alarms to promised ones."""
         return sum(self.false.values()) / self.promised
 
     @property
     def at_most(self) -> float:
-        """The factor's upper bound at 95 %, as far as these recordings differ: they count, not their alarms."""
+        """Upper bound of the factor at 95 %, from the spread between recordings, not the number of alarms."""
         counts = np.array(list(self.false.values()), dtype=float)
         return self.factor + UPPER * math.sqrt(len(counts)) * float(counts.std(ddof=1)) / self.promised
 
     def sentence(self) -> str:
-        """In words."""
+        """Text for the user."""
         some = {name: count for name, count in self.false.items() if count}
         words = (
-            f"Each recording was judged by limits from the others. False alarms in {duration(self.hours)}: "
+            f"Each recording was evaluated with limits from the others. False alarms in {duration(self.hours)}: "
             f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; promised: {self.promised:.2g}."
         )
         if self.at_most <= 1:
-            return f"{words} So the promise also holds from one recording to the next."
+            return f"{words} The promise also holds from one recording to the next."
         words += (
-            f" In motion of a kind that no recording shows, expect {self.factor:.2g} times the promised false alarms "
+            f" In motion unlike any recording, expect {self.factor:.2g} times the promised false alarms "
             f"(up to {self.at_most:.2g} times, at 95 % confidence)."
         )
         if self.factor <= 1:
@@ -290,19 +287,19 @@ def other_motion(
 ) -> OtherMotion | None:
     """Count false alarms in each recording by limits from the others, found as set_supported_limits finds them.
 
-    The error scale is fitted to the other recordings, too, and ends at the largest that they show. What remains of the
-    recording itself is in the prior, if that was not fitted without it.
+    The error scale is also fitted to the other recordings and bounded by their largest value. Only the prior may still
+    depend on the recording itself.
 
     Args:
         rows: errors on free motion, of all recordings.
         joints: their names.
-        promised: what the limits of all recordings are set for, and their hold time.
-        level_confidence: with which each limit keeps its share of the budget.
-        factor: on the limits.
-        reserve_nm: what is added to the limits at rest [N m], and for each rad/s, (joints,) each.
+        promised: budget and hold time of the limits from all recordings.
+        level_confidence: confidence with which each limit keeps its share of the budget.
+        factor: factor on the limits.
+        reserve_nm: reserve added to the limits at rest [N m], and for each rad/s, (joints,) each.
 
     Returns:
-        None where the recordings are too few, or too short to find limits without one of them.
+        None if the recordings are too few or too short to find limits without one of them.
     """
     numbers = np.unique(rows.recording)
     if len(numbers) < FEWEST:
@@ -335,10 +332,10 @@ def other_motion(
 def _limits(
     others: Rows, own: Rows, joints: Sequence[str], promised: PromisedLimits, level_confidence: float
 ) -> np.ndarray:
-    """The collision limits that other rows ask for on these, (own rows, joints), [N m].
+    """Collision limits on these rows that follow from other rows, (own rows, joints), [N m].
 
     Raises:
-        TooFewPeaks: there are too few others.
+        TooFewPeaks: the other rows have too few.
     """
     weights = np.array([limit_weights(others, j) for j in range(len(joints))])
     scale = np.einsum("rjf,jf->rj", others.features, weights)
@@ -353,6 +350,6 @@ def _limits(
 
 
 def _held(ratio: np.ndarray, t_ns: np.ndarray, hold_s: float) -> np.ndarray:
-    """Of errors by their limits, (rows, joints), the held minimum of the joint that is farthest over, (rows,)."""
+    """Largest held minimum over the joints, (rows,), of errors divided by limits, (rows, joints)."""
     hold, healthy = hold_lengths(t_ns, hold_s), np.ones(len(t_ns), dtype=bool)
     return np.max([held_minimum(of_joint, healthy, hold) for of_joint in ratio.T], axis=0)

@@ -33,26 +33,26 @@ from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.held_peaks import REGIONS, separate_peaks
 from tauext.train.tail import FalseAlarmBudget, Promise, duration, is_kept
 
-# --- What a fleet prior adds to a refit: joints that hardly moved follow those that did.
+# --- Refit with a fleet prior: joints that hardly moved follow those that did.
 #
 # .. math:: \log f \sim N(0, D), \qquad \log \hat f_m = \log f_m + e_m
 #
-# D: how friction differs from one recording of an arm to the next (tauext.fleet.prior_evidence); m: joints that
-# moved. A joint that did not is expected at the mean of log f under both. One whose own minute determines more is
-# left to it, and one that the others contradict has no influence on them: it wears, and was not warmed.
+# D is the covariance of log friction between recordings of one arm (tauext.fleet.prior_evidence); m are the joints that
+# moved. A joint that did not move is expected at the mean of log f under both. A joint whose own minute determines its
+# friction better keeps that. A joint that the others contradict is ignored: its change is wear, not temperature.
 
 
 LEAST_MOVED_S = 10.0
-"""A joint that moved for less showed too little of its friction."""
+"""Least motion of a joint for estimating its friction."""
 LEAST_AGREEING = 2
-"""Joints: what one alone shows may be its own wear."""
+"""Fewest joints that moved; the change of a single one may be wear."""
 
 
 def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
     """The fleet's covariance between recordings of one arm, (n, n), in the bundle's order of joints.
 
     Raises:
-        ConfigError: it is of other joints, or none of its arms had several recordings.
+        ConfigError: its joints differ, or none of its arms had several recordings.
     """
     joints = tuple(link.joint_name for link in bundle.links)
     if like.type.joints != joints:
@@ -60,7 +60,7 @@ def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
         raise ConfigError(f"like: joints = ({theirs}) of the fleet prior must be ({own}) as of the bundle")
     if like.days is None:
         raise ConfigError(
-            "like: this fleet prior has differences between arms, not between days; make it of arms "
+            "like: this fleet prior has differences between arms, not between days; make it from arms "
             "with two recordings or more each, from different times of the day"
         )
     return like.days.covariance
@@ -69,11 +69,11 @@ def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
 def expectations(
     factor: np.ndarray, error: np.ndarray, moved_s: np.ndarray, days: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Of a joint's friction by the old one what the other joints say: mean and standard deviation, (n,) each, and which
-    joints are to follow, (n,) bool; None: none is.
+    """Expected ratio of each joint's friction to the old one, from the other joints: mean and standard deviation, (n,)
+    each, and which joints follow it, (n,) bool; None: no joint does.
 
     Args:
-        factor, error: of each joint by its own minute, (n,).
+        factor, error: ratio and standard error of each joint from its own minute, (n,).
         days: covariance of their logarithms from one recording to the next, (n, n).
     """
     telling = agreeing(np.flatnonzero(moved_s >= LEAST_MOVED_S), np.log(factor), error / factor, days)
@@ -91,14 +91,14 @@ def expectations(
 def predicted(
     joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray
 ) -> tuple[float, float]:
-    """Mean and standard deviation of a joint's logarithm by those of others."""
+    """Mean and standard deviation of a joint's logarithm, predicted from the others'."""
     gain = days[joint, others] @ np.linalg.inv(days[np.ix_(others, others)] + np.diag(error[others] ** 2))
     left = days[joint, joint] - gain @ days[others, joint]
     return float(gain @ log_factor[others]), float(np.sqrt(max(left, 0.0)))
 
 
 def agreeing(joints: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> np.ndarray:
-    """Those of the joints that none of the others contradicts: the farthest is left out until all are CLOSE."""
+    """Joints that agree with the others: the farthest is left out until all are CLOSE."""
     while len(joints) >= LEAST_AGREEING:
         far = [distance(j, joints[joints != j], log_factor, error, days) for j in joints]
         worst = int(np.argmax(far))
@@ -118,7 +118,7 @@ Numbers = Sequence[float] | np.ndarray
 
 
 def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.ndarray) -> _core.RefitSettings:
-    """A refit's settings in which these joints are expected there, and the others as without a fleet."""
+    """Settings of a refit with expectations for the joints that follow; the others as without a fleet."""
     settings = _core.RefitSettings()
     pairs = zip(mean, error, follows, strict=True)
     expected = [(float(m), float(e)) if on else (1.0, settings.common) for m, e, on in pairs]
@@ -126,22 +126,22 @@ def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.nd
     return settings
 
 
-# --- Whether a promise that was made of yesterday's arm may be believed of today's, a joint at a time.
+# --- Whether the old promise still holds for each joint.
 #
-# A minute cannot keep a promise of hours. What it can do is to speak against one: the limits were found from a tail,
-# peaks of the error over a threshold, so many an hour. After the refit, peaks over that threshold, raised as the limits
-# were, must come no more often than then.
+# A minute cannot confirm a promise of hours, but it can contradict one. The limits were found from a tail: peaks of the
+# error over a threshold, at some rate. After the refit, peaks over that threshold, raised with the limits, must not be
+# more frequent than then.
 
 
 STANDS = "stands"
 
 
 def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any], joint: int) -> str:
-    """`stands`, or why the promise is open for this joint, in words.
+    """Return `stands`, or the reason why the promise is open for this joint.
 
     Args:
-        bundle: the old one.
-        limits: what its provenance has of its limits.
+        bundle: the old bundle.
+        limits: the entry on limits in its provenance.
     """
     of_joint = found.joints[joint]
     if not promised(limits):
@@ -166,7 +166,7 @@ def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any]
 
 
 def promised(limits: Mapping[str, Any]) -> bool:
-    """Whether the limits rest on a tail and a budget."""
+    """Whether the limits follow from a tail and a budget."""
     return bool(limits.get("tails")) and "promise" in limits
 
 
@@ -179,9 +179,9 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
 
 
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
-    """Text: which part of the old promise holds, and what a new promise needs."""
+    """Message: which part of the old promise holds, and what a new promise needs."""
     if not promised(limits):
-        return "The bundle's limits promise nothing, and still do not."
+        return "The bundle's limits have no promise, before and after."
     asked = limits["promise"]["asked"]
     budget = FalseAlarmBudget(asked["alarms"], asked["hours"])
     new = Promise(budget, used_s / 3600, confidence=limits["promise"]["confidence"])
@@ -192,19 +192,19 @@ def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -
     return f"The promise ({limits['set_for']}) stands as far as the old errors are like today's: {alone}; {take}."
 
 
-# --- What a refit found, joint by joint: for people, for JSON and for provenance.
+# --- Results of a refit by joint, as text and as JSON.
 
 
 @dataclass(frozen=True)
 class JointReport:
-    """One joint. A factor is of today's friction by the old one, beside its standard error."""
+    """Result of one joint. Factors are today's friction divided by the old one, with standard errors."""
 
     joint: str
     coulomb: tuple[float, float]
-    """Of all that follows the motion's sign: Coulomb, presliding, load."""
+    """Factor of Coulomb, presliding and load-dependent friction."""
     viscous: tuple[float, float]
     constant: tuple[float, float]
-    """By how much the constant moved, in the unit of the answers."""
+    """Change of the constant, in the unit of the estimates."""
     unit: str
     moved_s: float
     error_ratio: float | None
@@ -214,13 +214,13 @@ class JointReport:
     sigma_factor: float
     promise: str
     follows: bool = False
-    """It hardly moved, and its friction is what the other joints let a fleet expect."""
+    """Whether the joint hardly moved and its friction follows the other joints'."""
 
     @classmethod
     def of(
         cls, bundle: _core.Bundle, joint: int, found: _core.RefitJoint, promise: str, follows: bool = False
     ) -> JointReport:
-        """Of one joint of a refit."""
+        """Make the result of one joint of a refit."""
         return cls(
             joint=bundle.links[joint].joint_name,
             coulomb=found.coulomb,
@@ -244,15 +244,15 @@ class Touch:
     recording: str
     joint: str
     from_s: float
-    """After the recording's first sample."""
+    """Begin, after the recording's first sample."""
     to_s: float
     limit_share: float
-    """Largest error by the old collision limit."""
+    """Largest error divided by the old collision limit."""
     counted: bool
-    """Too many for touches: they are the joint's error, and its limits were raised by them."""
+    """Whether it counts as the joint's error and raised its limits, as moments are too many for touches."""
 
     def sentence(self) -> str:
-        """Text for a person who inspects it."""
+        """Message that asks the user to inspect the moment."""
         what = "raised its limits" if self.counted else "was left out as a touch"
         return (
             f"{self.joint}: {self.from_s:.1f} to {self.to_s:.1f} s of '{self.recording}' is {self.limit_share:.1f} "
@@ -262,7 +262,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Refitted:
-    """A bundle brought up to date, and what changed."""
+    """A refitted bundle and its changes."""
 
     bundle: _core.Bundle
     joints: list[JointReport]
@@ -271,10 +271,10 @@ class Refitted:
     memory_s: float
     """Correlation time of errors, [s]."""
     promise: str
-    """Text: whether the old promise holds."""
+    """Message on whether the old promise holds."""
 
     def facts(self) -> dict:
-        """All of it for JSON."""
+        """All values for JSON."""
         return {
             "used_s": round(self.used_s, 3),
             "memory_s": round(self.memory_s, 3),
@@ -284,7 +284,7 @@ class Refitted:
         }
 
     def table(self) -> str:
-        """For people, a row a joint."""
+        """Table for the terminal, one row a joint."""
         head = ["joint", "friction", "viscous", "constant", "limits", "promise"]
         rows = [head] + [
             [
@@ -302,11 +302,11 @@ class Refitted:
 
 
 def number(value: float) -> float | None:
-    """JSON has no NaN."""
+    """Convert NaN to None for JSON."""
     return value if math.isfinite(value) else None
 
 
-# --- A new bundle from an old one and some motion of today: check, cut, fit, report what changed, write.
+# --- A new bundle from an old one and today's motion: check, cut, fit, report changes, write.
 
 
 MARGINS = FreeMotionConfig()
@@ -314,10 +314,10 @@ MARGINS = FreeMotionConfig()
 
 @dataclass(frozen=True)
 class Span:
-    """Which part of each recording is used, [s] after its first sample.
+    """Part of each recording that is used, [s] after its first sample.
 
     Raises:
-        ConfigError: a time that is not finite, or an end that is not behind the beginning.
+        ConfigError: a time is not finite, or the end is not after the beginning.
     """
 
     from_s: float = 0.0
@@ -330,7 +330,7 @@ class Span:
             raise ConfigError(f"from = {self.from_s:g} s to {end:g} s must be a time of the recording, from 0 on")
 
     def of(self, recording: Recording) -> Recording | None:
-        """That part; None where the recording ends before."""
+        """Return that part of a recording; None if the recording ends before."""
         start_s = recording.provenance.get("start_s", 0.0)
         end_s = np.inf if self.to_s is None else self.to_s
         return within(recording, self.from_s + start_s, end_s + start_s, recording.name)
@@ -346,21 +346,21 @@ def refit_bundle(
     accept: Sequence[str] = (),
     like: FleetPrior | None = None,
 ) -> Refitted:
-    """Write a bundle like this one whose friction is that of the arm in today's recordings.
+    """Write a copy of a bundle with the friction of the arm in today's recordings.
 
-    First the quick checks (tauext.check) run on them: faults refuse, warnings are reported and kept.
+    The quick checks (tauext.check) run first: faults are refused, warnings are reported and stored.
 
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
-        like: what a fleet of arms of this type knows; None: joints that hardly moved stay as they were.
+        like: the fleet prior of this type; None: joints that hardly moved are unchanged.
 
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.
-        ConfigError: no recording, or no sample of it in the span.
-        BundleError: there is no such bundle; joints, rate or timing of a recording are not the bundle's.
-        TrainingError: the bundle has no prior; too little motion, or motion that no friction explains or the
-            bundle's monitor rejects.
+        ConfigError: no recording, or no sample in the span.
+        BundleError: no such bundle; joints, rate or timing of a
+        recording differ from the bundle's. TrainingError: the bundle has no prior; too little motion, or motion that no
+        friction explains or the bundle's monitor rejects.
     """
     started = time.monotonic()
     expect_codes(accept)
@@ -407,13 +407,14 @@ def refit_recordings(
     report: Reporter = SILENT,
     like: FleetPrior | None = None,
 ) -> Refitted:
-    """The same in memory, without the data check: what a monitor's buffer recorded, for example.
+    """Refit a bundle in memory, without the data checks, for example on a monitor's buffer.
 
-    Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
+    Labelled contacts are cut out with the margins of training. Provenance stays unchanged.
 
     Raises:
-        ConfigError: a fleet prior of another arm, or one without differences between days.
-        TrainingError: as refit_bundle.
+        ConfigError: the fleet prior is of another arm or lacks differences between days.
+        TrainingError: see
+        refit_bundle().
     """
     days = None if like is None else expect_days(like, bundle)
     left_out = LeftOut("refit")
@@ -454,10 +455,10 @@ def refit_motion(
     report: Reporter = SILENT,
     like: FleetPrior | None = None,
 ) -> Refitted:
-    """The same of what `Monitor.finish_refit` gives.
+    """Make the result of a refit from `Monitor.finish_refit`.
 
     Raises:
-        TrainingError: as refit_bundle.
+        TrainingError: see refit_bundle().
     """
     observer = bundle.observer
     recording = Recording(
@@ -476,7 +477,7 @@ def refit_motion(
 
 
 def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
-    """With names, and times from the recording's first sample on."""
+    """Convert the core's touch, with names and times after the recording's first sample."""
     recording = recordings[touch.source]
     start_ns = int(recording.t_ns[0]) - round(1e9 * recording.provenance.get("part", {}).get("from_s", 0.0))
     from_s, to_s = 1e-9 * (touch.from_ns - start_ns), 1e-9 * (touch.to_ns - start_ns)
@@ -484,16 +485,16 @@ def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
 
 
 def expect_prior(bundle: _core.Bundle, path: Place) -> None:
-    """Raise TrainingError where there is nothing that could be brought up to date."""
+    """Raise TrainingError if the bundle has no prior to refit."""
     if not bundle.prior.terms:
         raise TrainingError(
-            f"{path}: the bundle has no prior, whose friction could be brought up to date; train one with recipe "
-            "tauext or prior, or train this one anew on today's recordings"
+            f"{path}: the bundle has no prior, whose friction could be refitted; train one with recipe "
+            "tauext or prior, or retrain this one on today's recordings"
         )
 
 
 def recording_files(data: Place) -> list[Place]:
-    """A recording's file, or those of a dataset's training recordings.
+    """Files of a recording or of a dataset's training recordings.
 
     Raises:
         ConfigError: there are none.
@@ -502,11 +503,11 @@ def recording_files(data: Place) -> list[Place]:
         return [data]
     files = load_dataset(data).files("train")
     if not files:
-        raise ConfigError(f"{data}: split.json lists no training recording, of which refit takes today's motion")
+        raise ConfigError(f"{data}: split.json lists no training recording, from which refit takes today's motion")
     return files
 
 
 def file_sha256(path: Place) -> str:
-    """Of a file's bytes."""
+    """SHA-256 of a file's bytes."""
     with local_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

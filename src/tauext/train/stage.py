@@ -38,19 +38,19 @@ from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.writing import put_wrench, write
 
-# --- What a training of this size takes at least, held against what is there before anything is loaded.
+# --- Least time and memory of a training, checked before anything is loaded.
 
 
 FLOPS_A_CORE = 2e11
-"""Above what a core reaches in single precision (32 sums and products a cycle at 3 GHz), so that times are bounds."""
+"""Upper bound of a core's speed in single precision (32 sums and products a cycle at 3 GHz), so times are bounds."""
 LEAST_INPUTS = 3
-"""Of a network: one joint's q(k), dq(k) and dq(k-1)."""
+"""Fewest inputs of a network: one joint's q(k), dq(k) and dq(k-1)."""
 BYTES_A_SEQUENCE = 3 * 8
-"""Of a training step: which sequences are drawn, and the rows at which they end."""
+"""Memory of a training step for the drawn sequences and the rows at which they end."""
 
 
 def accepted_settings(config: TrainConfig, calibration: Sequence[object], like: FleetPrior | None) -> TrainConfig:
-    """The settings to train with; those that cannot be met are refused before any recording is read.
+    """Resolve the settings of a training and refuse impossible ones before any recording is read.
 
     Args:
         calibration: the calibration recordings, which promised limits need.
@@ -64,10 +64,10 @@ def accepted_settings(config: TrainConfig, calibration: Sequence[object], like: 
 
 
 def expect_size(config: TrainConfig) -> None:
-    """Refuse what no machine of this kind finishes within a month, or what its memory cannot hold.
+    """Refuse a training that takes over a month or exceeds the memory.
 
     Raises:
-        ConfigError: the setting, what it needs, and what is there.
+        ConfigError: names the setting, what it needs, and what is available.
     """
     config = config.resolved()
     if config.row.network is None or config.batch is None:
@@ -75,22 +75,21 @@ def expect_size(config: TrainConfig) -> None:
     expect_memory(BYTES_A_SEQUENCE * config.batch, f"batch = {config.batch}")
     window = max(1, int(config.observer.window_s / config.observer.network_period_s))
     length = window + config.targets if config.row.network == "sequences" else window
-    # An epoch holds a batch at least.
+    # An epoch has at least one batch.
     steps = min(config.epochs or config.max_steps or 1, config.max_steps or config.epochs or 1)
-    a_step = 3 * 2 * 4 * config.hidden * (config.hidden + LEAST_INPUTS)  # backwards costs twice forwards
+    a_step = 3 * 2 * 4 * config.hidden * (config.hidden + LEAST_INPUTS)  # backward costs twice forward
     flops = float(steps) * config.batch * length * a_step
     work = f"a training of {steps} steps of {config.batch} sequences of {length} with {config.hidden} hidden units"
     expect_time(flops / (FLOPS_A_CORE * (os.cpu_count() or 1)), work)
 
 
-# --- A network behind a prior ships only where it helps.
+# --- A network behind a prior is used only where it helps.
 
 
 def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[Bundle, PriorFit | None]:
-    """Shut the network off for joints that it does not help; the bundle that ships, and its prior.
+    """Disable the network for joints where it does not help; returns the final bundle and its prior.
 
-    Where no network is left of one that validated on motion cut off from the training, the prior is fitted to all of
-    it in the end.
+    If no joint keeps a network that was validated on motion cut off from training, the prior is refitted to all motion.
 
     Args:
         setup: without the prior.
@@ -121,17 +120,18 @@ def train_bundle(
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
-    First all that is used is checked (tauext.check): faults refuse, warnings are reported and stored in the bundle.
+    All data are checked first (tauext.check): faults are refused, warnings are reported and stored in the bundle.
 
     Args:
-        out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network goes on
+        out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network resumes
             from its checkpoint there.
-        case: the estimated model; None: the robot file as it is, or none where the dataset was imported without one.
+        case: the estimated model; None: the robot file's, or none if the dataset was imported without one.
         robot: URDF or MJCF of the arm; None: the dataset's own.
         config: recipe, seed and sizes.
-        report: receives the progress and sentences about what was found.
-        accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
-        check: False: skips the checks, for recordings that are known to be good.
+        report: receives progress and sentences about results.
+        accept: codes of findings that are accepted, CODE or
+        CODE:joint; they are stored in the bundle.
+        check: False skips the checks, for recordings known to be good.
         like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
 
     Raises:
@@ -172,23 +172,24 @@ def train_on_recordings(
     accept: Sequence[str] = (),
     times: WallTimes | None = None,
 ) -> None:
-    """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
+    """Train on recordings in memory by the config's recipe, find limits, and write the bundle.
 
-    Its run file and wall time stand beside it, and while a network is trained its checkpoint, from which an interrupted
-    training goes on.
+    Its run file and wall time are written beside it. While a network is trained, so is a checkpoint, from which an
+    interrupted training resumes.
 
     Args:
         config: from accepted_settings.
-        out: NAME.tauext; its folder is made.
-        report: receives the progress and sentences about what was found.
+        out: NAME.tauext; its folder is created.
+        report: receives progress and sentences about results.
         checked: findings of the checks (check_data), for provenance; None: none were made.
-        like: the fleet prior of this type; None: the arm is by itself.
-        accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
+        like: the fleet prior of this type; None: the arm is trained alone.
+        accept: `rejected`: continue if a monitor rejects more than a fifth of the training motion.
         times: wall times of the phases before, such as the checks; those of the training are added.
 
     Raises:
-        ConfigError: settings that the case or the recordings cannot serve.
-        TrainingError: too little motion for the recipe, motion that a monitor rejects, or a loss that diverges.
+        ConfigError: the case or the recordings do not allow the settings.
+        TrainingError: too little motion for the
+        recipe, a monitor rejects the motion, or the loss diverges.
     """
     times = WallTimes() if times is None else times
     with times.phase("prepare"):
@@ -209,7 +210,7 @@ def train_on_recordings(
         if config.resolved().observer.gain_per_s == "auto" and fit is not None:
             job.say("choosing the observer gain")
             setup, fit = choose_gain(job, setup, fit)
-    # Before a network is trained for hours: what a monitor rejects does not depend on it.
+    # Check before a long training: rejected motion does not depend on the network.
     with times.phase("observe"):
         rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
     if words := rejected.warning("its own training motion", accept):
@@ -226,7 +227,7 @@ def train_on_recordings(
 
 
 def complete(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
-    """Add to a fitted bundle all that training determines besides estimates; each step relies on those before.
+    """Complete a fitted bundle: limits, drift, load and forces; each step depends on those before.
 
     Args:
         setup: without the prior.

@@ -1,4 +1,4 @@
-"""The tail of errors in free motion, and how many false alarms a calibration may promise from it."""
+"""Tail of errors in free motion, and the number of false alarms that a calibration can promise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.special import gammainc, gammaincinv
 
 from tauext.errors import ConfigError, TrainingError
 
-# --- The tail of a joint's error in free motion: how often |tau_ext| peaks above a level that few or no peaks reached.
+# --- Tail of a joint's error in free motion: rate of peaks of |tau_ext| above levels that few or no peaks reached.
 #
 # Peaks over a threshold u come as a Poisson process of rate lambda_u, and their excess over u follows a generalised
 # Pareto distribution [Coles2001]_ (4.2):
@@ -22,29 +22,29 @@ from tauext.errors import ConfigError, TrainingError
 #           x_\rho = u + \frac{\sigma}{\xi}\left[\left(\frac{\lambda_u}{\rho}\right)^{\xi} - 1\right]
 #
 # with x_rho the level that peaks exceed rho times an hour. xi = 0 is the exponential distribution; with xi < 0 the tail
-# ends at u - sigma/xi. It is SciPy's `genpareto`, whose own fit has no bounds of the shape and sees one pair of
-# parameters at a time. Here, with c = xi/sigma, the log-likelihood [Grimshaw1993]_
+# ends at u - sigma/xi. It is SciPy's `genpareto`, whose own fit has no bounds of the shape and evaluates one
+# pair of parameters at a time. Here, with c = xi/sigma, the log-likelihood [Grimshaw1993]_
 #
 # .. math:: \ell(c, \sigma) = -n \ln\sigma - S(c) - \frac{S(c)}{c\,\sigma}, \quad S(c) = \sum_i \ln(1 + c\,y_i)
 #
-# needs one sum for each c, whatever sigma: a whole grid of it costs little, and nothing has to converge.
+# needs one sum for each c, for all sigma: a grid costs little and needs no convergence.
 
 
 EXCEEDANCES = (200, 140, 100, 70, 50)
-"""Thresholds that are tried, by the number of peaks over them."""
+"""Thresholds to try, by the number of peaks above."""
 TAIL_SHARE = 0.05
-"""Of all peaks, more than this share are no tail; but 50 are always tried."""
+"""Largest share of the peaks that counts as a tail; 50 peaks are always tried."""
 FEWEST = 30
-"""With fewer exceedances than this a tail is unknown."""
+"""Fewest exceedances for fitting a tail."""
 SHAPES = (-0.9, 1.0)
 """Bounds of the shape. Below -1 the likelihood has no maximum [Grimshaw1993]_. From 1 on the mean excess is infinite,
-which no torque error is."""
+which is impossible for torque errors."""
 SMALLEST_P = 0.1
-"""A threshold is passed over where a fit as bad as its own has a smaller probability than this ..."""
+"""A threshold is skipped if a fit as bad as its own is less probable than this ..."""
 WIDEST_STEP = 2.58
-"""... or where a higher threshold's shape differs by more standard errors than this (99 %)."""
+"""... or if a higher threshold's shape differs by more standard errors than this (99 %)."""
 MISFIT_P = 0.01
-"""No tail of this kind: the chance of so bad a fit is smaller still, even over the highest threshold."""
+"""Probability of so bad a fit over the highest threshold, below which the peaks have no tail of this kind."""
 
 GOODNESS_P = np.array([0.5, 0.25, 0.1, 0.05, 0.025, 0.01, 0.001])
 GOODNESS_SHAPES = np.array([-0.9, -0.8, -0.6, -0.4, -0.2, 0.0, 0.25, 0.5, 1.0])
@@ -61,9 +61,9 @@ GOODNESS_A2 = np.array(
         [0.383, 0.544, 0.759, 0.940, 1.122, 1.376, 2.066],
     ]
 )
-"""Anderson and Darling's A² (a row a shape, a column a p) that samples of a generalised Pareto distribution exceed with
-probability p when shape and scale are fitted to them within SHAPES: the parametric bootstrap that [Choulakian2001]_
-tabulate, done once for all with 60,000 samples of 100. For 50 or 200 it is within 3 %, next to the lower bound 10 %."""
+"""Anderson and Darling's A² (a row a shape, a column a p), exceeded with probability p by samples of a generalised
+Pareto distribution. Shape and scale are fitted to them within SHAPES. The table is the parametric bootstrap of
+[Choulakian2001]_ with 60,000 samples of 100. For 50 or 200 it is within 3 %, near the lower bound 10 %."""
 
 
 class TooFewPeaks(TrainingError):
@@ -71,8 +71,7 @@ class TooFewPeaks(TrainingError):
 
     def __init__(self, peaks: int) -> None:
         super().__init__(
-            f"{peaks} peaks are too few to say how far the tail reaches: at least {FEWEST + 1} are needed; record more "
-            "free motion"
+            f"{peaks} peaks are too few to fit a tail: at least {FEWEST + 1} are needed; record more free motion"
         )
         self.peaks = peaks
 
@@ -85,32 +84,33 @@ class Tail:
     shape: float
     scale_nm: float
     exceedances: int
-    """Peaks above the threshold: those that were fitted."""
+    """Fitted peaks, above the threshold."""
     hours: float
-    """In which they were seen."""
+    """Hours of observation."""
     goodness_p: float
-    """Chance of so bad a fit if the tail were of this kind, by Anderson and Darling's test; cut to 0.001 to 0.5."""
+    """Probability of so bad a fit for a tail of this kind, by Anderson and Darling's test; clipped to 0.001 to 0.5."""
     peaks_nm: np.ndarray = field(repr=False)
-    """All peaks, falling, [N m]."""
+    """All peaks, descending, [N m]."""
 
     @property
     def rate_per_hour(self) -> float:
-        """Peaks over the threshold an hour, lambda_u, [1/h]."""
+        """Rate of peaks over the threshold, lambda_u, [1/h]."""
         return self.exceedances / self.hours
 
     @property
     def fits(self) -> bool:
-        """False where levels beyond the data rest on a distribution that does not describe the data."""
+        """Whether the distribution describes the data, so that levels beyond the data are credible."""
         return self.goodness_p >= MISFIT_P
 
     def level(self, rate_per_hour: float) -> float:
-        """The level that peaks exceed so many times an hour, [N m]: the most likely one, with no reserve.
+        """Most likely level that peaks exceed at this rate, [N m], without reserve.
 
-        A limit put there is exceeded more often on average, since the rate grows faster below the level than it falls
-        above: twice as often where the recorded time is a third of 1/rate, ten times at a thirtieth (Gaussian noise).
+        A limit at this level is exceeded more often on average, since the rate grows faster below the level than it
+        falls above: twice as often where the recorded time is a third of 1/rate, ten times at a thirtieth (Gaussian
+        noise).
 
-        At rates up to lambda_u, x_rho of the fit; at higher ones, under the threshold, the peaks themselves. Never less
-        than what was exceeded more often than the rate allows.
+        At rates up to lambda_u, it is x_rho of the fit; at higher ones, below the threshold, it follows from the peaks.
+        It is never less than a level that was exceeded more often than the rate allows.
 
         Raises:
             ConfigError: rate not > 0.
@@ -126,30 +126,30 @@ class Tail:
         return max(seen, self.threshold_nm + self.scale_nm * growth)
 
     def upper_level(self, rate_per_hour: float, confidence: float = 0.95) -> float:
-        r"""The level that peaks exceed so many times an hour at most, with this confidence, [N m]; never below `level`.
+        r"""Level that peaks exceed at most at this rate, with this confidence, [N m]; never below `level`.
 
-        Beyond the threshold, the quantile of x_rho's posterior distribution under the prior
+        Beyond the threshold it is the quantile of x_rho's posterior distribution under the prior
         :math:`\lambda_u^{-1/2}\,\sigma^{-1}`, flat in the shape between its bounds:
 
         .. math:: P(x_\rho < x) = \int P\big(\lambda_u < \rho\,(1 + \xi (x - u)/\sigma)^{1/\xi}\big)\,p(\xi, \sigma)\,
                   d\xi\,d\sigma, \quad \lambda_u \sim \Gamma(n + 1/2, T)
 
         Not the profile likelihood of [Coles2001]_ 4.3.3: for 30 to 200 exceedances, shapes of -0.3 to 0.4 and rates 30
-        to 1000 times below lambda_u, its bound of 95 % held in 86 to 95 of 100 samples, and this one in 94 to 100; with
-        200 it is some 10 % higher. A bootstrap would need random numbers and hundreds of fits; this is a sum on a grid.
-        Over peaks of Gaussian noise, a generalised Pareto tail only in the limit, it held in 91 to 98.
+        to 1000 times below lambda_u, its bound of 95 % held in 86 to 95 of 100 samples, and this one in 94 to 100. With
+        200 exceedances it is about 10 % higher. A bootstrap would need random numbers and hundreds of fits; this is a
+        sum on a grid. For peaks of Gaussian noise, a generalised Pareto tail only in the limit, it held in 91 to 98.
 
-        Where the recordings are long enough to show the rate without any distribution (3/rate hours for 95 %), the peak
-        that must lie above x_rho [Garwood1936]_ bounds it too, and alone under the threshold; where they are shorter,
-        never less than the largest peak.
+        Recordings of 3/rate hours (for 95 %) bound the rate without a distribution: the peak that must lie above x_rho
+        [Garwood1936]_ is then a further bound, and the only one below the threshold. If they are shorter, the level is
+        at least the largest peak.
 
         Raises:
-            ConfigError: rate not > 0, or confidence not from 0.5 to below 1.
+            ConfigError: rate is not > 0, or confidence not from 0.5 to below 1.
         """
         if not 0.5 <= confidence < 1:
             raise ConfigError(f"confidence = {confidence} must be at least 0.5 and less than 1")
         level = self.level(rate_per_hour)
-        # Over x_rho lie k peaks or more with the probability gammainc(k, rate hours): then the k-th largest does.
+        # k peaks or more exceed x_rho with probability gammainc(k, rate hours); the k-th largest then does.
         counts = np.arange(1, len(self.peaks_nm) + 1)
         allowed = int((gammainc(counts, rate_per_hour * self.hours) >= confidence).sum())
         reach = max(level, float(self.peaks_nm[max(allowed, 1) - 1]))
@@ -160,7 +160,7 @@ class Tail:
         return reach
 
     def summary(self) -> dict:
-        """All of it for JSON, but for the peaks under the largest."""
+        """All values for JSON; of the peaks only the largest."""
         return {
             "threshold_nm": self.threshold_nm,
             "shape": self.shape,
@@ -175,22 +175,23 @@ class Tail:
 
 
 def fit_tail(peaks_nm: np.ndarray, hours: float) -> Tail:
-    """Fit the tail of declustered peaks, above the lowest threshold that serves.
+    """Fit the tail of declustered peaks, above the lowest suitable threshold.
 
-    A low threshold has many peaks over it, hence little variance; one too low is no tail yet, hence bias
-    ([Coles2001]_ 4.3.1). Thresholds leave 200, 140, ... 50 peaks over them, but no more than a twentieth of all unless
-    50; where there are no more than 50, all peaks but one. Taken is the first for which Anderson and Darling's test
-    does not speak against the fit ([Bader2018]_ do likewise) and no higher threshold gives another shape, as none
-    should ([Coles2001]_ 4.3.4): the difference of two such shapes has the variance
-    (1 + xi)² (1/n_higher - 1/n_lower), one sample being part of the other. Where none serves, the highest.
+    A low threshold has many peaks above it, hence little variance; too low a threshold has bias ([Coles2001]_ 4.3.1).
+    Thresholds have 200, 140, ... 50 peaks above, but no more than a twentieth of all unless 50; with no more than 50
+    peaks, all but one. The first threshold is chosen that Anderson and Darling's test does not reject ([Bader2018]_)
+    and whose shape agrees with all higher ones ([Coles2001]_ 4.3.4). The difference of two shapes has the variance (1 +
+    xi)² (1/n_higher - 1/n_lower), as one sample contains the other. If no threshold passes, the highest is used.
 
     Args:
         peaks_nm: separate peaks, (peaks,), [N m], in any order: all of them, or the largest (held_peaks).
-        hours: of operation in which they were seen; rates are counted in the same hours.
+        hours: hours
+        of operation observed; rates refer to the same hours.
 
     Raises:
-        TooFewPeaks: fewer than 31 peaks, or so many of them equal that fewer than 30 lie over some threshold.
-        TrainingError: a peak that is not finite or is negative.
+        TooFewPeaks: fewer than 31 peaks, or fewer than 30 over some threshold because of equal ones.
+        TrainingError: a
+        peak is not finite or negative.
         ConfigError: hours not > 0.
     """
     if not (math.isfinite(hours) and hours > 0):
@@ -223,7 +224,7 @@ def fit_tail(peaks_nm: np.ndarray, hours: float) -> Tail:
 
 
 def fit_excess(excess: np.ndarray) -> tuple[float, float]:
-    """Shape and scale of the largest likelihood, the shape within SHAPES, of excesses > 0 over a threshold, (n,)."""
+    """Maximum-likelihood shape (within SHAPES) and scale of excesses > 0 over a threshold, (n,)."""
     low, high = GRID
     for _ in range(6):
         grid = np.linspace(low, high, 65)
@@ -234,7 +235,7 @@ def fit_excess(excess: np.ndarray) -> tuple[float, float]:
 
 
 def goodness(excess: np.ndarray, shape: float, scale: float) -> float:
-    """Chance of a fit as bad as this or worse, by Anderson and Darling's A² and GOODNESS_A2; cut to 0.001 to 0.5."""
+    """Probability of a fit as bad or worse, by Anderson and Darling's A² and GOODNESS_A2; clipped to 0.001 to 0.5."""
     y = np.sort(excess) / scale
     n = len(y)
     log_survival = -y if abs(shape) < 1e-9 else -np.log1p(shape * y) / shape
@@ -245,7 +246,7 @@ def goodness(excess: np.ndarray, shape: float, scale: float) -> float:
 
 
 GRID = (-12.0, 25.0)
-"""Of ln(1 + c largest excess): from tails that end at the largest excess to one that is 1e10 of the scale."""
+"""Grid of ln(1 + c largest excess): from tails that end at the largest excess to one of 1e10 of the scale."""
 
 
 def _best_scales(excess: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -266,11 +267,11 @@ def _likelihood(n: int, c: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> n
 
 
 def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> float:
-    """How far above the threshold x_rho lies at most, see `Tail.upper_level`; rarer = ln(n/(rho T)) > 0."""
+    """Upper bound of x_rho above the threshold, see `Tail.upper_level`; rarer = ln(n/(rho T)) > 0."""
     n = len(excess)
     grid = np.linspace(*GRID, 371)
     profile = _likelihood(n, *_best_scales(excess, grid))
-    likely = grid[profile > profile.max() - 12]  # e^-12 of the largest: nothing lies outside
+    likely = grid[profile > profile.max() - 12]  # down to e^-12 of the largest; the rest is negligible
     grid = np.linspace(likely[0] - 0.1, likely[-1] + 0.1, 96)
     c, mean, best = (column[:, None] for column in _best_scales(excess, grid))
     scale = best * np.exp(np.linspace(-5.5, 6.5, 40) / math.sqrt(n))
@@ -285,7 +286,7 @@ def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> 
 
     def missing(reach: float) -> float:
         y = reach / scale
-        # ln of how much rarer the reach is than the threshold; a tail that ends before it is never so long.
+        # Log of the rarity of the reach against the threshold; a tail that ends before the reach has none.
         logs = np.where(exponential, y, np.log1p(np.maximum(shape * y, np.nextafter(-1, 0))) / shape)
         return confidence - float(weight @ gammainc(n + 0.5, n * np.exp(np.minimum(logs - rarer, 50))))
 
@@ -295,8 +296,8 @@ def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> 
     return brentq(missing, 0, high, rtol=1e-5)
 
 
-# --- Promises of a calibration: false alarms in a number of hours, and the hours of data that support them.  False
-# alarms in free motion are taken as a Poisson process: rare, and those less than 0.5 s apart counted as one.
+# --- Promises of a calibration: false alarms in a number of hours, and the hours of data that support them. False
+# alarms in free motion are modelled as a Poisson process: rare, and those less than 0.5 s apart count as one.
 
 
 @dataclass(frozen=True)
@@ -304,7 +305,7 @@ class FalseAlarmBudget:
     """At most `alarms` false alarms of the whole arm in `hours` hours of operation, in the long run.
 
     Raises:
-        ConfigError: a number that is not finite and > 0.
+        ConfigError: a number is not finite and > 0.
     """
 
     alarms: float
@@ -316,19 +317,19 @@ class FalseAlarmBudget:
 
     @property
     def rate_per_hour(self) -> float:
-        """False alarms an hour, [1/h]."""
+        """Rate of false alarms, [1/h]."""
         return self.alarms / self.hours
 
     def __str__(self) -> str:
-        """In words: `1 in 8 h`."""
+        """Return text such as `1 in 8 h`."""
         return f"{self.alarms:g} in {duration(self.hours)}"
 
 
 def split(budget: FalseAlarmBudget, joints: int, regions: int) -> np.ndarray:
-    """Equal shares of the budget, (joints, regions), [1/h], that sum to its rate.
+    """Split the budget into equal shares, (joints, regions), [1/h], that sum to its rate.
 
-    An alarm of the arm is an alarm of some joint in some region, so the arm's rate is at most the sum of theirs; it is
-    less where one episode crosses several limits.
+    Every alarm of the arm belongs to a joint and region, so the arm's rate is at most the sum of theirs; it is less if
+    one episode crosses several limits.
 
     Raises:
         ConfigError: no joint or no region.
@@ -344,10 +345,10 @@ def rate_interval(events: int, hours: float, confidence: float = 0.95) -> tuple[
 
     .. math:: \left(\frac{\chi^2_{\alpha/2}(2k)}{2T},\ \frac{\chi^2_{1-\alpha/2}(2k+2)}{2T}\right), \quad \alpha = 1 - c
 
-    The lower end is 0 where there was no event. (chi-squared quantiles through the inverse incomplete gamma function.)
+    The lower end is 0 without events. Chi-squared quantiles come from the inverse incomplete gamma function.
 
     Raises:
-        ConfigError: events < 0, hours not > 0, or a confidence outside 0 to 1.
+        ConfigError: events < 0, hours not > 0, or confidence outside 0 to 1.
     """
     _check(events, hours, confidence)
     return _lower(events, hours, (1 - confidence) / 2), _upper(events, hours, (1 - confidence) / 2)
@@ -364,9 +365,9 @@ def upper_rate(events: int, hours: float, confidence: float = 0.95) -> float:
 
 
 def is_consistent(events: int, hours: float, promised_rate: float, confidence: float = 0.95) -> bool:
-    """Whether the promised rate, [1/h], lies in the confidence interval of what a test showed.
+    """Whether the promised rate, [1/h], lies in the confidence interval of a test's result.
 
-    False also where the test showed far fewer alarms than promised: then the promise holds, see `is_kept`.
+    It is also False if the test had far fewer alarms than promised; the promise then holds, see `is_kept`.
 
     Raises:
         ConfigError: as rate_interval.
@@ -376,9 +377,9 @@ def is_consistent(events: int, hours: float, promised_rate: float, confidence: f
 
 
 def is_kept(events: int, hours: float, promised_rate: float, confidence: float = 0.95) -> bool:
-    """Whether a test leaves the promise standing: so many alarms or more are no surprise at the promised rate, [1/h].
+    """Whether a test is compatible with the promised rate, [1/h].
 
-    False where P(events or more | promised rate) < 1 - confidence.
+    False if P(events or more | promised rate) < 1 - confidence.
 
     Raises:
         ConfigError: as rate_interval.
@@ -388,7 +389,7 @@ def is_kept(events: int, hours: float, promised_rate: float, confidence: float =
 
 
 def hours_to_support(budget: FalseAlarmBudget, confidence: float = 0.95) -> float:
-    """Hours that bound the rate by the budget's when not one false alarm fell in them: -ln(1 - confidence)/rate, [h].
+    """Hours without false alarm that bound the rate by the budget's: -ln(1 - confidence)/rate, [h].
 
     24.0 h for 1 in 8 h: the "rule of three" [Hanley1983].
 
@@ -401,12 +402,12 @@ def hours_to_support(budget: FalseAlarmBudget, confidence: float = 0.95) -> floa
 
 @dataclass(frozen=True)
 class Promise:
-    """What was asked of a calibration, and what its recordings can support.
+    """The requested budget of a calibration, and the budget that its recordings support.
 
-    Supported means: at the rate asked for, the recordings would have held a false alarm with probability `confidence`
-    or more. Shorter ones cannot separate the wanted limits from worse ones, whatever a fit gives. It is a necessary
-    condition and no proof: the limits come from these very recordings, and beyond them rest on the fitted tail; what
-    the limits do is shown by other recordings (`is_kept`).
+    Supported means: at the requested rate, the recordings would contain a false alarm with probability `confidence` or
+    more. Shorter ones cannot distinguish the wanted limits from worse ones. The condition is necessary, not sufficient:
+    the limits come from these recordings and, beyond them, from the fitted tail. Other recordings test the limits
+    (`is_kept`).
 
     Raises:
         ConfigError: hours not > 0, streams < 1, or a confidence outside 0 to 1.
@@ -426,32 +427,32 @@ class Promise:
 
     @property
     def needed_hours(self) -> float:
-        """Hours of calibration that the budget takes, [h]."""
+        """Hours of calibration needed for the budget, [h]."""
         return hours_to_support(self.asked, self.confidence)
 
     @property
     def missing_hours(self) -> float:
-        """Hours still to be recorded for the budget, [h]; 0 where it is supported."""
+        """Hours missing for the budget, [h]; 0 where it is supported."""
         return max(0.0, self.needed_hours - self.hours)
 
     @property
     def is_supported(self) -> bool:
         """Whether the recordings are long enough for the budget."""
-        # The hours that the sentence names must do, whatever the last bits of their sum.
+        # Tolerates rounding: the hours named in the sentence must suffice.
         return self.hours >= self.needed_hours * (1 - 1e-9)
 
     @property
     def supported(self) -> FalseAlarmBudget:
-        """The smallest budget that the recordings support: 1 in 6.7 minutes for 20 minutes of them."""
+        """Smallest budget that the recordings support: 1 in 6.7 minutes for 20 minutes of recordings."""
         return FalseAlarmBudget(1, self.hours / -math.log1p(-self.confidence))
 
     @property
     def extrapolation(self) -> float:
-        """Hours an alarm of each limit's equal share, over the hours recorded: how far the tails are stretched."""
+        """Ratio of the hours an alarm in a limit's share to the hours recorded: the extrapolation of the tails."""
         return self.streams / self.asked.rate_per_hour / self.hours
 
     def sentence(self) -> str:
-        """In words, for people: what is promised, or why nothing is and how much more to record."""
+        """Text on the promise, or on the reason for none and how much more to record."""
         asked = (
             f"At most {self.asked.alarms:g} false alarm{'s' * (self.asked.alarms != 1)} in {duration(self.asked.hours)}"
         )
@@ -470,7 +471,7 @@ class Promise:
         return sentence
 
     def summary(self) -> dict:
-        """All of it for JSON."""
+        """All values for JSON."""
         return {
             "asked": asdict(self.asked) | {"rate_per_hour": self.asked.rate_per_hour, "text": str(self.asked)},
             "confidence": self.confidence,
@@ -495,7 +496,7 @@ ROUNDINGS: dict[str, Callable[[float], int]] = {
 
 
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:
-    """A time in words, to about three digits: `8 h`, `6.67 minutes`, `24 s`."""
+    """Format a time to about three digits: `8 h`, `6.67 minutes`, `24 s`."""
     unit, factor = next(((u, f) for u, f in UNITS if hours * f >= 1), UNITS[-1])
     value = hours * factor
     digits = min(1, 2 - math.floor(math.log10(value))) if value >= 10 else 2 - math.floor(math.log10(value))

@@ -1,12 +1,12 @@
-r"""How the joints' errors go together on free motion, and how large the ellipsoids of forces must be to hold them.
+r"""Correlation of the joints' errors in free motion, and size of the error ellipsoids of forces.
 
-With z = tau_ext / sigma of rows of free motion that nothing was trained on, clipped at CLIP, the correlation is
+With z = tau_ext / sigma of rows of free motion not used in training, clipped at CLIP, the correlation is
 
 .. math:: R = (1 - a)\,\hat R + a\,1, \qquad a = \max\left(A, \frac{n}{n + T}\right),
 
-T being the seconds of motion: errors a second apart are about independent, and so many of them separate n joints. The
-radius is what variances are multiplied by so that 95 % of the errors of force and moment, which are 0 in free motion,
-lie within the ellipsoid of 95 %; heavy tails are in it, where a mean would miss them.
+with T seconds of motion, since errors a second apart are about independent. The radius is the factor on variances that
+puts 95 % of the errors within the 95 % ellipsoid. Errors are force and moment in free motion, where the truth is 0.
+Unlike a mean, it covers heavy tails.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from tauext.train.error_scale import Judged, judge
 CLIP = 3.0
 """Bound of z, so that a single large error does not determine the correlation."""
 LEAST_SHRINK = 0.05
-"""A: a correlation of 0.95 at most, since what an hour showed is not for good."""
+"""A: limits correlations to 0.95, since an hour's correlation is not permanent."""
 HELD = 0.95
 """Share of errors within the ellipsoids."""
 LEAST_RADIUS = 0.5
-"""sigma is rather too large than too small, by some tenth to a quarter of the variance; less than half of it, and the
-motion was too slow to show it. What free motion does not show of a touch is in the covariance apart."""
+"""Least radius. sigma is too large by a tenth to a quarter of the variance; a radius below half means that the motion
+was too slow. Errors that occur only under contact have their own term in the covariance."""
 MOST_ROWS = 100_000
-"""An hour and a half at 20 Hz: beyond, quantiles do not change."""
+"""Most rows, an hour and a half at 20 Hz; quantiles do not change with more."""
 ROW_S = 0.05
-"""Between rows: errors change within the observer's 1/K0."""
+"""Period between rows: errors change within the observer's 1/K0."""
 LEAST_ROWS = 200
-"""Fewer determine no quantile of 95 %: the radius stays 1."""
+"""Fewest rows for a quantile of 95 %; with fewer the radius stays 1."""
 POSES = 64
-"""That a bundle keeps: a share of them is then known to some 6 %, and a joint to be seen in its whole range."""
+"""Number of poses stored in a bundle: shares of them are accurate to 6 %, and they cover each joint's range."""
 POSE_DIGITS = 3
-"""A thousandth of a rad moves the end of an arm by a millimetre."""
+"""Decimals of poses, [rad]; 0.001 rad moves the end of an arm by a millimetre."""
 
 
 def fit_wrench(
@@ -48,9 +48,9 @@ def fit_wrench(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> dict:
-    """Put correlation and radius into a bundle whose error scale stands; the facts for its provenance.
+    """Set correlation and radius of a bundle with an error scale; returns facts for provenance.
 
-    Nothing happens where the bundle has no wrench.
+    A bundle without a wrench is unchanged.
     """
     if refused := _core.WrenchModel(bundle).refused:
         return {"refused": refused}
@@ -76,7 +76,7 @@ def fit_wrench(
 
 
 def poses(q: np.ndarray) -> list[list[float]]:
-    """Some of these rows, even in time, so that shares of them are shares of the motion; POSES at most."""
+    """Select at most POSES rows evenly in time, so that their shares are those of the motion."""
     if len(q) == 0:
         return []
     at = np.unique(np.linspace(0, len(q) - 1, min(POSES, len(q))).round().astype(int))
@@ -85,7 +85,7 @@ def poses(q: np.ndarray) -> list[list[float]]:
 
 
 def outermost(bundle: _core.Bundle) -> str:
-    """The frame that the radius is found at: the load's, or the last link's."""
+    """Frame at which the radius is determined: the load's, or the last link's."""
     load = bundle.load_settings
     return load.frame if load.link >= 0 else bundle.links[-1].joint_name
 
@@ -106,14 +106,14 @@ def correlation(z: np.ndarray, seconds: float) -> np.ndarray:
 def radius(
     bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
 ) -> float:
-    """Factor on variances that makes the ellipsoids of 95 % hold 95 % of these rows, in which the truth is 0."""
+    """Factor on variances with which the 95 % ellipsoids contain 95 % of these rows, whose true values are 0."""
     wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
     seen = (wrenches["freedom"] >= 0) & (wrenches["blind"] == 0)
-    if seen.sum() < LEAST_ROWS:  # it never sees all: those that it sees most of
+    if seen.sum() < LEAST_ROWS:  # no row observes all directions: use the rows that observe most
         seen = wrenches["blind"] == wrenches["blind"].min()
     size = len(wrenches["covariance"][0])
     shown = size - int(wrenches["blind"][seen].min())
-    if shown == 0:  # no joint torque depends on a force there: one joint whose axis passes through the point
+    if shown == 0:  # no torque depends on a force there: a single joint with its axis through the point
         return 1.0
     unknown = np.concatenate([wrenches["force"], wrenches["moment"]], axis=1)[:, :size]
     return factor(squared_distances(unknown, wrenches["covariance"])[seen], shown)
@@ -122,8 +122,7 @@ def radius(
 def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Errors in standard deviations, squared: (rows, m) by (rows, m, m) give (rows,).
 
-    A direction may be known so much better than another that rounding hides its variance; it then counts with the
-    least variance that shows beside the other's.
+    If one direction's variance is lost by rounding beside another's, the least representable variance is used.
     """
     size = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     variances, directions = np.linalg.eigh(covariance / (size[:, :, None] * size[:, None, :]))
@@ -135,7 +134,7 @@ def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def residual(
     bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
 ) -> float:
-    """The same factor for the residual that a wrench does not explain; 1: no residual."""
+    """Factor as in radius() for the residual not explained by a wrench; 1: no residual."""
     wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
     freedom = wrenches["freedom"]
     if freedom.max() < 1:
@@ -146,15 +145,15 @@ def residual(
 
 
 def factor(squared: np.ndarray, freedom: int) -> float:
-    """That a chi-square's quantile of 95 % is multiplied by to be that of these."""
-    chi_square = 2 * gammaincinv(freedom / 2, HELD)  # as scipy.stats, which takes a third of a second to load
+    """Ratio of these values' 95 % quantile to a chi-square distribution's."""
+    chi_square = 2 * gammaincinv(freedom / 2, HELD)  # avoids scipy.stats, which takes a third of a second to import
     return max(float(np.quantile(squared, HELD) / chi_square), LEAST_RADIUS)
 
 
 def free_rows(
     bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
+    """Return q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
     stride = max(1, round(ROW_S / (1e-9 * bundle.observer.sample_period_ns)))
     found = []
     for one in judged:

@@ -23,14 +23,14 @@ from tauext.train.preparation import Job
 
 
 def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
-    """Write all three, or none; notes and wall times are reported, too."""
+    """Write bundle, run file and wall time, all or none, and report notes and wall times."""
     for note in job.notes:
         job.say(note)
     bundle.servo = servo_of_recordings(job.training)
     history = [list(entry) for entry in network.trained.history] if network else []
     write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, job.times)
     remove_checkpoint(job.out)
-    at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
+    at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
     job.say(job.times.sentence())
 
 
@@ -53,12 +53,12 @@ def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     return facts | ({"notes": job.notes} if job.notes else {})
 
 
-# --- What forces at frames are worth: the robot file's frames, and the doubt in the torque constants.
+# --- Accuracy of forces: the robot file's frames, and errors of the torque constants.
 
 
 MODEL_SHARE = 0.05
-"""Constants that were found by comparing with a model's weights inherit what its masses are off by together; a data
-sheet's leave out cables, covers and tools."""
+"""Common error of constants found with a model's masses, which share an error: data sheets omit cables, covers and
+tools."""
 LEAST_SHARE = 0.01
 """Smallest error of a constant, since constants change with the magnets' temperature."""
 
@@ -66,9 +66,8 @@ LEAST_SHARE = 0.01
 def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
     """Add the robot file's frames for forces, and the errors of the torque constants.
 
-    Constants that the training found have a standard error, and one that all have in common; known ones, and torques
-    that were recorded in N m, may be off by config.torque_share each.
-    The friction of gears under a push is part of `contact_sigma_nm`.
+    Fitted constants have individual standard errors and a common one. Known constants, and torques recorded in N m, may
+    be off by config.torque_share each. The friction of gears under a push is part of `contact_sigma_nm`.
     """
     settings = bundle.wrench_settings
     constants = job.constants
@@ -90,7 +89,7 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
 
 
 def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
-    """Put capsules of the robot file's links into the bundle; links without a shape get estimated capsules on use."""
+    """Add capsules of the robot file's links to the bundle; links without a shape get estimated capsules on use."""
     bundle.capsules, notes = link_capsules(robot, job.tree)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]

@@ -1,4 +1,4 @@
 """Readers of raw files, one module a format.
 
-In goes a file. Out come its columns as a table of named arrays. They import `files`.
+Input: a file. Output: its columns as a table of named arrays. They import `files`.
 """

@@ -1,4 +1,4 @@
-"""CSV files, plain or gzipped: separator and decimal mark found by looking, numbers read block by block."""
+"""CSV files, plain or gzipped: separator and decimal mark are detected, numbers read block by block."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 SEPARATORS = (",", ";", "\t", " ")
 BLOCK_BYTES = 1 << 22
 MOST_BROKEN = 0.01
-"""Share of lines that may be broken before the file is refused: a crash leaves one."""
+"""Largest share of broken lines; a crash leaves one."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Dialect:
     decimal: str
     skip_lines: int
     marked: bool = False
-    """Begins with the mark of UTF-8, which only its decoder removes."""
+    """Whether the file begins with the byte order mark of UTF-8, which only its decoder removes."""
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line, without quotes."""
@@ -39,17 +39,17 @@ class Dialect:
 
 
 def open_csv(path: Path) -> list[RawRecording]:
-    """A CSV file as one raw recording with every column that holds numbers; columns of text are left out.
+    """Read a CSV file as one raw recording with every column of numbers; columns of text are left out.
 
-    The first line names the columns (a leading # is ignored); where it is all numbers, they are `column1`, `column2`...
+    The first line names the columns (a leading # is ignored); if it is all numbers, they are `column1`, `column2`...
     Empty cells are NaN. A line with too few or too many cells is left out and counted.
 
-    Columns `name0`, `name1`... hold the joint names of a sensor_msgs/JointState, and `position0` becomes
+    Columns `name0`, `name1`... have the joint names of a sensor_msgs/JointState, and `position0` becomes
     `position[NAME]`, `velocity0` and `effort0` too. Columns `sec` and `nanosec` are the stamps. `ros2 topic echo --csv`
     writes these columns without a header; such a file is recognised by its first line.
 
     Raises:
-        RecordingError: now or while it is read: no table, truncated, or more than 1 % broken lines.
+        RecordingError: on opening or reading: no table, truncated, or more than 1 % broken lines.
     """
     with readable(path, "CSV to its end", (OSError, EOFError, zlib.error)), _text(path) as file:
         lines = [line for _ in range(20) if (line := file.readline())]
@@ -102,7 +102,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _echoed_names(cells: tuple[str, ...]) -> tuple[str, ...]:
-    """Names for the cells of a JointState that `ros2 topic echo --csv` printed; none where they are no such message."""
+    """Column names for a JointState printed by `ros2 topic echo --csv`; empty for other lines."""
     joints, rest = divmod(len(cells) - 3, 4)
     names = cells[3 : 3 + joints]
     numbers = (*cells[:2], *cells[3 + joints :])
@@ -116,7 +116,7 @@ def _echoed_names(cells: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _by_joint(dialect: Dialect, numeric: tuple[str, ...], lines: list[str]) -> tuple[Dialect, tuple[str, ...]]:
-    """Columns of a JointState by joint name, where text columns `name0`, `name1`... hold the names."""
+    """Rename columns of a JointState by joint name, where text columns `name0`, `name1`... have the names."""
     held: dict[str, list[str]] = {
         m[1]: [] for name in dialect.names if (m := re.fullmatch(r"(.*\b)name0", name)) and name not in numeric
     }
@@ -144,7 +144,7 @@ def _why_no_table(dialect: Dialect, lines: list[str]) -> str:
 
 
 def _numeric_columns(dialect: Dialect, lines: list[str]) -> tuple[str, ...]:
-    """Columns whose first lines hold numbers or nothing."""
+    """Columns whose first lines are numbers or empty."""
     rows = [dialect.cells(line) for line in lines[dialect.skip_lines :]]
     rows = [row for row in rows if len(row) == len(dialect.names)]
     if not rows:
@@ -188,7 +188,7 @@ def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Coun
                 column_names=list(dialect.names),
                 skip_rows=dialect.skip_lines,
                 block_size=BLOCK_BYTES,
-                # Numbers are the same in both; a damaged line need not be UTF-8, which the reader would stumble over.
+                # Latin-1 reads the same numbers, and a damaged line need not be valid UTF-8.
                 encoding="utf8" if dialect.marked else "latin-1",
             ),
             parse_options=arrow_csv.ParseOptions(delimiter=dialect.separator, invalid_row_handler=broken),
@@ -208,5 +208,5 @@ def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Coun
         raise RecordingError(f"{path}: it has no rows under its names")
     if counts[key] > max(1, MOST_BROKEN * rows):
         raise RecordingError(
-            f"{path}: {counts[key]} of {rows + counts[key]} lines have not {len(dialect.names)} cells, as the first has"
+            f"{path}: {counts[key]} of {rows + counts[key]} lines lack the {len(dialect.names)} cells of the first"
         )

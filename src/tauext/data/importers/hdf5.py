@@ -13,15 +13,15 @@ import numpy as np
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable, short_list
 from tauext.errors import RecordingError
 
-# --- Named arrays of HDF5 and MATLAB files as one table: which of them are signals, and which way they lie.
+# --- Named arrays of HDF5 and MATLAB files as one table: which are signals, and their orientation.
 
 
 MOST_WIDE = 64
-"""A signal has at most so many elements a sample."""
+"""Largest number of elements of a signal a sample."""
 
 
 def sample_count(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> int:
-    """Number of samples: the length that most numbers of the file have in common.
+    """Number of samples: the most common length, weighted by the count of numbers.
 
     Raises:
         RecordingError: no array looks like a signal.
@@ -40,7 +40,7 @@ def sample_count(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> int:
 
 
 def columns_of(name: str, shape: tuple[int, ...], samples: int) -> tuple[str, ...] | None:
-    """Names of an array's columns: `name`, or `name[0]`, `name[1]`, ... ; None where it has another length."""
+    """Names of an array's columns: `name`, or `name[0]`, `name[1]`, ... ; None if its length differs."""
     if not _is_signal(shape) or max(shape) != samples:
         return None
     if len(shape) == 1 or min(shape) == 1:
@@ -58,17 +58,17 @@ def _is_signal(shape: tuple[int, ...]) -> bool:
 
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
-"""What h5py meets in damaged bytes."""
+"""Exceptions of h5py on damaged files."""
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawRecording]:
-    """Datasets (samples,), (samples, joints) or (joints, samples) of numbers as one raw recording, groups in its names.
+    """Read datasets (samples,), (samples, joints) or (joints, samples) as one raw recording, with groups in the names.
 
-    Datasets of another length than most are left out and named in the notes.
+    Datasets of other lengths are left out and listed in the notes.
 
     Raises:
-        RecordingError: now or while it is read: damaged, or without signals.
+        RecordingError: on opening or reading: damaged, or without signals.
     """
     import h5py
 
@@ -91,13 +91,13 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
 
 
 def _numeric(file: Any, separator: str) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Name with this separator: path in the file and shape of every dataset of numbers."""
+    """Path in the file and shape of every numeric dataset, by its name with this separator."""
     import h5py
 
     found: dict[str, tuple[str, tuple[int, ...]]] = {}
 
     def visit(name: str, item: Any) -> None:
-        hidden = name.startswith("#")  # MATLAB keeps the innards of its objects there
+        hidden = name.startswith("#")  # internal data of MATLAB objects
         text = isinstance(item, h5py.Dataset) and item.attrs.get("MATLAB_class") in (b"char", b"cell")
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and not hidden and not text:
             found[name.replace("/", separator)] = (name, tuple(int(n) for n in item.shape))
@@ -112,14 +112,14 @@ def _rows(dataset: Any, rows: slice, samples: int) -> np.ndarray:
     return dataset[rows] if dataset.shape[0] == samples else dataset[:, rows].T
 
 
-# --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as the HDF5 that it is.
+# --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as HDF5.
 
 
 MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
 
 def open_matlab(path: Path) -> list[RawRecording]:
-    """Arrays of a MATLAB file, in structs or not, as one raw recording; a field's name is `struct.field`.
+    """Read the arrays of a MATLAB file, in structs or not, as one raw recording; a field's name is `struct.field`.
 
     Raises:
         RecordingError: damaged, or without signals; MATLAB objects (timeseries, table) cannot be read.
@@ -129,7 +129,7 @@ def open_matlab(path: Path) -> list[RawRecording]:
             return open_hdf5(path, ".", "MATLAB 7.3")
     from scipy.io import loadmat
 
-    # SciPy meets damaged bytes with many types; an opaque object beside the data is no fault of the data.
+    # SciPy raises many types on damaged files; opaque objects beside the data are ignored.
     with readable(path, "a MATLAB file", (Exception,)), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = loadmat(path, struct_as_record=False, squeeze_me=True)

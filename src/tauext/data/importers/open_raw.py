@@ -1,4 +1,4 @@
-"""Which format a file has: by its first bytes, whatever it is called."""
+"""Detect a file's format by its first bytes, regardless of its name."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ FORMATS = (
 
 
 def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]:
-    """The recordings in a file or folder of any format that is read: one, or an episode each.
+    """Open the recordings in a file or folder of any supported format: one, or one an episode.
 
     Args:
-        topics: of a bag: topics to read; none: its only topic of JointState.
+        topics: topics of a bag to read; empty: its only topic of JointState.
 
     Raises:
-        RecordingError: no such file, a format that is not read, or a file of a known format that is damaged or empty.
+        RecordingError: no such file, an unsupported format, or a damaged or empty file.
     """
     path = Path(path)
     if path.is_dir():

@@ -18,16 +18,16 @@ BROKEN = (pa.ArrowException, OSError)
 
 
 def open_parquet(path: Path) -> list[RawRecording]:
-    """Every column of numbers as it is named, every list of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
+    """Read columns of numbers under their names, lists of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
 
     Raises:
-        RecordingError: now or while it is read: damaged, or without numbers.
+        RecordingError: on opening or reading: damaged, or without numbers.
     """
     with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
         names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
         others = [field.name for field in file.schema_arrow if not _is_numeric(field.type)]
     if not names:
-        raise RecordingError(f"{path}: no column holds numbers; its columns are {', '.join(others)}")
+        raise RecordingError(f"{path}: no column has numbers; its columns are {', '.join(others)}")
     notes = [f"columns without numbers left out: {short_list(others)}"] if others else []
 
     def blocks() -> Iterator[RawSignals]:
@@ -37,7 +37,7 @@ def open_parquet(path: Path) -> list[RawRecording]:
 
 
 def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
-    """The file's columns of these names, block by block.
+    """Yield the columns of these names, block by block.
 
     Raises:
         RecordingError: damaged, or a list of changing length.

@@ -1,4 +1,4 @@
-"""What every importer gives: numbers with times and names, as the file has them."""
+"""Common output of all importers: numbers with times and names, as in the file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from tauext.errors import RecordingError
 
 BLOCK_ROWS = 8192
-"""Samples that an importer hands over at once: long enough for NumPy, short enough for memory."""
+"""Samples in a block: enough for NumPy's speed, few enough for memory."""
 
 
 def short_list(names: Iterable[str], most: int = 8) -> str:
-    """The names, at most so many, and how many more there are."""
+    """List at most so many names, and the number of the rest."""
     names = list(names)
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
@@ -30,7 +30,7 @@ def readable(
     broken: tuple[type[Exception], ...],
     advice: str = "it is truncated or damaged: copy it again",
 ) -> Iterator[None]:
-    """RecordingError in place of what a library raises on damaged bytes."""
+    """Convert a library's exceptions on damaged files to RecordingError."""
     try:
         yield
     except RecordingError:
@@ -42,36 +42,36 @@ def readable(
 
 @dataclass(frozen=True)
 class RawSignals:
-    """A run of samples that share their stamps; no unit, sign, order or gap was touched."""
+    """A block of samples with common stamps, with units, signs, order and gaps as in the file."""
 
     stream: str
-    """Topic, or empty where the file has one clock only."""
+    """Topic; empty if the file has only one clock."""
     names: tuple[str, ...]
-    """Of the columns; an element of an array is `array[joint name]` where the file names it, else `array[index]`."""
+    """Column names; an array's element is `array[joint name]` where the file names it, else `array[index]`."""
     t_ns: np.ndarray | None
-    """(samples,) int64, in the order of the file, [ns]; None: the file has no clock but perhaps a column of times."""
+    """(samples,) int64, in the order of the file, [ns]; None: no stamps, though a column may contain times."""
     columns: np.ndarray
     """(samples, names) float64."""
 
 
 @dataclass(frozen=True)
 class RawRecording:
-    """One recording in a file of any format; `blocks()` reads it from its beginning, a block at a time."""
+    """One recording in a file of any format; `blocks()` reads it from the beginning, block by block."""
 
     name: str
-    """For the recording's file: the stem of the file, with the episode where there are several."""
+    """Name for the recording's file: the stem of the source, with the episode if there are several."""
     path: Path
     format: str
     blocks: Callable[[], Iterator[RawSignals]]
     notes: list[str] = field(default_factory=list)
-    """What the reader had to do to open it."""
+    """Notes on how the file was opened."""
     counts: Counter[str] = field(default_factory=Counter)
-    """What the reader met while reading, as text and how often; complete after the last block."""
+    """Irregularities found while reading, with their number; complete after the last block."""
 
     def streams(self) -> dict[str, tuple[str, ...]]:
-        """Names of the columns of every stream, found by reading until each stream's first block has come.
+        """Column names of every stream, found by reading each stream's first block.
 
-        A stream that begins later than a block after all others is found late or, at the end of the file, never.
+        A stream that begins much later than the others may not be found.
         """
         found: dict[str, dict[str, None]] = {}
         quiet = 0

@@ -18,7 +18,7 @@ import numpy as np
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable
 from tauext.errors import RecordingError
 
-# --- ROS messages to columns: JointState in bulk where all have one layout, any other type by walking its fields.
+# --- ROS messages to columns: JointState in bulk if all have one layout, other types field by field.
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -28,25 +28,25 @@ Deserialize = Callable[[bytes], Any]
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the numbers of a JointState message lie in its bytes."""
+    """Positions of the numbers in the bytes of a JointState message."""
 
     names: tuple[str, ...]
     stamp: int
     fixed: tuple[slice, ...]
-    """Bytes that every message of this layout has in common: names, and the lengths of the arrays."""
+    """Bytes common to all messages of this layout: names and array lengths."""
     arrays: dict[str, slice]
 
 
 def layout_of(raw: bytes, cdr: bool) -> Layout | None:
-    """Layout of a JointState message, CDR (little-endian) or ROS 1; None where it cannot be read off.
+    """Layout of a JointState message, CDR (little-endian) or ROS 1; None: not determinable.
 
-    CDR aligns each number to its size, counted from behind the four bytes of encapsulation; ROS 1 aligns nothing.
+    CDR aligns each number to its size, counted after the four bytes of encapsulation; ROS 1 does not align.
     """
     if cdr and raw[:2] != b"\x00\x01":
         return None
     try:
         at = stamp = 4
-        at += 8  # the stamp, behind the encapsulation or behind ROS 1's sequence number
+        at += 8  # the stamp, after the encapsulation or ROS 1's sequence number
         _, at = _text(raw, at, cdr)
         count, at = _length(raw, at, cdr)
         names = []
@@ -71,13 +71,13 @@ def layout_of(raw: bytes, cdr: bool) -> Layout | None:
 def joint_states(
     topic: str, raw: Sequence[bytes], cdr: bool, deserialize: Deserialize
 ) -> Iterator[tuple[np.ndarray, RawSignals]]:
-    """JointState messages as columns `position[joint]`, `velocity[joint]`, `effort[joint]`, with their rows in `raw`.
+    """Convert JointState messages to columns `position[joint]`, `velocity[joint]`, `effort[joint]`, with rows in `raw`.
 
-    Messages of one layout are decoded at once from one view of their bytes; others one by one. Where messages name
-    different joints (an arm and its gripper on one topic), each set of names comes by itself. Times are the headers'.
+    Messages of one layout are decoded together from one view of their bytes, others one by one. Messages with different
+    joints (an arm and its gripper on one topic) give separate blocks. Times are the headers'.
 
     Raises:
-        RecordingError: an array that is neither empty nor as long as the names.
+        RecordingError: an array is neither empty nor as long as the names.
     """
     layout = layout_of(raw[0], cdr)
     if layout is not None and all(len(message) == len(raw[0]) for message in raw):
@@ -104,12 +104,12 @@ def joint_states(
 
 
 def any_messages(topic: str, raw: Sequence[bytes], deserialize: Deserialize) -> RawSignals:
-    """Messages of any type: every number in it a column, `field.field` or `field.field[index]`; text is left out.
+    """Convert messages of any type: each number is a column `field.field` or `field.field[index]`; text is left out.
 
     Times are the headers', 0 without one.
 
     Raises:
-        RecordingError: messages that do not all hold the same numbers.
+        RecordingError: the messages do not all have the same columns.
     """
     rows: list[list[float]] = []
     names: tuple[str, ...] = ()
@@ -117,7 +117,7 @@ def any_messages(topic: str, raw: Sequence[bytes], deserialize: Deserialize) -> 
     for message in map(deserialize, raw):
         numbers = dict(_numbers(message, ""))
         if rows and tuple(numbers) != names:
-            raise RecordingError(f"topic {topic}: its messages hold arrays of changing length; they must stay the same")
+            raise RecordingError(f"topic {topic}: its messages have arrays of changing length; they must stay the same")
         names = tuple(numbers)
         rows.append(list(numbers.values()))
         t_ns.append(stamp_ns(message))
@@ -131,20 +131,20 @@ def stamp_ns(message: Any) -> int:
 
 
 class Clock:
-    """Header stamps, or log times where the first messages' stamps are all zero; one a topic."""
+    """Clock of a topic: header stamps, or log times if the first messages' stamps are all zero."""
 
     def __init__(self, counts: Counter[str]):
         self._counts = counts
         self._by_log: bool | None = None
 
     def stamped(self, block: RawSignals, log_ns: np.ndarray) -> RawSignals:
-        """The block on this clock. A message without a stamp among stamped ones belongs on no clock: left out.
+        """Return the block with this clock's times; messages without a stamp among stamped ones are left out.
 
         A stamp of zero that leads the block is kept: recordings of simulated time begin there.
         """
         assert block.t_ns is not None
         if self._by_log is None:
-            # One message alone may rightly be stamped 0.
+            # A single message may have the valid stamp 0.
             self._by_log = not block.t_ns.any() and (len(log_ns) > 1 or log_ns[0] > 0)
         if self._by_log:
             self._counts[f"{block.stream}: messages with a stamp of zero, timed by the bag's log"] += len(log_ns)
@@ -193,33 +193,33 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
                 yield from _numbers(getattr(value, field), f"{name}.{field}" if name else field)
 
 
-# --- What ROS 1 and ROS 2 bags have in common: which topics to read, and their messages as blocks of columns.
+# --- Common to ROS 1 and ROS 2 bags: choice of topics, and messages as blocks of columns.
 
 
 def chosen_topics(path: Path, connections: Iterable[Any], topics: Sequence[str]) -> tuple[str, ...]:
-    """The topics named, or the only one of type JointState that has messages.
+    """Return the topics named, or the only one of type JointState with messages.
 
     Raises:
-        RecordingError: a topic that is not there; none or several of that type; the message lists what there is.
+        RecordingError: a topic is missing, or none or several have that type; the message lists the topics.
     """
     there: dict[str, tuple[str, int]] = {}
     for connection in connections:
         count = there.get(connection.topic, ("", 0))[1]
         there[connection.topic] = (connection.msgtype, count + connection.msgcount)
     if not there or not any(count for _, count in there.values()):
-        raise RecordingError(f"{path}: the bag is empty: it holds no messages")
+        raise RecordingError(f"{path}: the bag is empty: it has no messages")
     listed = ", ".join(f"{t} ({kind.replace('/msg/', '/')}, messages: {n})" for t, (kind, n) in sorted(there.items()))
     for topic in topics:
         if topic not in there:
-            raise RecordingError(f"{path}: no topic '{topic}'; it holds {listed}")
+            raise RecordingError(f"{path}: no topic '{topic}'; it has {listed}")
         if not there[topic][1]:
-            raise RecordingError(f"{path}: topic '{topic}' has no messages; the bag holds {listed}")
+            raise RecordingError(f"{path}: topic '{topic}' has no messages; the bag has {listed}")
     if topics:
         return tuple(topics)
     found = [topic for topic, (kind, count) in there.items() if kind == JOINT_STATE and count]
     if not found:
         raise RecordingError(
-            f"{path}: no topic of type sensor_msgs/JointState with messages; it holds {listed}. A trajectory is "
+            f"{path}: no topic of type sensor_msgs/JointState with messages; it has {listed}. A trajectory is "
             "planned motion, not measured; another topic with measured signals can be named in arm.toml (topic = ...)"
         )
     if len(found) > 1:
@@ -237,12 +237,12 @@ def blocks_of(
     clocks: dict[str, Clock],
     counts: Counter[str],
 ) -> Iterator[RawSignals]:
-    """Blocks of the messages of each topic, in the order of the bag.
+    """Yield blocks of each topic's messages, in the order of the bag.
 
     Args:
-        messages: connection, log time [ns], bytes.
-        deserializer: a connection's function from bytes to a message.
-        clocks: of the topics seen; filled.
+        messages: connection, log time [ns] and bytes of each message.
+        deserializer: returns a connection's function from bytes to a message.
+        clocks: clocks by topic; filled here.
     """
     while taken := list(islice(messages, BLOCK_ROWS)):
         by_connection: dict[int, list[int]] = {}
@@ -268,11 +268,11 @@ def blocks_of(
 
 MAGIC = b"#ROSBAG V"
 BAG = ("a ROS 1 bag", (Exception,), "a bag that was not closed can be repaired: rosbag reindex")
-"""What rosbags meets in damaged bytes is of many types: struct, assertion, decompressor, its own."""
+"""rosbags raises many types on damaged bytes: struct, assertion, decompressor, its own."""
 
 
 def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
-    """A ROS 1 bag as one raw recording, a stream a topic.
+    """Open a ROS 1 bag as one raw recording, one stream a topic.
 
     Raises:
         RecordingError: now or while it is read: damaged, empty, or without the requested topics.
@@ -309,10 +309,10 @@ REPAIR = "a file that was not closed can be repaired: `mcap recover`, or for sql
 
 
 def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
-    """A ROS 2 bag (folder or storage file) as one raw recording, a stream a topic.
+    """Open a ROS 2 bag (folder or storage file) as one raw recording, one stream a topic.
 
-    A folder whose metadata.yaml is missing or names files that are not there is read by its storage files. Messages
-    without a definition in the bag are read by the standard one of their type.
+    Storage files are read directly if metadata.yaml is missing or names missing files. Messages without a definition in
+    the bag use the standard one of their type.
 
     Raises:
         RecordingError: now or while it is read: damaged, empty, or without the requested topics.
@@ -344,7 +344,7 @@ def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         if not found:
-            raise RecordingError(f"{path}: it holds no metadata.yaml and no .db3 or .mcap file; it is no ROS 2 bag")
+            raise RecordingError(f"{path}: it has no metadata.yaml and no .db3 or .mcap file; it is no ROS 2 bag")
         return found, [f"no metadata.yaml: read {', '.join(p.name for p in found)}"]
     try:
         named = _named_files(metadata)
@@ -363,7 +363,7 @@ def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
 
 
 class _Folder:
-    """A bag's folder whose metadata.yaml is in order: rosbags reads it whole, compressed files included."""
+    """A bag's folder with valid metadata.yaml; rosbags reads it whole, including compressed files."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -373,7 +373,7 @@ class _Folder:
 
 
 def _by_number(path: Path) -> tuple:
-    """bag_2 before bag_10."""
+    """Sort key that puts bag_2 before bag_10."""
     return tuple(int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name))
 
 
@@ -390,7 +390,7 @@ def _named_files(metadata: Path) -> list[str]:
 
 @contextmanager
 def _opened(file: Path | _Folder) -> Iterator[Any]:
-    """The storage, open; the reader's own errors come out as RecordingError."""
+    """Open the storage; the reader's errors become RecordingError."""
     from rosbags.rosbag2.reader import DirectoryReader
     from rosbags.rosbag2.storage_mcap import McapReader
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -399,7 +399,7 @@ def _opened(file: Path | _Folder) -> Iterator[Any]:
         if isinstance(file, _Folder):
             storage: Any = DirectoryReader(file.path)
         else:
-            # rosbags goes by the suffix; a file is what it begins with.
+            # rosbags decides by the suffix; use the first bytes instead.
             with file.open("rb") as raw:
                 begin = raw.read(len(SQLITE_MAGIC))
             storage = McapReader(file) if begin.startswith(MCAP_MAGIC) else Sqlite3Reader(file)
@@ -416,7 +416,7 @@ def _standard_types() -> Any:
 
 
 def _ros2_deserializer(connection: Any) -> Callable[[bytes], Any]:
-    """From the bag's own definition; JointState, which never changed, and what has no definition by the standard."""
+    """Deserializer from the bag's definition; the standard one for JointState and types without a definition."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 

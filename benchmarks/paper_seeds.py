@@ -2,8 +2,8 @@
 
     python benchmarks/paper_seeds.py OUT [--cases exact none] [--seeds 1 2]
 
-OUT/data is the dataset of `tauext reproduce --scale full`; a bundle that OUT holds already is not trained again. Rows of
-seed 0 come from docs/results/full.
+OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT holds already is not trained again. Rows
+of seed 0 come from docs/results/full.
 """
 
 from pathlib import Path

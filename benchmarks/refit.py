@@ -30,10 +30,10 @@ from tauext.data.recording_file import load_recording
 from tauext.evaluate.collisions import find_collisions, judge_latched
 from tauext.evaluate.errors import sensor_reference
 from tauext.evaluate.injected import estimate_recording
+from tauext.fit.tail import rate_interval
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
 from tauext.train.refit import refit_motion, refit_recordings
-from tauext.train.tail import rate_interval
 
 ARMS = ["ur5", "panda", "kinova", "seven_axis"]
 ALL = ("coulomb_nm", "static_nm", "viscous_nm_s_rad")

@@ -10,13 +10,12 @@ from tauext import _core
 from tauext.bundle.estimates import FAULT
 from tauext.config import FreeMotionConfig
 from tauext.errors import ConfigError, TrainingError
+from tauext.fit.tail import held_minimum, hold_lengths
 from tauext.train.error_scale import errors, paper_limits
 from tauext.train.held_peaks import (
     PeakCollector,
     cluster_peaks,
     collect_peaks,
-    held_minimum,
-    hold_lengths,
     separate_peaks,
 )
 

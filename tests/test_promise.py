@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2, poisson
 
 from tauext.errors import ConfigError
-from tauext.train.tail import (
+from tauext.fit.tail import (
     FalseAlarmBudget,
     Promise,
     duration,

@@ -14,11 +14,11 @@ from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.network_training import TrainedNetwork, apply_gate
+from tauext.fit.tail import FalseAlarmBudget
 from tauext.fit.training_set import find_scaling
 from tauext.train.error_scale import FEATURES, Rows
 from tauext.train.held_peaks import cluster_peaks
 from tauext.train.promised_limits import apply_promised, most_seen, other_motion, promised_limits
-from tauext.train.tail import FalseAlarmBudget
 
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
 

@@ -16,6 +16,7 @@ from made_results import undrawn as no_pictures
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.evaluate.results import bundle_label, load_results
+from tauext.fit.tail import duration
 from tauext.report import paper
 from tauext.report.collision_figures import (
     draw_after_contact,
@@ -39,7 +40,6 @@ from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
 from tauext.report.tables import methods
 from tauext.report.three_collisions import choose, draw_three_collisions
-from tauext.train.tail import duration
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
 OF_METHODS = ("missed-curve", "strength", "after-contact")

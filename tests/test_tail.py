@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, genpareto
 
 from tauext.errors import ConfigError, TrainingError
-from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum
-from tauext.train.tail import (
+from tauext.fit.tail import (
     GOODNESS_P,
     GOODNESS_SHAPES,
     SHAPES,
@@ -25,6 +24,7 @@ from tauext.train.tail import (
     split,
     upper_rate,
 )
+from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum
 
 
 def made_tail(shape=0.1, scale=2.0, exceedances=100, hours=10.0, threshold=5.0) -> Tail:

@@ -14,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision, judge_latched
 from tauext.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
 from tauext.evaluate.results import AfterContacts, Aftermath, FreeMotion, NoticedForce, Numbers, SanityRow
-from tauext.train.tail import is_consistent, is_kept, rate_interval
+from tauext.fit.tail import is_consistent, is_kept, rate_interval
 
 # --- Errors in free motion, where tau_ext is the error.
 

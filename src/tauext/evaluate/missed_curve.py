@@ -12,7 +12,7 @@ from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext.evaluate.results import CurvePoint
-from tauext.train.held_peaks import held_minimum, hold_lengths
+from tauext.fit.tail import held_minimum, hold_lengths
 
 SCALES = np.sort(np.append(np.geomspace(0.05, 10, 60), 1.0))
 """Factors of the limits; 1, the bundle's own, is one of them."""

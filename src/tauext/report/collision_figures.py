@@ -18,6 +18,7 @@ from matplotlib.ticker import NullLocator
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.evaluate.results import Aftermath, CurvePoint, EvaluatedBundle, LabelledCollision, Results
+from tauext.fit.tail import duration
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
     CONTACT,
@@ -37,7 +38,6 @@ from tauext.report.style import (
     use_log_height,
     write_above,
 )
-from tauext.train.tail import duration
 
 # --- Figure 7: observer and uncertainty over time, without a model, while the ten collisions happen.
 

@@ -18,6 +18,7 @@ from tauext.evaluate.results import EvaluatedBundle, FreeMotion, Numbers, Result
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
+from tauext.fit.tail import duration
 from tauext.report import paper, tables
 from tauext.report.collision_figures import (
     draw_after_contact,
@@ -49,7 +50,6 @@ from tauext.report.style import RC, Drawing, bundle_colours, save_png
 from tauext.report.tables import method_errors, methods, milliseconds, number, plural, render_template
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
-from tauext.train.tail import duration
 
 # --- The first screen: the test, one method's results, its limitations, and the next steps.
 

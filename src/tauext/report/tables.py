@@ -24,8 +24,8 @@ from tauext.evaluate.results import (
     TouchEstimate,
     Verdict,
 )
+from tauext.fit.tail import duration
 from tauext.report import paper
-from tauext.train.tail import duration
 
 # --- The page's tables: ours beside the paper's where the paper has a number, a dash where there is none.
 

@@ -12,6 +12,17 @@ from tauext import _core
 from tauext._core import MotionFeature
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.recording import Recording
+from tauext.fit.tail import (
+    FalseAlarmBudget,
+    Promise,
+    Tail,
+    TooFewPeaks,
+    duration,
+    fit_tail,
+    held_minimum,
+    hold_lengths,
+    split,
+)
 from tauext.fit.ties import simplest
 from tauext.train.error_scale import FEATURES, Judged, LevelLimits, Rows, limit_weights
 from tauext.train.held_peaks import (
@@ -23,11 +34,8 @@ from tauext.train.held_peaks import (
     carrying_moments,
     cluster_peaks,
     collect_peaks,
-    held_minimum,
-    hold_lengths,
     separate_peaks,
 )
-from tauext.train.tail import FalseAlarmBudget, Promise, Tail, TooFewPeaks, duration, fit_tail, split
 
 # --- Limits for a budget of false alarms, as far as the recordings support it.
 

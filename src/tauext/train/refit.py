@@ -29,9 +29,9 @@ from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.fleet_prior import CLOSE, FleetPrior
+from tauext.fit.tail import FalseAlarmBudget, Promise, duration, is_kept
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.held_peaks import REGIONS, separate_peaks
-from tauext.train.tail import FalseAlarmBudget, Promise, duration, is_kept
 
 # --- Refit with a fleet prior: joints that hardly moved follow those that did.
 #

@@ -93,7 +93,7 @@ def test_ctrl_c_and_a_killed_driver_cost_the_tasks_that_ran(fleet, undisturbed, 
     (running, *_) = until(lambda: parts(tmp_path), driver)
     driver.send_signal(signal.SIGINT)
     _, said = driver.communicate(timeout=PATIENCE_S)
-    assert driver.returncode == 130 and "tauext: interrupted; tasks that had ended are kept" in said
+    assert driver.returncode == 130 and "tauext: interrupted; finished tasks are kept" in said
     assert gone(process_of(running)) and not parts(tmp_path)
     counts = json.loads((tmp_path / "fleet.json").read_text())["counts"]
     assert counts == {"arms": 2, "done": 0, "failed": 0, "waiting": 2}

@@ -35,7 +35,11 @@ typedef enum tauext_status {
 
 /* How often the network is evaluated: at every sample, or, for slow processors, once per network period (about 10
  * ms). */
-typedef enum tauext_network_rate { TAUEXT_EVERY_SAMPLE = 0, TAUEXT_NETWORK_PERIOD = 1 } tauext_network_rate;
+typedef enum tauext_network_rate {
+  TAUEXT_EVERY_SAMPLE = 0,
+  TAUEXT_NETWORK_PERIOD = 1,
+  TAUEXT_NETWORK_RATE_RANGE = 0x7fffffff /* no rate: every int has a defined value, so that a wrong one is refused */
+} tauext_network_rate;
 
 /* Whether the torques of an estimate can be trusted. */
 typedef enum tauext_health {

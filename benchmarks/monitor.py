@@ -1,12 +1,16 @@
 """Time of the monitor at every sample beside ONNX Runtime and PyTorch on the same network and window.
 
     python benchmarks/monitor.py [--steps 1000000] [--paced-s 10] [--rounds 3] [--calls 20000] [--json FILE]
+                                 [--arms rig seven --out OUT]
 
 monitor_bench (make build) measures the monitor, its network alone, a window computed anew and a paced loop. ONNX
 Runtime and PyTorch run the same weights on the same window, a batch of one, one thread, called from Python; that their
 outputs equal the core's is checked first. Neither keeps a window's state from one sample to the next, and putting the
 window together is not counted for them. Everything runs in turns on one core, in SCHED_FIFO where that is granted.
 Of a number the median over the rounds is shown, of a maximum the largest and of missed deadlines the sum.
+--arms: bundles as tauext train writes them (recipe prior, with error scale, coverage, settable load, forces, places) on
+the simulated arms' own motion, also during a contact, while weighing and while a load is expected. OUT gets bundles and
+motions, which a later run uses again.
 What is not installed is left out: pip install 'tauext[bench]' brings ONNX Runtime, 'tauext[torch]' PyTorch.
 """
 
@@ -70,10 +74,14 @@ def main() -> None:
     parser.add_argument("--paced-s", type=float, default=10.0, help="seconds of the paced loop; 0: none (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="turns of everything (%(default)s)")
     parser.add_argument("--calls", type=int, default=20_000, help="of each library in a round (%(default)s)")
+    parser.add_argument("--arms", nargs="+", choices=("rig", "seven"), default=[], help="trained bundles as well")
+    parser.add_argument("--out", type=Path, help="folder of --arms' bundles")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every number of every round")
     options = parser.parse_args()
     if min(options.rounds, options.steps, options.calls) < 1 or options.paced_s < 0:
         parser.error("--rounds, --steps and --calls must be at least 1, --paced-s at least 0")
+    if options.arms and not options.out:
+        parser.error("--arms needs --out, a folder for bundles")
     if not os.access(options.bench, os.X_OK):
         parser.error(f"there is no {options.bench}: make build")
 
@@ -95,6 +103,8 @@ def main() -> None:
     for joints in options.joints:
         results[joints] = one_arm(joints, options, {n: x for n, x in libraries.items() if isinstance(x, Library)})
         show(joints, results[joints])
+    trained = {arm: trained_arm(arm, options) for arm in options.arms}
+    show_trained(trained)
     after = other_processes_s()
     others_s, stolen_s = (after[k] - before[k] for k in range(2))
     print(f"meanwhile other processes took {others_s:.1f} s of processor time and the host kept {stolen_s:.1f} s for")
@@ -103,7 +113,7 @@ def main() -> None:
     if options.json:
         versions = {n: x.version if isinstance(x, Library) else x for n, x in libraries.items()}
         run = {"steps": options.steps, "rounds": options.rounds, "calls": options.calls, "paced_s": options.paced_s}
-        everything = {"machine": about, "libraries": versions, "run": run, "joints": results}
+        everything = {"machine": about, "libraries": versions, "run": run, "joints": results, "arms": trained}
         everything["meanwhile"] = {"others_s": others_s, "stolen_s": stolen_s}
         options.json.write_text(json.dumps(everything, indent=1) + "\n")
 
@@ -137,6 +147,40 @@ def one_arm(joints: int, options: argparse.Namespace, libraries: dict[str, Libra
     result["ratios"] = ratios(result)
     result["bounds"] = bounds(joints, result)
     return result
+
+
+PARTS = {
+    "monitor": "free motion",
+    "contact": "contact",
+    "weighing": "weighing",
+    "expecting": "expecting a load",
+    "paced": "paced",
+}
+
+
+def trained_arm(arm: str, options: argparse.Namespace) -> dict:
+    """Every part of monitor_bench on a trained bundle; medians over the rounds."""
+    from contact_errors import CASES, train
+
+    from tauext.page.bundles import practice_recording
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    bundle, motion = train(arm, options.out), options.out / f"{arm}.f64"
+    if not motion.exists():
+        free = practice_recording(CASES[arm][0](), 60.0, 0, 50)  # not one of those that the bundle was trained on
+        np.hstack([free.q, free.dq, free.tau]).astype("<f8").tofile(motion)
+    words = (options.bench, 2, options.steps, options.paced_s, bundle, motion)
+    return merged([core_says(*words) for _ in range(options.rounds)])
+
+
+def show_trained(trained: dict[str, dict]) -> None:
+    for arm, core in trained.items():
+        print(f"trained bundle of {arm}, us{'':{max(0, 20 - len(arm))}}estimate p50     p99.9   advance p50     p99.9")
+        for part, what in PARTS.items():
+            if core[part]:
+                times = (core[part][name][key] for name in ("estimate", "advance") for key in ("p50_ns", "p99_9_ns"))
+                print(f"  {what:38}" + "".join(f"{ns / 1e3:12.2f}" for ns in times))
+        print(flush=True)
 
 
 def core_says(bench: Path, *arguments: object) -> dict:

@@ -1,9 +1,10 @@
 """Time of a sample in the monitor of two commits, in turns on this machine.
 
-    python benchmarks/turns.py OLD NEW [--joints 2 7] [--rounds 5] [--steps 300000] [--bundle FILE FILE]
+    python benchmarks/turns.py OLD NEW [--joints 2 7] [--rounds 5] [--steps 300000] [--bundle FILE FILE [--motion FILE]]
 
 Each commit is built from a checkout of its own with its own monitor_bench. A row shows the medians over the rounds and
-the ratio NEW / OLD. --bundle names a bundle of each commit's format instead of the one without optional parts.
+the ratio NEW / OLD. --bundle names a bundle of each commit's format instead of the one without optional parts; `-` is
+the latter with --joints. --motion: what benchmarks/monitor.py --arms wrote for NEW's bundle.
 """
 
 import json
@@ -25,19 +26,19 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=300_000, help="samples back to back in a round (%(default)s)")
     parser.add_argument("--paced-s", type=float, default=0.0, help="seconds of a loop at the sample rate; 0: none")
-    parser.add_argument("--bundle", nargs=2, type=Path, metavar="FILE", help="one per commit; replaces --joints")
+    parser.add_argument("--bundle", nargs=2, metavar="FILE", default=["-", "-"], help="one per commit")
+    parser.add_argument("--motion", type=Path, metavar="FILE", help="of the bundle of NEW")
     options = parser.parse_args()
-    cases = [options.bundle] if options.bundle else [(joints, joints) for joints in options.joints]
     with tempfile.TemporaryDirectory() as folder:
         benches = [build(commit, Path(folder) / str(k)) for k, commit in enumerate(options.commits)]
-        print("\n".join(head(f"bundle | what | {options.commits[0]}, ns | {options.commits[1]}, ns | ratio")))
-        for case in cases:
-            rounds = [[run(benches[k], case[k], options) for k in range(2)] for _ in range(options.rounds)]
+        print("\n".join(head(f"joints | what | {options.commits[0]}, ns | {options.commits[1]}, ns | ratio")))
+        for joints in options.joints:
+            rounds = [[run(benches[k], k, joints, options) for k in range(2)] for _ in range(options.rounds)]
             for part, what in PARTS:
                 if not all(one.get(part) for pair in rounds for one in pair):
                     continue
                 old, new = (statistics.median(pair[k][part][what]["p50_ns"] for pair in rounds) for k in range(2))
-                print(table_row(f"{case[1]}", f"{part} {what}", f"{old:g}", f"{new:g}", f"{new / old:.2f}"))
+                print(table_row(f"{joints}", f"{part} {what}", f"{old:g}", f"{new:g}", f"{new / old:.2f}"))
 
 
 def build(commit: str, folder: Path) -> Path:
@@ -55,10 +56,10 @@ def build(commit: str, folder: Path) -> Path:
     return build_folder / "monitor_bench"
 
 
-def run(bench: Path, bundle: int | Path, options) -> dict:
-    """What monitor_bench prints: for so many joints, or for a bundle's file."""
-    which = [bundle] if isinstance(bundle, int) else [2]
-    words = [*which, options.steps, options.paced_s, *([bundle] if isinstance(bundle, Path) else [])]
+def run(bench: Path, which: int, joints: int, options) -> dict:
+    """What monitor_bench prints for the old (0) or the new commit (1)."""
+    words = [joints, options.steps, options.paced_s, options.bundle[which]]
+    words += [options.motion] if which == 1 and options.motion else []
     return json.loads(subprocess.run([bench, *map(str, words)], check=True, capture_output=True).stdout)
 
 

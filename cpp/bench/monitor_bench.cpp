@@ -1,5 +1,5 @@
 // Time per sample of the monitor, its network alone, a recomputed window and a paced loop; one JSON object on stdout.
-//   monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -]
+//   monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -] [motion -]
 //   monitor_bench --dump FILE [joints 2] [bundle -]
 #include <algorithm>
 #include <cerrno>
@@ -10,6 +10,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -32,7 +33,7 @@ using namespace tauext;
 namespace {
 
 constexpr char kUsage[] =
-    "usage: monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -]\n"
+    "usage: monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -] [motion -]\n"
     "       monitor_bench --dump FILE [joints 2] [bundle -]\n"
     "\n"
     "Prints one JSON object: p50, p99, p99.9 and maximum [ns] of what a sample takes.\n"
@@ -40,6 +41,8 @@ constexpr char kUsage[] =
     "  steps    samples back to back, after the warm-up\n"
     "  paced_s  seconds of a loop that sleeps until each sample is due; 0: none\n"
     "  bundle   a file; -: made here, H = 20, windows of 100 steps of 10 samples at 1 kHz\n"
+    "  motion   float64 rows q, dq, tau of the arm in free motion, at the bundle's sample period; -: sines. With it, the\n"
+    "           monitor is also timed while it weighs, expects a load, and during a contact\n"
     "  --dump   writes, as float32: the network's parameters (LstmShape's order), the scaled inputs of one window\n"
     "           (steps, inputs) and the network's output for it; prints the sizes\n";
 
@@ -169,15 +172,45 @@ struct Parts {
   }
 };
 
+// Rows q, dq, tau of the arm in free motion.
+struct Recorded {
+  std::vector<double> values;
+  std::int64_t rows = 0;
+  Recorded(const Bundle& b, const std::string& path) {
+    std::FILE* file = std::fopen(path.c_str(), "rb");
+    if (!file) throw Error(path + ": cannot be opened");
+    std::vector<double> block(1 << 16);
+    for (std::size_t got; (got = std::fread(block.data(), sizeof(double), block.size(), file)) > 0;)
+      values.insert(values.end(), block.begin(), block.begin() + static_cast<std::ptrdiff_t>(got));
+    std::fclose(file);
+    const std::size_t width = 3 * b.links.size();
+    if (values.empty() || values.size() % width != 0)
+      throw Error(path + ": must have rows of " + std::to_string(width) + " float64");
+    rows = static_cast<std::int64_t>(values.size() / width);
+  }
+};
+
+// Sines, or recorded rows again and again. A pause between two rounds restarts the monitor without a fault.
 struct Motion {
+  static constexpr std::int64_t kPauseNs = 10'000'000'000;
   JointVector q{}, dq{}, tau{};
   int joints;
   std::int64_t period_ns;
-  explicit Motion(const Bundle& b) : joints(b.joints()), period_ns(b.observer.sample_period_ns) {}
+  double push_nm = 0;  // added to the torque of the first joint
+  const Recorded* recorded;
+  Motion(const Bundle& b, const Recorded* from) : joints(b.joints()), period_ns(b.observer.sample_period_ns), recorded(from) {}
   Sample at(std::int64_t k) noexcept {
-    made::signal(k, joints, q.data(), dq.data(), tau.data());
+    std::int64_t round = 0;
     const auto n = static_cast<std::size_t>(joints);
-    return {k * period_ns, std::span(q).first(n), std::span(dq).first(n), std::span(tau).first(n)};
+    if (recorded) {
+      round = k / recorded->rows;
+      const double* row = recorded->values.data() + static_cast<std::size_t>(k % recorded->rows) * 3 * n;
+      std::copy_n(row, n, q.begin()), std::copy_n(row + n, n, dq.begin()), std::copy_n(row + 2 * n, n, tau.begin());
+    } else {
+      made::signal(k, joints, q.data(), dq.data(), tau.data());
+    }
+    tau[0] += push_nm;
+    return {k * period_ns + round * kPauseNs, std::span(q).first(n), std::span(dq).first(n), std::span(tau).first(n)};
   }
   void row(std::int64_t k, const std::vector<float>& factors, float* to) noexcept {
     at(k);
@@ -185,6 +218,8 @@ struct Motion {
       to[j] = static_cast<float>(q[j]) * factors[j];
       to[joints + j] = static_cast<float>(dq[j]) * factors[joints + j];
     }
+    for (std::size_t c = 2 * static_cast<std::size_t>(joints); c < factors.size(); ++c)  // presliding states
+      to[c] = 0.5f * factors[c];
   }
 };
 
@@ -211,29 +246,46 @@ struct Stepped {
   bool ok;
 };
 
-// A sample, its two parts timed apart.
-Stepped timed_step(Monitor& monitor, const Sample& sample, Parts& parts) {
+// A sample, its two parts timed apart; only_ok: not added unless its health is ok.
+Stepped timed_step(Monitor& monitor, const Sample& sample, Parts& parts, bool only_ok = false) {
   const std::int64_t start = now_ns();
   const Estimate& estimate = monitor.estimate(sample);
   const std::int64_t middle = now_ns();
   monitor.advance();
   const std::int64_t end = now_ns();
-  parts.add(start, middle, end);
-  return {start, end, estimate.health == Health::ok};
+  const bool ok = estimate.health == Health::ok;
+  if (ok || !only_ok) parts.add(start, middle, end);
+  return {start, end, ok};
 }
 
-std::string monitor_part(const Bundle& b, NetworkRate rate, std::int64_t steps, RealTime& real_time, Parts& parts) {
+// What goes on while a monitor is timed.
+enum class During { free_motion, weighing, expecting, contact };
+constexpr double kPushLimits = 3;  // a contact's torque, in the limits of the first joint in free motion
+
+void keep_up(Monitor& monitor, During during) {
+  if (during == During::weighing && !monitor.weighing() && !monitor.start_weighing())
+    throw Error(monitor.why_no_weighing());
+  if (during == During::expecting && monitor.last().load_phase == LoadPhase::none && !monitor.expect_load(60, 1))
+    throw Error(monitor.why_not_expected(60, 1));
+}
+
+// Samples whose health is ok are timed; sines have no others.
+std::string monitor_part(const Bundle& b, const Recorded* recorded, NetworkRate rate, During during, std::int64_t steps,
+                         RealTime& real_time, Parts& parts) {
   Monitor monitor(b, rate);
-  Motion motion(b);
+  Motion motion(b, recorded);
   Breath breath;
   parts.clear();
   real_time.lock_memory();
-  const std::int64_t first = warm_up(monitor, motion, b);
-  std::int64_t not_ok = 0;
-  for (std::int64_t k = first; k < first + steps; ++k) {
+  std::int64_t k = warm_up(monitor, motion, b), not_ok = 0;
+  if (during == During::contact) motion.push_nm = kPushLimits * monitor.last().limit_nm[0];
+  for (std::int64_t timed = 0; timed < steps; ++k) {
+    keep_up(monitor, during);
     const Sample sample = motion.at(k);
-    const Stepped one = timed_step(monitor, sample, parts);
+    const Stepped one = timed_step(monitor, sample, parts, recorded != nullptr);
+    timed += one.ok || !recorded;
     not_ok += !one.ok;
+    if (not_ok > 2 * steps + kWarmUpSamples) throw Error("the health is hardly ever ok in this motion");
     breath.take(one.end_ns);
   }
   return "{" + parts.json("estimate", motion.period_ns) + format(", \"samples_not_ok\": %lld}", (long long)not_ok);
@@ -241,11 +293,11 @@ std::string monitor_part(const Bundle& b, NetworkRate rate, std::int64_t steps, 
 
 std::string network_part(const Bundle& b, std::int64_t steps, RealTime& real_time, Parts& parts) {
   if (!b.has_network()) return "null";
-  SlidingLstm network(b.shape, b.parameters, b.inputs, 2 * b.joints(), b.observer.network_stride, b.window_steps,
+  SlidingLstm network(b.shape, b.parameters, b.inputs, b.columns(), b.observer.network_stride, b.window_steps,
                       NetworkRate::every_sample);
-  Motion motion(b);
+  Motion motion(b, nullptr);
   Breath breath;
-  std::vector<float> row(2 * b.links.size()), out(b.links.size());
+  std::vector<float> row(static_cast<std::size_t>(b.columns())), out(b.links.size());
   parts.clear();
   real_time.lock_memory();
   std::int64_t k = 0;
@@ -276,12 +328,12 @@ struct Rows {
   WindowRows windows;
   std::int64_t first_end;
   Rows(const Bundle& b, std::int64_t count)
-      : windows{nullptr, 0, 2 * b.joints(), b.observer.network_stride, b.window_steps, b.inputs},
+      : windows{nullptr, 0, b.columns(), b.observer.network_stride, b.window_steps, b.inputs},
         first_end(windows.reach()) {
     windows.row_count = first_end + count;
     values.resize(static_cast<std::size_t>(windows.row_count * windows.columns));
     windows.rows = values.data();
-    Motion motion(b);
+    Motion motion(b, nullptr);
     for (std::int64_t k = 0; k < windows.row_count; ++k)
       motion.row(k, b.input_factors, values.data() + k * windows.columns);
   }
@@ -307,10 +359,10 @@ std::string recomputed_part(const Bundle& b, RealTime& real_time, Parts& parts) 
 
 // As in a control loop: between two samples the core sleeps or does other work, and caches grow cold. A tick that has
 // passed when the step ends is left out, and the loop goes on at the next.
-std::string paced_part(const Bundle& b, double paced_s, RealTime& real_time, Parts& parts) {
+std::string paced_part(const Bundle& b, const Recorded* recorded, double paced_s, RealTime& real_time, Parts& parts) {
   if (paced_s <= 0) return "null";
   Monitor monitor(b);
-  Motion motion(b);
+  Motion motion(b, recorded);
   const double periods = paced_s * 1e9 / static_cast<double>(motion.period_ns);
   const std::int64_t ticks = std::max<std::int64_t>(1, std::llround(periods));
   Times lateness(ticks);
@@ -321,7 +373,7 @@ std::string paced_part(const Bundle& b, double paced_s, RealTime& real_time, Par
   for (const std::int64_t last = k + ticks; k < last;) {
     const Sample sample = motion.at(k);
     sleep_until(due);
-    const auto [start, end, ok] = timed_step(monitor, sample, parts);
+    const auto [start, end, ok] = timed_step(monitor, sample, parts, recorded != nullptr);
     lateness.add(start - due);
     not_ok += !ok;
     missed += end > due + motion.period_ns;
@@ -401,7 +453,7 @@ Bundle get_bundle(const char* joints_text, const char* path) {
   return load_bundle(path);
 }
 
-void measure(const Bundle& b, const char* bundle_name, std::int64_t steps, double paced_s) {
+void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded, std::int64_t steps, double paced_s) {
   const double ticks = paced_s * 1e9 / static_cast<double>(b.observer.sample_period_ns);
   constexpr std::int64_t clock_readings = 100'000;
   Parts parts(std::max({steps, kRecomputed, clock_readings, static_cast<std::int64_t>(ticks) + 1}));
@@ -409,11 +461,20 @@ void measure(const Bundle& b, const char* bundle_name, std::int64_t steps, doubl
   std::string json = "{" + sizes(b) + ", \"bundle\": " + quoted(bundle_name);
   json += ", \"compiler\": " + quoted(__VERSION__);
   json += format(", \"lanes\": %d, \"steps\": %lld", lanes::lane_count(), (long long)steps);
-  json += ", \"monitor\": " + monitor_part(b, NetworkRate::every_sample, steps, real_time, parts);
+  const auto monitor_in = [&](During during, NetworkRate rate = NetworkRate::every_sample) {
+    return monitor_part(b, recorded, rate, during, steps, real_time, parts);
+  };
+  json += ", \"monitor\": " + monitor_in(During::free_motion);
+  if (recorded) {
+    json += ", \"contact\": " + monitor_in(During::contact);
+    const Monitor able(b);
+    json += ", \"weighing\": " + (able.can_weigh() ? monitor_in(During::weighing) : "null");
+    json += ", \"expecting\": " + (able.why_not_expected(60, 1).empty() ? monitor_in(During::expecting) : "null");
+  }
   json += ", \"network\": " + network_part(b, steps, real_time, parts);
   json += ", \"recomputed_window\": " + recomputed_part(b, real_time, parts);
-  json += ", \"monitor_network_period\": " + monitor_part(b, NetworkRate::network_period, steps, real_time, parts);
-  json += ", \"paced\": " + paced_part(b, paced_s, real_time, parts);
+  json += ", \"monitor_network_period\": " + monitor_in(During::free_motion, NetworkRate::network_period);
+  json += ", \"paced\": " + paced_part(b, recorded, paced_s, real_time, parts);
   json += ", \"clock\": " + clock_part(parts, clock_readings);  // two readings, one after the other
   json += format(", \"core\": %d, \"memory_locked\": %s, \"fifo\": %s}", real_time.core,
                  real_time.locked ? "true" : "false", real_time.fifo ? "true" : "false");
@@ -430,11 +491,14 @@ int main(int argc, char** argv) {
       dump(get_bundle(argument(3, "2"), argument(4, "-")), argv[2]);
       return 0;
     }
-    if (argc > 5) throw Error("too many arguments");
+    if (argc > 6) throw Error("too many arguments");
     const auto steps = static_cast<std::int64_t>(whole("steps", argument(2, "1000000"), 1, 1e9));
     const double paced_s = number("paced_s", argument(3, "10"), 0, 3600);
-    const char* path = argument(4, "-");
-    measure(get_bundle(argument(1, "2"), path), path, steps, paced_s);
+    const char *path = argument(4, "-"), *motion = argument(5, "-");
+    const Bundle bundle = get_bundle(argument(1, "2"), path);
+    std::optional<Recorded> recorded;
+    if (std::string_view(motion) != "-") recorded.emplace(bundle, motion);
+    measure(bundle, path, recorded ? &*recorded : nullptr, steps, paced_s);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "monitor_bench: %s\n\n%s", e.what(), kUsage);
     return 2;

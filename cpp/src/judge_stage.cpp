@@ -11,7 +11,9 @@ namespace {
 
 // The prior's error is uniform within +-doubt: its standard error is doubt / sqrt(3).
 double with_doubt(double sigma_nm, double doubt_nm) noexcept {
-  return doubt_nm > 0 ? std::hypot(sigma_nm, doubt_nm / std::sqrt(3.0)) : sigma_nm;
+  if (!(doubt_nm > 0)) return sigma_nm;
+  const double square = sigma_nm * sigma_nm + doubt_nm * doubt_nm / 3;
+  return square < 1e300 ? std::sqrt(square) : std::hypot(sigma_nm, doubt_nm / std::sqrt(3.0));  // hypot is slow
 }
 
 }  // namespace

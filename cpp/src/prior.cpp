@@ -28,6 +28,15 @@ PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3
   for (const Term& t : terms_)
     if (is_load(t)) load_form_[static_cast<std::size_t>(t.a)] = t.form;
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
+  for (const Term& t : terms_) {
+    if (t.kind != TermKind::coulomb && t.kind != TermKind::load) {
+      slide_of_.push_back(0);
+      continue;
+    }
+    const auto same = std::ranges::find_if(slides_, [&](const Slide& one) { return one.joint == t.a && one.speed == t.speed; });
+    slide_of_.push_back(static_cast<std::uint32_t>(same - slides_.begin()));
+    if (same == slides_.end()) slides_.push_back({t.a, t.speed, 0.0});
+  }
 }
 
 void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
@@ -35,9 +44,11 @@ void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, 
   q_ = q;
   dq_ = dq;
   beta_ = beta;
+  angles_.compute(q);
   presliding_ = &presliding;
+  for (Slide& one : slides_) one.value = std::tanh(dq[static_cast<std::size_t>(one.joint)] / one.speed);
   if (corrected_)
-    corrected_->momentum(q, dq, std::span(corrected_momentum_).first(q.size()),
+    corrected_->momentum(q, dq, angles_, std::span(corrected_momentum_).first(q.size()),
                          std::span(corrected_beta_).first(q.size()));
 }
 
@@ -56,27 +67,28 @@ double PriorTerms::beyond_nm(std::size_t joint) const noexcept {
 
 double PriorTerms::value(std::size_t term) const noexcept {
   const Term& t = terms_[term];
+  const auto sine = [&](int joint) { return angles_.sine[static_cast<std::size_t>(joint)]; };
+  const auto cosine = [&](int joint) { return angles_.cosine[static_cast<std::size_t>(joint)]; };
   switch (t.kind) {
     case TermKind::constant: return 1.0;
     case TermKind::viscous: return dq_[t.a];
-    case TermKind::coulomb: return std::tanh(dq_[t.a] / t.speed);
+    case TermKind::coulomb: return slides_[slide_of_[term]].value;
     case TermKind::presliding: return presliding_->value(t.a, t.b);
-    case TermKind::load: return load_nm(t) * std::tanh(dq_[t.a] / t.speed);
+    case TermKind::load: return load_nm(t) * slides_[slide_of_[term]].value;
     case TermKind::load_presliding: return load_nm(t) * presliding_->value(t.a, t.b);
     case TermKind::ripple: return t.form == 0 ? std::sin(t.b * q_[t.a]) : std::cos(t.b * q_[t.a]);
     case TermKind::gravity: {
       if (t.form >= 6) {
         const int cosines = t.form - 6;
-        const auto part = [&](int bit, double angle) { return cosines & bit ? std::cos(angle) : std::sin(angle); };
-        return part(4, q_[t.a]) * part(2, q_[t.b]) * part(1, q_[t.c]);
+        const auto part = [&](int bit, int joint) { return cosines & bit ? cosine(joint) : sine(joint); };
+        return part(4, t.a) * part(2, t.b) * part(1, t.c);
       }
-      const double first = t.form == 0 || t.form == 2 || t.form == 3 ? std::sin(q_[t.a]) : std::cos(q_[t.a]);
+      const double first = t.form == 0 || t.form == 2 || t.form == 3 ? sine(t.a) : cosine(t.a);
       if (t.form < 2) return first;
-      return first * (t.form == 2 || t.form == 4 ? std::sin(q_[t.b]) : std::cos(q_[t.b]));
+      return first * (t.form == 2 || t.form == 4 ? sine(t.b) : cosine(t.b));
     }
-    case TermKind::quadratic: return dq_[t.a] * dq_[t.b] * (t.form == 0 ? std::sin(q_[t.c]) : std::cos(q_[t.c]));
-    case TermKind::momentum:
-      return dq_[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q_[t.b]) : std::sin(q_[t.b]));
+    case TermKind::quadratic: return dq_[t.a] * dq_[t.b] * (t.form == 0 ? sine(t.c) : cosine(t.c));
+    case TermKind::momentum: return dq_[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? cosine(t.b) : sine(t.b));
     case TermKind::backlash: return weight_nm(t) * (1.0 - std::fabs(presliding_->value(t.a, t.b)));
     case TermKind::local_memory: return presliding_->memory_gap(t.a);
   }
@@ -85,7 +97,6 @@ double PriorTerms::value(std::size_t term) const noexcept {
 
 double PriorTerms::doubt(std::size_t term) const noexcept {
   const Term& t = terms_[term];
-  if (!has_width(t)) return 0.0;
   const double size = is_load(t) ? load_nm(t) : t.kind == TermKind::backlash ? std::fabs(weight_nm(t)) : 1.0;
   return size * presliding_->doubt(t.a, t.b);
 }
@@ -93,7 +104,6 @@ double PriorTerms::doubt(std::size_t term) const noexcept {
 Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
     : joints_(joints),
       terms_((settings.validate(joints), settings), gravity),
-      weights_(settings.weights),
       values_(settings.terms.size()),
       shares_(settings.most_load_nm.empty() ? std::vector<double>() : load_friction_shares(settings, joints)),
       temperature_(settings.temperature),
@@ -102,7 +112,10 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {
   for (std::size_t m = 0; m < terms_.size(); ++m) {
     const Term& t = terms_[m];
-    const double weight = weights_[static_cast<std::size_t>(t.a) * terms_.size() + m];
+    for (std::size_t i = 0; i < static_cast<std::size_t>(joints); ++i)
+      if (const double weight = settings.weights[i * terms_.size() + m]; weight != 0) weights_.push_back({weight, static_cast<std::uint32_t>(i)});
+    ends_.push_back(static_cast<std::uint32_t>(weights_.size()));
+    const double weight = settings.weights[static_cast<std::size_t>(t.a) * terms_.size() + m];
     if ((is_coulomb(t) || t.kind == TermKind::viscous) && weight != 0)
       friction_.push_back({weight, static_cast<std::uint32_t>(m), static_cast<std::uint32_t>(t.a), t.kind == TermKind::viscous});
   }
@@ -127,12 +140,14 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
       p[i] = momentum[i] - terms_.corrected_momentum()[i];
       v[i] = beta[i] - terms_.corrected_beta()[i];
     }
+  const Weight* weight = weights_.data();
   for (std::size_t m = 0; m < terms_.size(); ++m) {
-    const double value = values_[m] = terms_.value(m);
+    const double value = values_[m] = terms_.value(m), off = has_width(terms_[m]) ? terms_.doubt(m) : 0.0;
     JointVector& to = is_momentum(terms_[m]) ? p : v;
-    for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
-    const double off = terms_.doubt(m);
-    for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
+    for (const Weight* end = weights_.data() + ends_[m]; weight != end; ++weight) {
+      to[weight->joint] += weight->value * value;
+      if (off > 0) unknown[weight->joint] += std::fabs(weight->value) * off;
+    }
   }
   for (std::size_t i = 0; i < shares_.size(); ++i) {
     beyond_nm_[i] = -shares_[i] * terms_.beyond_nm(i) * std::tanh(dq[i] / kSignSpeed);
@@ -184,8 +199,8 @@ void Prior::sum_friction(std::span<double> coulomb, std::span<double> viscous) c
   for (const Friction& f : friction_) (f.viscous ? viscous : coulomb)[f.joint] += f.weight * values_[f.term];
 }
 
-void Prior::step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                       const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
+void Prior::step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                       std::span<const double> momentum, std::span<const double> beta,
                        bool raised) noexcept {
   Sums sums;
   JointVector prior, doubt;
@@ -193,8 +208,8 @@ void Prior::step_again(std::int64_t t_ns, std::span<const double> q, std::span<c
   filter(t_ns, sums, raised, prior, doubt);
 }
 
-void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                    const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
+void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                    std::span<const double> momentum, std::span<const double> beta,
                     std::span<const double> prior, std::span<const double> doubt) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
   Sums sums;

@@ -81,7 +81,15 @@ class PriorTerms {
   std::array<std::int32_t, kMaxJoints> load_form_{};  // of the load terms of a joint, or of any other
   std::optional<Tree> corrected_;
   JointVector corrected_momentum_{}, corrected_beta_{};
+  // tanh(dq / speed) of a joint, which several terms share.
+  struct Slide {
+    std::int32_t joint;
+    double speed, value;
+  };
+  std::vector<Slide> slides_;
+  std::vector<std::uint32_t> slide_of_;  // of each term that needs one
   std::span<const double> q_, dq_, beta_;
+  Angles angles_;
   const Presliding* presliding_ = nullptr;
 };
 
@@ -152,7 +160,12 @@ class Prior {
 
   int joints_;
   PriorTerms terms_;
-  std::vector<double> weights_;
+  struct Weight {
+    double value;
+    std::uint32_t joint;
+  };
+  std::vector<Weight> weights_;      // other than 0, term by term
+  std::vector<std::uint32_t> ends_;  // of each term's weights
   std::vector<double> values_;  // of the terms at the last step
   std::vector<double> shares_;  // load_friction_shares(); empty: load terms have no bound
   JointVector beyond_nm_{};     // friction at the last step from load beyond that bound

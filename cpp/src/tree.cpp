@@ -151,15 +151,11 @@ bool Tree::has_mass() const noexcept {
   return std::ranges::any_of(links_, [](const Link& link) { return link.mass > 0; });
 }
 
-void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
-                    std::span<double> beta) const noexcept {
+[[gnu::always_inline]] inline void Tree::sweep(std::span<const double> q, std::span<const double> dq,
+                                               const JointVector& sine, const JointVector& cosine, std::span<double> p,
+                                               std::span<double> beta) const noexcept {
   std::array<Sweep, kMaxJoints> sweep;  // left uninitialised: every field is written before it is read
-  std::array<double, kMaxJoints> sine, cosine;  // computed in one loop: independent of each other, unlike the sweep
   const int n = size();
-  for (int i = 0; i < n; ++i) {
-    sine[i] = std::sin(q[i]);
-    cosine[i] = std::cos(q[i]);
-  }
 
   for (int k = 0; k < n; ++k) {
     const Body& body = bodies_[k];
@@ -216,6 +212,29 @@ void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::
           parent.first_moment + s.rotation.to_parent(s.first_moment) + body.subtree_mass * s.origin;
     }
   }
+}
+
+// In a loop of its own: the positions are independent of each other, unlike the links of a sweep.
+void Angles::compute(std::span<const double> q) noexcept {
+  for (std::size_t i = 0; i < q.size(); ++i) {
+    sine[i] = std::sin(q[i]);
+    cosine[i] = std::cos(q[i]);
+  }
+}
+
+void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
+                    std::span<double> beta) const noexcept {
+  std::array<double, kMaxJoints> sine, cosine;  // left uninitialised: every one is written before it is read
+  for (int i = 0; i < size(); ++i) {
+    sine[i] = std::sin(q[i]);
+    cosine[i] = std::cos(q[i]);
+  }
+  sweep(q, dq, sine, cosine, p, beta);
+}
+
+void Tree::momentum(std::span<const double> q, std::span<const double> dq, const Angles& angles, std::span<double> p,
+                    std::span<double> beta) const noexcept {
+  sweep(q, dq, angles.sine, angles.cosine, p, beta);
 }
 
 }  // namespace tauext

@@ -32,6 +32,12 @@ struct Carried {
   std::array<double, 6> inertia{};       // xx, yy, zz, xy, xz, yz, [kg m^2]
 };
 
+// Sine and cosine of every position: computed once for all models at one state.
+struct Angles {
+  JointVector sine{}, cosine{};
+  void compute(std::span<const double> q) noexcept;
+};
+
 // Kinematic tree of 1 to kMaxJoints links in any order; q, dq, p and beta have the order of the links. With all masses,
 // inertias and rotor inertias 0 ("no model"), p = beta = 0.
 class Tree {
@@ -45,6 +51,9 @@ class Tree {
   // dq)_i = (v_parent x S_i) . H_i, g_i = -S_i . W_i. q [rad or m], dq [rad/s or m/s], p [N m s or N s], beta [N m or
   // N]; every span has size() values.
   void momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
+                std::span<double> beta) const noexcept;
+  // angles: of q.
+  void momentum(std::span<const double> q, std::span<const double> dq, const Angles& angles, std::span<double> p,
                 std::span<double> beta) const noexcept;
 
   // Fixes a body to this link and replaces an earlier one; links() do not change. A Carried of zeros removes it to the
@@ -70,6 +79,8 @@ class Tree {
     std::array<double, 6> inertia;       // as in Link, but about the origin
     double rotor_inertia;
   };
+  void sweep(std::span<const double> q, std::span<const double> dq, const JointVector& sine, const JointVector& cosine,
+             std::span<double> p, std::span<double> beta) const noexcept;
   std::vector<Body> sort_bodies() const;
   static void sum_masses(std::vector<Body>& bodies) noexcept;
 

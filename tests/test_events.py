@@ -31,7 +31,13 @@ def judged(made: Recording, alarm: np.ndarray, healthy: np.ndarray | None = None
     settings = EventsConfig(**config)
     measures = EventMeasures(settings)
     zeros = np.zeros_like(made.q)
-    measures.add(Labels(made, settings, 0.02), alarm, np.ones(made.samples, dtype=bool) if healthy is None else healthy, zeros, zeros)
+    measures.add(
+        Labels(made, settings, 0.02),
+        alarm,
+        np.ones(made.samples, dtype=bool) if healthy is None else healthy,
+        zeros,
+        zeros,
+    )
     return measures.summary()
 
 

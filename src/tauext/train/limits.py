@@ -215,9 +215,7 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
     return "promised" if calibration else "supported"
 
 
-def unseen_motion(
-    job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None
-) -> tuple[list[Judged], list[Judged]]:
+def unseen_motion(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[list[Judged], list[Judged]]:
     """Free motion not used in training the bundle or its cross-validation priors."""
     by_fit = fit is not None and not bundle.has_network
     # Without a network, the prior was finally fitted to the validation motion too.

@@ -29,7 +29,7 @@ from tauext.data.free_motion import between
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.events import EventMeasures
+from tauext.evaluate.events import EventMeasures, Labels
 from tauext.evaluate.injected import estimate_recording
 from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import chosen_case, estimated_model
@@ -91,9 +91,10 @@ def one_split(folder: Path, minutes: float, seed: int, piece_s: float) -> dict:
             return row | {"refused": str(error)}
         bundle = load_bundle(path)
     limits = json.loads(bundle.provenance)["limits"]
-    measured = EventMeasures(EventsConfig(), bundle.near_stiction_rad_s)
+    measured = EventMeasures(EventsConfig())
     for recording in [*rest, *touched]:
-        measured.add_estimates(recording, estimate_recording(bundle, recording, 1))
+        labels = Labels(recording, EventsConfig(), bundle.near_stiction_rad_s)
+        measured.add_estimates(labels, estimate_recording(bundle, recording, 1))
     events = measured.summary().all
     hours = events.free_hours
     return row | {

@@ -7,9 +7,9 @@ from sliding_mass import observer_bundle, pushed, recording
 from tauext.config import EventsConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.evaluate.collisions import onset_s
+from tauext.evaluate.collisions import Onsets
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.events import EventMeasures, event_time, is_moving, labelled_events, own_limits
+from tauext.evaluate.events import EventMeasures, Labels, event_time, is_moving, labelled_events, own_limits
 from tauext.evaluate.results import Events
 
 
@@ -28,9 +28,16 @@ def alarms(*spans: tuple[int, int], samples: int = 6000) -> np.ndarray:
 
 
 def judged(made: Recording, alarm: np.ndarray, healthy: np.ndarray | None = None, **config) -> Events:
-    measures = EventMeasures(EventsConfig(**config), 0.02)
+    settings = EventsConfig(**config)
+    measures = EventMeasures(settings)
     zeros = np.zeros_like(made.q)
-    measures.add(made, alarm, np.ones(made.samples, dtype=bool) if healthy is None else healthy, zeros, zeros)
+    measures.add(
+        Labels(made, settings, 0.02),
+        alarm,
+        np.ones(made.samples, dtype=bool) if healthy is None else healthy,
+        zeros,
+        zeros,
+    )
     return measures.summary()
 
 
@@ -91,12 +98,12 @@ def test_an_onset_is_the_first_sample_outside_the_noise_band():
     torque[2040:2300] += 5.0
     made = labelled((2000, 2300), tau_ext=torque)
     free = ~event_time(made, 0.1)
-    assert onset_s(made, [(1.9, 2.299)], np.zeros((6000, 1)), free) == [pytest.approx(2.04)]
+    assert Onsets(made, [(1.9, 2.299)]).find(np.zeros((6000, 1)), free) == [pytest.approx(2.04)]
     # Without tau_ext by the slope of the residual, here a ramp of 50 Nm/s: 1 Nm in 20 ms beside noise of 0.01 Nm.
     ramp = rng.normal(0, 0.01, (6000, 1)) + np.clip(np.arange(6000) - 2040, 0, 200)[:, None] * 0.05
-    (onset,) = onset_s(labelled((2000, 2300)), [(1.9, 2.299)], ramp, free)
+    (onset,) = Onsets(labelled((2000, 2300)), [(1.9, 2.299)]).find(ramp, free)
     assert 2.04 <= onset <= 2.044
-    assert onset_s(made, [(3.0, 3.5)], np.zeros((6000, 1)), free) == [None]
+    assert Onsets(made, [(3.0, 3.5)]).find(np.zeros((6000, 1)), free) == [None]
 
 
 def test_a_test_recording_with_contacts_counts_as_events_and_by_its_free_motion(tmp_path):

@@ -18,7 +18,7 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.core_backend import CoreBackend
 from tauext.fit.network_training import DenseSchedule, load_checkpoint, train_network
 from tauext.fit.training_set import build_windows, find_scaling
-from tauext.train.error_scale import paper_limits
+from tauext.train.error_scale import paper_limits, with_outputs
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 
@@ -206,6 +206,8 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     network = train_network(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
     bundle = make_bundle("small", setup, 0.02, made[0], scaling, network)
     limits = paper_limits(bundle, made[1:], threads=1)
+    kept = paper_limits(bundle, [with_outputs(bundle, one, 2) for one in made[1:]], threads=1)
+    np.testing.assert_array_equal(kept.sliding_nm, limits.sliding_nm)
     bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
         limits.sliding_nm.tolist(),
         limits.near_stiction_nm.tolist(),

@@ -614,12 +614,14 @@ void bind_bundle(nb::module_& m) {
   m.def(
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-         const Array<double, 2>& tau, int threads, const Temperatures& temperature) {
+         const Array<double, 2>& tau, int threads, const Temperatures& temperature,
+         const std::optional<Array<float, 2>>& outputs) {
         const RecordingView recording = view(t_ns, q, dq, tau, temperature);
+        const auto known = outputs ? std::span<const float>(outputs->data(), outputs->size()) : std::span<const float>();
         Estimates e;
         {
           nb::gil_scoped_release released;
-          e = estimate(b, recording, threads);
+          e = estimate(b, recording, threads, known);
         }
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
         ArrayDict out;
@@ -652,8 +654,25 @@ void bind_bundle(nb::module_& m) {
         return out;
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
+      nb::arg("temperature") = nb::none(), nb::arg("outputs") = nb::none(),
+      "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. outputs: those of "
+      "network_outputs(), so that the network is not run again. See estimates.hpp.");
+  m.def(
+      "network_outputs",
+      [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+         const Array<double, 2>& tau, int threads, const Temperatures& temperature) {
+        const RecordingView recording = view(t_ns, q, dq, tau, temperature);
+        std::vector<float> outputs;
+        {
+          nb::gil_scoped_release released;
+          outputs = network_outputs(b, recording, threads);
+        }
+        const std::size_t n = q.shape(1), judged = outputs.size() / n;
+        return to_numpy(std::move(outputs), {judged, n});
+      },
+      nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       nb::arg("temperature") = nb::none(),
-      "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. See estimates.hpp.");
+      "The network's outputs for each judged sample of a recording, (judged, joints); none without a network.");
   m.def(
       "motion_errors",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& dq,

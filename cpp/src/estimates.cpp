@@ -138,6 +138,11 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
   }
 }
 
+// Memory for what observe_all() writes.
+void resize_observed(Estimates& out, std::size_t cells) {
+  for (auto* torque : {&out.residual, &out.prior, &out.doubt}) torque->resize(cells);
+}
+
 void expect_joints(const Bundle& bundle, const RecordingView& recording) {
   if (recording.joints != bundle.joints())
     throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
@@ -146,12 +151,21 @@ void expect_joints(const Bundle& bundle, const RecordingView& recording) {
 
 }  // namespace
 
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads) {
+std::vector<float> network_outputs(const Bundle& bundle, const RecordingView& recording, int threads) {
+  expect_joints(bundle, recording);
+  if (!bundle.has_network()) return {};
+  Estimates out;
+  resize_observed(out, static_cast<std::size_t>(recording.samples) * static_cast<std::size_t>(recording.joints));
+  return predict_all(bundle, observe_all(bundle, recording, out), threads);
+}
+
+Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs) {
   expect_joints(bundle, recording);
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
-  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.sigma_nm, &out.contact_sigma_nm,
-                       &out.limit_scale, &out.limit_nm, &out.contact_limit_nm})
+  resize_observed(out, N * n);
+  for (auto* torque : {&out.network, &out.drift, &out.tau_ext, &out.sigma_nm, &out.contact_sigma_nm, &out.limit_scale,
+                       &out.limit_nm, &out.contact_limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
   for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.entered,
@@ -161,7 +175,13 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   out.unfamiliar.resize(N);
   out.causes.resize(N);
   const Seen seen = observe_all(bundle, recording, out);
-  judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
+  if (outputs.empty()) {
+    judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
+    return out;
+  }
+  if (!bundle.has_network() || outputs.size() != seen.judged_ends.size() * n)
+    throw Error("the outputs are not of this bundle's network for this recording");
+  judge_all(bundle, recording, seen, outputs, out);
   return out;
 }
 

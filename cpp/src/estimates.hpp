@@ -28,8 +28,13 @@ struct Estimates {
 };
 
 // Equal to Monitor::step() for every sample, to the last bit, for any faults: times that go backwards, non-finite
-// numbers, gaps, other rates. Throws Error if the number of joints differs.
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads);
+// numbers, gaps, other rates. `outputs` of network_outputs() replace running the network. Throws Error if the number of
+// joints differs, or that of the outputs.
+Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs = {});
+
+// The network's outputs for each judged sample, (judged, joints); none without a network. Limits, drift tracker and error
+// scale do not change them.
+std::vector<float> network_outputs(const Bundle& bundle, const RecordingView& recording, int threads);
 
 // A motion as input of the error scale: dq and near_stiction (samples, joints), row-major; entered and restarted
 // (samples), as from estimate().

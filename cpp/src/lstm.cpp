@@ -242,10 +242,10 @@ void forward_any(int chunk, int, void* context) {
 template <int L>
 TAUEXT_INLINE void activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh) {
   for (std::size_t k = 0; k < x.size(); ++k) {
-    V<L> i = splat<L>(x[k]), f = i, g = i, o = i, cell, tanh_cell, h;
-    cell_step<L, true>(i, f, g, o, V<L>{}, cell, tanh_cell, h);
-    sigmoid[k] = i[0];
-    tanh[k] = g[0];
+    V<L> i[] = {splat<L>(x[k])}, f[] = {i[0]}, g[] = {i[0]}, o[] = {i[0]}, cell[1], tanh_cell[1], h[1];
+    cell_step<L, true>(i, f, g, o, {V<L>{}}, cell, tanh_cell, h);
+    sigmoid[k] = i[0][0];
+    tanh[k] = g[0][0];
   }
 }
 

@@ -81,52 +81,78 @@ TAUEXT_INLINE void store(float* p, V<L> v) noexcept {
 // makes one operation of a comparison and a choice only where it does not know the limit's value.
 extern const float kSaturation;
 
-// 1 + exp(-scale x) = 1 + 2^y for x clamped to +-kSaturation, scale 1 or 2, NaN kept. y = n + f with f in [-1/2, 1/2]; the
-// polynomial is the minimax of 2^f of degree 5 with 2^0 = 1, relative error 1.1e-7: what it adds to a sigmoid is a quarter
-// of that at most, half a last bit, and to a tanh twice as much.
-template <int L, int kScale>
-TAUEXT_INLINE V<L> one_plus_exp_minus(V<L> x) noexcept {
+// Each x becomes 1 + exp(-scale x) = 1 + 2^y for x clamped to +-kSaturation, scale 1 or 2, NaN kept. y = n + f with f in
+// [-1/2, 1/2]; the polynomial is the minimax of 2^f of degree 5 with 2^0 = 1, relative error 1.1e-7: what it adds to a
+// sigmoid is a quarter of that at most, half a last bit, and to a tanh twice as much. N at a time, operation by operation:
+// one alone leaves the processor waiting for its own results.
+template <int L, int kScale, int N>
+TAUEXT_INLINE void one_plus_exp_minus(V<L> (&x)[N]) noexcept {
   using I = typename Types<L>::I;
   constexpr float kToPower = -1.44269504f * kScale;
   const V<L> high = splat<L>(kSaturation), low = splat<L>(-kSaturation);
-  x = x > high ? high : x;
-  x = x < low ? low : x;
   // 1.5 * 2^23 + 127: adding it rounds y to n and leaves n + 127, the exponent of 2^n, in the low bits of the mantissa.
   const V<L> magic = splat<L>(12583039.0f);
-  const V<L> shifted = x * kToPower + magic;
-  const V<L> f = x * kToPower - (shifted - magic);
-  V<L> p = f * 0.001326472731307149f + 0.009671512991189957f;
-  p = p * f + 0.05550733581185341f;
-  p = p * f + 0.24022242426872253f;
-  p = p * f + 0.6931470036506653f;
-  p = p * f + 1.0f;
-  return p * (V<L>)((I)shifted << 23) + 1.0f;
+  V<L> shifted[N], f[N], p[N];
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) x[k] = x[k] > high ? high : x[k];
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) x[k] = x[k] < low ? low : x[k];
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) shifted[k] = x[k] * kToPower + magic;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) f[k] = x[k] * kToPower - (shifted[k] - magic);
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) p[k] = f[k] * 0.001326472731307149f + 0.009671512991189957f;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) p[k] = p[k] * f[k] + 0.05550733581185341f;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) p[k] = p[k] * f[k] + 0.24022242426872253f;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) p[k] = p[k] * f[k] + 0.6931470036506653f;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) p[k] = p[k] * f[k] + 1.0f;
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) x[k] = p[k] * (V<L>)((I)shifted[k] << 23) + 1.0f;
 }
 
-// A unit's new cell and h from its sums i, f, g, o and the cell before:
+// The new cells and h of N units from their sums i, f, g, o and the cells before:
 //   cell = sigmoid(f) c + sigmoid(i) tanh(g),  h = sigmoid(o) tanh(cell)
 // with sigmoid(x) = 1 / (1 + exp(-x)) and tanh(x) = 2 / (1 + exp(-2 x)) - 1. Everything over one denominator: a division
-// for the cell and one for h. Only where kKeep do i, f, g, o become the gates, and tanh_cell is written.
-template <int L, bool kKeep>
-TAUEXT_INLINE void cell_step(V<L>& i, V<L>& f, V<L>& g, V<L>& o, V<L> before, V<L>& cell, V<L>& tanh_cell,
-                             V<L>& h) noexcept {
-  const V<L> a = one_plus_exp_minus<L, 1>(i), b = one_plus_exp_minus<L, 1>(f);
-  const V<L> c = one_plus_exp_minus<L, 2>(g), d = one_plus_exp_minus<L, 1>(o);
-  const V<L> ac = a * c;
-  const V<L> r = 1.0f / (ac * b);
-  const V<L> added = (b + b) - b * c;  // b (2 - c), but no product: only one way is left to fuse the next line
-  cell = (before * ac + added) * r;
-  const V<L> e = one_plus_exp_minus<L, 2>(cell);
-  const V<L> tanh_e = 2.0f - e;  // tanh(cell) e
-  const V<L> q = 1.0f / (d * e);
-  h = tanh_e * q;
-  if constexpr (kKeep) {
-    const V<L> r_b = r * b;
-    i = r_b * c;
-    f = r * ac;
-    g = (2.0f - c) * (r_b * a);
-    o = q * e;
-    tanh_cell = tanh_e * (q * d);
+// for the cell and one for h. The sums are overwritten: where kKeep by the gates, and tanh_cell is written only there.
+template <int L, bool kKeep, int N>
+TAUEXT_INLINE void cell_step(V<L> (&i)[N], V<L> (&f)[N], V<L> (&g)[N], V<L> (&o)[N], const V<L> (&before)[N],
+                             V<L> (&cell)[N], V<L> (&tanh_cell)[N], V<L> (&h)[N]) noexcept {
+  V<L> ac[N], r[N], e[N], q[N];
+  one_plus_exp_minus<L, 1>(i);
+  one_plus_exp_minus<L, 2>(g);
+  one_plus_exp_minus<L, 1>(f);
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) {
+    ac[k] = i[k] * g[k];
+    r[k] = 1.0f / (ac[k] * f[k]);
+  }
+  one_plus_exp_minus<L, 1>(o);
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) {
+    const V<L> added = (f[k] + f[k]) - f[k] * g[k];  // f (2 - g), but no product: only one way is left to fuse the next line
+    cell[k] = (before[k] * ac[k] + added) * r[k];
+    e[k] = cell[k];
+  }
+  one_plus_exp_minus<L, 2>(e);
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) q[k] = 1.0f / (o[k] * e[k]);
+#pragma GCC unroll 4
+  for (int k = 0; k < N; ++k) {
+    const V<L> tanh_e = 2.0f - e[k];  // tanh(cell) e
+    h[k] = tanh_e * q[k];
+    if constexpr (kKeep) {
+      const V<L> a = i[k], b = f[k], c = g[k], r_b = r[k] * b;
+      i[k] = r_b * c;
+      f[k] = r[k] * ac[k];
+      g[k] = (2.0f - c) * (r_b * a);
+      tanh_cell[k] = tanh_e * (q[k] * o[k]);
+      o[k] = q[k] * e[k];
+    }
   }
 }
 
@@ -150,20 +176,20 @@ TAUEXT_INLINE void step(const Packed& w, const float* x, const float* h_before, 
   const int K = w.inputs + w.padded;
   const float* weights = w.gates.get();
   for (int u = 0; u < w.padded; u += kUnits) {
-    V<L> sum[kUnits][4];
+    V<L> sum[4][kUnits];
     if constexpr (kStart == Start::inputs) {
       const float* bias = weights + static_cast<std::ptrdiff_t>(K) * kUnits * 4;
 #pragma GCC unroll 16
-      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] = splat<L>(bias[a]);
+      for (int a = 0; a < kUnits * 4; ++a) sum[a % 4][a / 4] = splat<L>(bias[a]);
       for (int k = 0; k < w.inputs; ++k) {
         const V<L> value = load<L>(x + k * L);
 #pragma GCC unroll 16
-        for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += value * weights[k * kUnits * 4 + a];
+        for (int a = 0; a < kUnits * 4; ++a) sum[a % 4][a / 4] += value * weights[k * kUnits * 4 + a];
       }
     } else {
 #pragma GCC unroll 16
       for (int a = 0; a < kUnits * 4; ++a)
-        sum[a / 4][a % 4] = kStart == Start::rows
+        sum[a % 4][a / 4] = kStart == Start::rows
                                 ? load_anywhere<L>(projection.values + (u * 4 + a) * projection.rows)
                                 : splat<L>(projection.values[(a % 4) * w.padded + u + a / 4]);
     }
@@ -171,24 +197,26 @@ TAUEXT_INLINE void step(const Packed& w, const float* x, const float* h_before, 
     for (int k = 0; k < w.padded; ++k) {
       const V<L> value = load<L>(h_before + k * L);
 #pragma GCC unroll 16
-      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += value * weights[a];
+      for (int a = 0; a < kUnits * 4; ++a) sum[a % 4][a / 4] += value * weights[a];
       weights += kUnits * 4;
     }
     weights += kUnits * 4;  // the bias row
+    V<L> before[kUnits], cell[kUnits], t[kUnits], new_h[kUnits];
+#pragma GCC unroll 4
+    for (int a = 0; a < kUnits; ++a) before[a] = load<L>(c_before + (u + a) * L);
+    cell_step<L, kKeep>(sum[0], sum[1], sum[2], sum[3], before, cell, t, new_h);
 #pragma GCC unroll 4
     for (int a = 0; a < kUnits; ++a) {
-      V<L> i = sum[a][0], f = sum[a][1], g = sum[a][2], o = sum[a][3], cell, t, new_h;
-      cell_step<L, kKeep>(i, f, g, o, load<L>(c_before + (u + a) * L), cell, t, new_h);
       if constexpr (kKeep) {
         float* gate = gates + (u + a) * 4 * L;
-        store<L>(gate, i);
-        store<L>(gate + L, f);
-        store<L>(gate + 2 * L, g);
-        store<L>(gate + 3 * L, o);
-        store<L>(tanh_c + (u + a) * L, t);
+        store<L>(gate, sum[0][a]);
+        store<L>(gate + L, sum[1][a]);
+        store<L>(gate + 2 * L, sum[2][a]);
+        store<L>(gate + 3 * L, sum[3][a]);
+        store<L>(tanh_c + (u + a) * L, t[a]);
       }
-      store<L>(c + (u + a) * L, cell);
-      store<L>(h + (u + a) * L, new_h);
+      store<L>(c + (u + a) * L, cell[a]);
+      store<L>(h + (u + a) * L, new_h[a]);
     }
   }
 }

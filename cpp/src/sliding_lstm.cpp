@@ -165,12 +165,12 @@ struct SlidingLstm::Windows {
     add<L>(projection.get(), weights, single.rows, h.get(), single.padded, sums.get());
     const int P = single.padded;
     for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; their results are not used
-      V<L> i = load_anywhere<L>(sums.get() + u), f = load_anywhere<L>(sums.get() + P + u);
-      V<L> g = load_anywhere<L>(sums.get() + 2 * P + u), o = load_anywhere<L>(sums.get() + 3 * P + u);
-      V<L> cell, tanh_cell, new_h;
-      cell_step<L, false>(i, f, g, o, load<L>(c.get() + u), cell, tanh_cell, new_h);
-      store<L>(c.get() + u, cell);
-      store<L>(h.get() + u, new_h);
+      V<L> i[] = {load_anywhere<L>(sums.get() + u)}, f[] = {load_anywhere<L>(sums.get() + P + u)};
+      V<L> g[] = {load_anywhere<L>(sums.get() + 2 * P + u)}, o[] = {load_anywhere<L>(sums.get() + 3 * P + u)};
+      V<L> cell[1], tanh_cell[1], new_h[1];
+      cell_step<L, false>(i, f, g, o, {load<L>(c.get() + u)}, cell, tanh_cell, new_h);
+      store<L>(c.get() + u, cell[0]);
+      store<L>(h.get() + u, new_h[0]);
     }
   }
 

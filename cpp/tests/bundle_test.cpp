@@ -44,6 +44,10 @@ void a_saved_bundle_loads_and_estimates_the_same() {
   const RecordingView view{static_cast<std::int64_t>(r.t_ns.size()), 2, r.t_ns.data(), r.q.data(), r.dq.data(), r.tau.data()};
   const Estimates one = estimate(b, view, 1), two = estimate(loaded, view, 2);
   CHECK(one.residual == two.residual);
+  const std::vector<float> outputs = network_outputs(b, view, 2);
+  const auto same = [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); };
+  CHECK(std::ranges::equal(one.tau_ext, estimate(b, view, 1, outputs).tau_ext, same));
+  CHECK_THROWS(estimate(b, view, 1, std::span(outputs).first(outputs.size() - 1)), Error);
   CHECK(!std::filesystem::exists(path + ".part"));
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
-from tauext.evaluate.events import EventMeasures, event_time
+from tauext.evaluate.events import EventMeasures, Labels, event_time
 from tauext.evaluate.injected import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
@@ -116,11 +116,12 @@ def worth_of(folder: Path, out: Path, judged: Iterable[Recording]) -> Worth:
         TauextError: the training refuses, or the bundle does not fit the recordings.
     """
     bundle = train_bundle(load_dataset(folder), out, config=CONFIG, check=False)
-    measures = EventMeasures(EventsConfig(), CONFIG.observer.near_stiction_rad_s)
+    measures = EventMeasures(EventsConfig())
     limits = []
     for recording in judged:
         estimates = estimate_recording(bundle, recording, 1)
-        measures.add_estimates(recording, estimates)
+        labels = Labels(recording, EventsConfig(), CONFIG.observer.near_stiction_rad_s)
+        measures.add_estimates(labels, estimates)
         limits.append(estimates.limit_nm[~event_time(recording, 0.5) & estimates.healthy])
     counts = measures.summary().all
     return Worth(np.median(np.concatenate(limits), axis=0).tolist(), counts.found, counts.events)

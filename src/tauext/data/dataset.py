@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from tauext.files.plain_file import FORMAT, expect_format, read_json
 
 
 FILE_NAME = "split.json"
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,7 @@ def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: 
     return replace(whole, name=f"{whole.name}-{number:02d}", provenance=whole.provenance | {"part": part})
 
 
-def ahead(loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
+def ahead(loaders: Sequence[Callable[[], T]]) -> Iterator[T]:
     """Load in order; while one recording is used, only the next one is read."""
     if not loaders:
         return

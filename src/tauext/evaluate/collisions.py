@@ -274,10 +274,8 @@ SLOPE_S = 0.02
 QUANTILE, RESERVE = 0.999, 1.5
 
 
-def onset_s(
-    recording: Recording, windows: Sequence[tuple[float, float]], residual: np.ndarray, free: np.ndarray
-) -> list[float | None]:
-    """The first time in each window at which the reference leaves its noise band on some joint, [s]; None: never.
+class Onsets:
+    """Onsets of events in one recording, by a reference.
 
     The reference is the robot's own tau_ext, measured from its mean over the 0.1 s before the window; where the
     recording has none, the change of the residual over 20 ms, which lags a step by little. A joint's noise band is 1.5
@@ -286,34 +284,47 @@ def onset_s(
 
     Args:
         windows: from and to, counted from the first sample, [s].
-        residual: (samples, joints), [N m]; NaN counts as zero.
-        free: (samples,) bool.
     """
-    if not windows:
-        return []
-    time_s = recording.time_s
-    if recording.tau_ext is not None:
-        signal = recording.tau_ext
-        ago = signal - means(time_s, signal, time_s - 2 * BASELINE_S, time_s - BASELINE_S)
-    else:
-        residual = np.nan_to_num(residual.astype(float))
-        before = np.clip(np.searchsorted(time_s, time_s - SLOPE_S), 0, None)
-        signal = ago = residual - residual[before]
-    busy = np.append(0, np.cumsum(~free))
-    began = np.searchsorted(time_s, time_s - 2 * BASELINE_S)
-    usable = (busy[1:] == busy[began]) & (time_s > 2 * BASELINE_S)
-    if not usable.any():
-        return [None] * len(windows)
-    band = RESERVE * np.quantile(np.abs(ago[usable]), QUANTILE, axis=0)
-    onsets: list[float | None] = []
-    for begin_s, end_s in windows:
-        inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
-        level = np.zeros(signal.shape[1])
-        if recording.tau_ext is not None:
-            level = means(time_s, signal, np.array([begin_s - BASELINE_S]), np.array([begin_s]))[0]
-        left = inside[(np.abs(signal[inside] - level) > band).any(axis=1)]
-        onsets.append(float(time_s[left[0]]) if len(left) else None)
-    return onsets
+
+    def __init__(self, recording: Recording, windows: Sequence[tuple[float, float]]) -> None:
+        time_s, own = recording.time_s, recording.tau_ext
+        self._time_s, self._own, self._windows = time_s, own, windows
+        if not windows:
+            return
+        self._began = np.searchsorted(time_s, time_s - 2 * BASELINE_S)
+        if own is not None:
+            self._ago = own - means(time_s, own, time_s - 2 * BASELINE_S, time_s - BASELINE_S)
+            begin_s = np.array([begin_s for begin_s, _ in windows])
+            self._levels = means(time_s, own, begin_s - BASELINE_S, begin_s)
+
+    def find(self, residual: np.ndarray, free: np.ndarray) -> list[float | None]:
+        """The first time in each window at which the reference leaves its noise band on some joint, [s]; None: never.
+
+        Args:
+            residual: (samples, joints), [N m]; NaN counts as zero.
+            free: (samples,) bool.
+        """
+        if not self._windows:
+            return []
+        time_s = self._time_s
+        if self._own is not None:
+            signal, ago, levels = self._own, self._ago, self._levels
+        else:
+            residual = np.nan_to_num(residual.astype(float))
+            before = np.clip(np.searchsorted(time_s, time_s - SLOPE_S), 0, None)
+            signal = ago = residual - residual[before]
+            levels = np.zeros((len(self._windows), signal.shape[1]))
+        busy = np.append(0, np.cumsum(~free))
+        usable = (busy[1:] == busy[self._began]) & (time_s > 2 * BASELINE_S)
+        if not usable.any():
+            return [None] * len(self._windows)
+        band = RESERVE * np.quantile(np.abs(ago[usable]), QUANTILE, axis=0)
+        onsets: list[float | None] = []
+        for (begin_s, end_s), level in zip(self._windows, levels, strict=True):
+            inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
+            left = inside[(np.abs(signal[inside] - level) > band).any(axis=1)]
+            onsets.append(float(time_s[left[0]]) if len(left) else None)
+        return onsets
 
 
 def means(time_s: np.ndarray, signal: np.ndarray, from_s: np.ndarray, to_s: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ from tauext.evaluate.collisions import (
     latched_summary,
 )
 from tauext.evaluate.errors import ErrorAgainstSigma, sensor_reference
-from tauext.evaluate.events import EventMeasures, OwnTorque, own_limits
+from tauext.evaluate.events import EventMeasures, Labels, OwnTorque, own_limits
 from tauext.evaluate.free_motion import (
     AfterContact,
     DuringContact,
@@ -75,15 +75,15 @@ class BundleMeasures:
         self._during = DuringContact(bundle.joints)
         self._sigma = ErrorAgainstSigma(bundle.joints)
         self._rejected = Rejected()
-        self._events = EventMeasures(events, bundle.near_stiction_rad_s)
+        self._events = EventMeasures(events)
         self._touches = touches or TouchMeasures(bundle)
         self._verdicts: list[Verdict] = []
         self._latched: list[LatchVerdict] = []
 
-    def add_events(self, recording: Recording, estimates: Estimates) -> None:
+    def add_events(self, labels: Labels, estimates: Estimates) -> None:
         """Add any recording once, for events, free time and health."""
-        self._rejected.add(recording.name, estimates.health, estimates.causes)
-        self._events.add_estimates(recording, estimates)
+        self._rejected.add(labels.recording.name, estimates.health, estimates.causes)
+        self._events.add_estimates(labels, estimates)
 
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
         """Add a test recording; all of it is free motion except unhealthy time."""
@@ -204,7 +204,7 @@ def evaluate(
     comparison, done = (kept.load() if kept else None) or (None, 0)
     if comparison is None:
         own_nm = own_limits(load() for load in quiet)
-        own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
+        own = None if own_nm is None else OwnTorque(own_nm, events)
         injection = Injection(bundles, seed, math.ceil(EVENTS / max(1, len(test)))) if inject else None
         comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own, injection)
     total = len(test) + len(collisions)
@@ -231,6 +231,7 @@ class Comparison:
         injection: Injection | None = None,
     ):
         self._bundles, self._ignorant, self._own, self._injection = bundles, ignorant, own, injection
+        self._events = events
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
         self._limits_held = {name: LimitsHeld() for name in bundles}
         self._touches: list[Collision] = []
@@ -247,25 +248,27 @@ class Comparison:
         """Add a recording. number: its index; free: it belongs to the test set, whose free motion counts.
 
         Args:
-            threads: of all bundles together.
+            threads: of each bundle's network: the last bundle of a recording then has all cores.
             keep_in: folder for its estimates, with a folder a bundle; None: they are not kept.
-            pool: evaluates the bundles, one thread each: most of the work is outside the core, which can use several.
+            pool: evaluates the bundles, one thread each.
         """
         found = find_collisions(recording)
         self._touches += found
+        speeds = [bundle.near_stiction_rad_s for bundle in self._bundles.values()]
+        labels = {speed: Labels(recording, self._events, speed) for speed in set(speeds)}
         if self._own is not None:
-            self._own.add(recording)
+            self._own.add(labels[speeds[0]])
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
         hits = self._injection.draw(number, recording) if self._injection is not None and free else []
-        own_threads, last = max(1, threads // len(self._bundles)), list(self._bundles)[-1]
+        last = list(self._bundles)[-1]
 
         def judge(name: str) -> Estimates | None:
             bundle, measures = self._bundles[name], self._measures[name]
-            estimates = estimate_recording(bundle, recording, own_threads)
+            estimates = estimate_recording(bundle, recording, threads)
             if keep_in is not None:
                 save_estimates(replace(estimates, contact_limit_nm=None), keep_in / name / f"{recording.name}.parquet")
-            measures.add_events(recording, estimates)
+            measures.add_events(labels[bundle.near_stiction_rad_s], estimates)
             if free:
                 without_touches = free_part(recording, estimates) if found else estimates
                 measures.add_free(recording, without_touches)
@@ -273,7 +276,7 @@ class Comparison:
             if found or not free:
                 measures.add_touched(found, recording, estimates, references.get(bundle.observer.gain_per_s))
             if self._injection is not None:
-                self._injection.add(name, recording, hits, own_threads)
+                self._injection.add(name, recording, hits, threads)
             return estimates if self._ignorant and name == last else None  # else the memory of all at once
 
         *_, estimates = pool.map(judge, self._bundles)

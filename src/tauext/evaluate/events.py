@@ -11,7 +11,7 @@ from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.config import EventsConfig
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
-from tauext.evaluate.collisions import delay_quantiles, onset_s
+from tauext.evaluate.collisions import Onsets, delay_quantiles
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 from tauext.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OwnTorqueEvents
 
@@ -78,20 +78,35 @@ def event_time(recording: Recording, tolerance_s: float) -> np.ndarray:
     return (np.cumsum(steps)[:-1] > 0) | (contact == -1)
 
 
+class Labels:
+    """A recording's labels, the same for every method.
+
+    Args:
+        config: how labels are read.
+        near_stiction_rad_s: speed below which a joint rests.
+    """
+
+    def __init__(self, recording: Recording, config: EventsConfig, near_stiction_rad_s: float) -> None:
+        self.recording, self.tolerance_s = recording, config.tolerance_s
+        self.events, self.short = labelled_events(recording, config, near_stiction_rad_s)
+        self.busy = event_time(recording, config.tolerance_s)
+        self.moving = is_moving(recording, near_stiction_rad_s)
+        known = recording.contact is not None
+        self.since_s = time_since_touch(recording) if known else np.full(recording.samples, np.nan)
+        self.onsets = Onsets(recording, [(event.start_s - config.tolerance_s, event.end_s) for event in self.events])
+
+
 @dataclass
 class EventMeasures:
     """One method's alarms on all recordings, added one by one."""
 
     config: EventsConfig
-    near_stiction_rad_s: float
     _verdicts: list[EventVerdict] = field(default_factory=list)
     _false_alarms: list[FalseAlarm] = field(default_factory=list)
     _left_out: int = 0
     _free_s: np.ndarray = field(default_factory=lambda: np.zeros(2))  # resting, moving
 
-    def add(
-        self, recording: Recording, alarm: np.ndarray, healthy: np.ndarray, share: np.ndarray, r: np.ndarray
-    ) -> None:
+    def add(self, labels: Labels, alarm: np.ndarray, healthy: np.ndarray, share: np.ndarray, r: np.ndarray) -> None:
         """Add one recording, with contacts or without.
 
         Args:
@@ -100,22 +115,19 @@ class EventMeasures:
             share: |tau_ext| over its limit, (samples, joints): the largest names the joint.
             r: a signal to re-time onsets by where the recording has no tau_ext, (samples, joints), [N m].
         """
-        events, short = labelled_events(recording, self.config, self.near_stiction_rad_s)
-        self._left_out += short
-        busy, moving = event_time(recording, self.config.tolerance_s), is_moving(recording, self.near_stiction_rad_s)
-        free = ~busy & healthy
+        recording, moving = labels.recording, labels.moving
+        self._left_out += labels.short
+        free = ~labels.busy & healthy
         quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         begun = beginnings(alarm, quiet)
         for state in (0, 1):
             self._free_s[state] += (free & (moving == bool(state))).sum() / recording.rate_hz
-        since_s = np.full(recording.samples, np.nan) if recording.contact is None else time_since_touch(recording)
+        time_s, tolerance_s = recording.time_s, labels.tolerance_s
         for k in begun[free[begun]].tolist():
-            since = float(since_s[k]) if np.isfinite(since_s[k]) else None
-            self._false_alarms.append(FalseAlarm(recording.name, float(recording.time_s[k]), bool(moving[k]), since))
+            since = float(labels.since_s[k]) if np.isfinite(labels.since_s[k]) else None
+            self._false_alarms.append(FalseAlarm(recording.name, float(time_s[k]), bool(moving[k]), since))
         rises = np.flatnonzero(alarm & ~np.append(False, alarm[:-1]))
-        time_s, tolerance_s = recording.time_s, self.config.tolerance_s
-        onsets = onset_s(recording, [(e.start_s - tolerance_s, e.end_s) for e in events], r, ~busy & healthy)
-        for event, onset in zip(events, onsets, strict=True):
+        for event, onset in zip(labels.events, labels.onsets.find(r, free), strict=True):
             if not healthy[np.searchsorted(time_s, event.start_s)]:
                 self._left_out += 1
                 continue
@@ -136,11 +148,11 @@ class EventMeasures:
                 )
             )
 
-    def add_estimates(self, recording: Recording, estimates: Estimates) -> None:
+    def add_estimates(self, labels: Labels, estimates: Estimates) -> None:
         """Add a bundle's estimates: collisions as a monitor would have latched them."""
         alarm = estimates.healthy & (estimates.held_alarm == COLLISION)
         share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit_nm
-        self.add(recording, alarm, estimates.healthy, share, estimates.residual)
+        self.add(labels, alarm, estimates.healthy, share, estimates.residual)
 
     def summary(self) -> Events:
         return Events(
@@ -169,19 +181,20 @@ class EventMeasures:
 class OwnTorque:
     """Alarms of the recording's tau_ext column; the limit is its largest value in free time of other recordings."""
 
-    def __init__(self, limit_nm: np.ndarray, config: EventsConfig, near_stiction_rad_s: float) -> None:
+    def __init__(self, limit_nm: np.ndarray, config: EventsConfig) -> None:
         self.limit_nm = limit_nm
-        self._measures = EventMeasures(config, near_stiction_rad_s)
+        self._measures = EventMeasures(config)
         self._complete = True
 
-    def add(self, recording: Recording) -> None:
+    def add(self, labels: Labels) -> None:
         """Add one recording; one without tau_ext ends the comparison."""
+        recording = labels.recording
         if recording.tau_ext is None:
             self._complete &= recording.contact is None or not (recording.contact == 1).any()
             return
         share = np.abs(recording.tau_ext) / self.limit_nm
         healthy = np.ones(recording.samples, dtype=bool)
-        self._measures.add(recording, (share > 1).any(axis=1), healthy, share, recording.tau_ext)
+        self._measures.add(labels, (share > 1).any(axis=1), healthy, share, recording.tau_ext)
 
     def summary(self) -> OwnTorqueEvents | None:
         """None if some recording with events has no tau_ext."""

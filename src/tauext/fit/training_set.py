@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from tauext import _core
 from tauext.config import warm_up_s
+from tauext.data.dataset import ahead
 from tauext.data.free_motion import MOST_SHARE, SignalBounds
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
@@ -96,8 +98,7 @@ def find_scaling(setup: Setup, recordings: Sequence[Recording]) -> Scaling:
     n = setup.tree.size
     largest = np.zeros(2 * n)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
-    for recording in recordings:
-        observation = _observe(setup, recording)
+    for recording, observation in _observed(setup, recordings):
         residual = remainder(observation)[observation.warm.astype(bool)]
         largest = np.maximum(largest, np.abs(np.hstack([recording.q, recording.dq])).max(axis=0))
         if len(residual):
@@ -128,8 +129,7 @@ def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording
     """
     stride, n = setup.observer.network_stride, setup.tree.size
     rows, target_rows, ends, first_rows, offset = [], [], [], [], 0
-    for recording in recordings:
-        observation = _observe(setup, recording)
+    for recording, observation in _observed(setup, recordings):
         features = _core.feature_rows(
             observation, recording.t_ns, recording.q, recording.dq, recording.tau, scaling.input_factors
         )
@@ -168,6 +168,11 @@ def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording
 def remainder(observation: _core.Observation) -> np.ndarray:
     """Part of r left for the network: (samples, n), [N m]."""
     return observation.residual - observation.prior if observation.prior.size else observation.residual
+
+
+def _observed(setup: Setup, recordings: Sequence[Recording]) -> Iterator[tuple[Recording, _core.Observation]]:
+    """Each recording and its observation; while one is used, the next is observed."""
+    return zip(recordings, ahead([partial(_observe, setup, recording) for recording in recordings]), strict=True)
 
 
 def _observe(setup: Setup, recording: Recording) -> _core.Observation:

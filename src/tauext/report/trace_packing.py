@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -335,18 +336,20 @@ def pack(traced: Sequence[Traced], joints: Sequence[str], room: int) -> tuple[di
     room -= len(json.dumps([one.head for one in traced]))
     units = [np.array([steps[signal][joint] for signal, _, joint in one.traces]) for one in traced]
     windows = [one.close if one.whole.size > 1 else [] for one in traced]
+
+    def encoded(buckets: Iterable[Buckets | None]) -> list[list[Tier]]:
+        with ThreadPoolExecutor() as pool:  # most of the time is zlib's, which runs in several threads
+            return list(pool.map(lambda one, unit: [] if one is None else [Tier.of(one, unit)], buckets, units))
+
     while True:
-        close = [
-            [Tier.of(Buckets.joined([part for _, part in parts]), unit)] if parts else []
-            for parts, unit in zip(windows, units, strict=True)
-        ]
+        close = encoded(Buckets.joined([part for _, part in parts]) if parts else None for parts in windows)
         left = room - size_of(close)
         if left >= (1 - CLOSE_SHARE) * room:
             break
         windows = fewer(windows, CLOSE_SHARE * room / size_of(close))
     merge = 1
     while True:
-        whole = [[Tier.of(one.whole.merged(merge), unit)] for one, unit in zip(traced, units, strict=True)]
+        whole = encoded(one.whole.merged(merge) for one in traced)
         if size_of(whole) <= left or all(tier.header["count"] <= FEWEST_BUCKETS for (tier,) in whole):
             break
         merge = max(merge + 1, int(merge * size_of(whole) / left))

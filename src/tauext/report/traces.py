@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tauext.bundle.estimates import Estimates
+from tauext.data.dataset import ahead
+from tauext.data.recording import Recording
 from tauext.data.recording_file import describe
 from tauext.errors import ConfigError
 from tauext.evaluate.results import EvaluatedBundle, Results
@@ -77,11 +81,14 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     plan = make_plan(samples, len(results.joints), len(bundles), room)
     traced: list[Traced] = []
     learned: set[str] = set()
-    for name in shown:
+
+    def read(name: str) -> tuple[Recording, dict[str, Estimates]]:
         recording = signals.recording(name)
-        estimates, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
+        return recording, signals.by_bundle([bundle.name for bundle in bundles], recording)[0]
+
+    for recording, estimates in ahead([partial(read, name) for name in shown]):
         learned |= {uncertainty_words([one]) for one in estimates.values()}
-        first = [(touch.start_s, touch.end_s) for touch in results.ten if touch.recording == name]
+        first = [(touch.start_s, touch.end_s) for touch in results.ten if touch.recording == recording.name]
         traced.append(trace(recording, estimates, plan.size, plan.windows(recording), first))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     listed = [

@@ -36,6 +36,15 @@ class Judged:
     span: slice = field(default_factory=lambda: slice(None))
     bundle: _core.Bundle | None = None
     """A bundle fitted without these samples; None: the bundle itself, whose training did not contain them."""
+    outputs: np.ndarray | None = None
+    """The network's outputs (with_outputs); None: the network runs each time."""
+
+
+def with_outputs(bundle: _core.Bundle, recording: Recording, threads: int) -> Judged:
+    """The recording with its network outputs, for several evaluations while limits and error scale are set."""
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    outputs = _core.network_outputs(bundle, *signals, threads, recording.temperature)
+    return Judged(recording, outputs=outputs)
 
 
 def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
@@ -66,7 +75,7 @@ def judge(
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    estimates = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature)
+    estimates = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature, judged.outputs)
     counted = np.zeros(recording.samples, dtype=bool)
     counted[judged.span] = True
     counted &= (

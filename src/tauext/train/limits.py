@@ -35,6 +35,7 @@ from tauext.train.error_scale import (
     set_limits,
     usual_speed_rad_s,
     whole_recordings,
+    with_outputs,
 )
 from tauext.train.held_peaks import Moment
 from tauext.train.preparation import Job
@@ -214,13 +215,12 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
     return "promised" if calibration else "supported"
 
 
-def unseen_motion(
-    job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None
-) -> tuple[list[Recording | Judged], list[Judged]]:
+def unseen_motion(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[list[Judged], list[Judged]]:
     """Free motion not used in training the bundle or its cross-validation priors."""
     by_fit = fit is not None and not bundle.has_network
     # Without a network, the prior was finally fitted to the validation motion too.
-    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
+    recordings = [] if by_fit and not job.validation else job.motion.for_limits
+    unseen = [with_outputs(bundle, recording, job.threads) for recording in recordings]
     left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
     return unseen, left_out
 

@@ -15,9 +15,17 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit import network_training
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.core_backend import CoreBackend
-from tauext.fit.network_training import DenseSchedule, load_checkpoint, train_network
+from tauext.fit.core_backend import Adam, CoreBackend
+from tauext.fit.network_training import (
+    DenseSchedule,
+    PaperSchedule,
+    input_basis,
+    load_checkpoint,
+    make_backend,
+    train_network,
+)
 from tauext.fit.training_set import build_windows, find_scaling
+from tauext.recipes import RECIPES
 from tauext.train.error_scale import paper_limits, with_outputs
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
@@ -242,7 +250,7 @@ def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
     schedule = DenseSchedule(setup, windows, config)
     ends = np.unique(np.concatenate([schedule.ends(step) for step in range(10)]))
     first_row = dict(zip(windows.ends, windows.first_rows, strict=True))
-    assert schedule.length == setup.window_steps - 1 + 20
+    assert schedule.length == setup.window_steps - 1 + 20 - 4  # the first four targets see less than a window
     assert all(end - (schedule.length - 1) - 1 >= first_row[end] for end in ends)  # one more for the lag of dq
     assert len(ends) > 200
     np.testing.assert_array_equal(schedule.ends(3), schedule.ends(3))
@@ -258,6 +266,57 @@ def test_a_dense_sequence_with_one_target_is_the_papers_window():
     paper = CoreBackend(setup, windows, 6, setup.window_steps, 1, threads=1)
     start = dense.initial_parameters(0).astype(np.float32)
     assert dense.gradient(start, schedule.ends(0))[1].tobytes() == paper.gradient(start, schedule.ends(0))[1].tobytes()
+
+
+def test_the_network_of_recipe_tauext_sees_a_whole_window_before_every_target():
+    setup, _, windows = prepared([recording(1)])
+    schedule = DenseSchedule(setup, windows, TrainConfig(targets=20, max_steps=10).resolved())
+    assert schedule.length == setup.window_steps - 1 + 20
+    assert (schedule.largest_gradient, schedule.square_decay) == (0.1, 0.999)
+
+
+def test_the_optimiser_of_the_dense_recipe_sees_larger_speeds_and_their_changes():
+    setup, _, windows = prepared([recording(1)])
+    x = np.array([0.1, 0.2, 0.3, 0.4, 0.25, 0.45])  # q, dq, dq a step before
+    basis = input_basis(setup, RECIPES["dense"].drawing)
+    assert basis @ x == pytest.approx([0.1, 0.2, 1.5, 2.0, 75 * 0.05, -75 * 0.05])
+    config = TrainConfig(recipe="dense", hidden=3, targets=5).resolved()
+    seen = make_backend(setup, windows, config, setup.window_steps, 5)
+    plain = CoreBackend(setup, windows, 3, setup.window_steps, 5, threads=1)
+    parameters, ends = seen.initial_parameters(0), windows.ends[:20]
+    weights = seen.weights(parameters)
+    np.testing.assert_allclose(weights[:72].reshape(12, 6), parameters[:72].reshape(12, 6) @ basis)
+    np.testing.assert_array_equal(weights[72:], parameters[72:])
+    small = parameters.astype(np.float32)
+    np.testing.assert_array_equal(seen.predict(small, windows, ends), plain.predict(seen.weights(small), windows, ends))
+    loss, gradient = seen.gradient(small, ends)
+    for at in (1, 2, 4, 80):  # against differences
+        losses = []
+        for step in (-2e-3, 2e-3):
+            moved = parameters.copy()
+            moved[at] += step
+            losses.append(seen.gradient(moved.astype(np.float32), ends)[0])
+        assert gradient[at] == pytest.approx((losses[1] - losses[0]) / 4e-3, rel=0.02, abs=2e-6)
+
+
+@pytest.mark.parametrize("recipe", ["paper", "tauext"])
+def test_other_recipes_train_on_the_inputs_themselves(recipe):
+    setup, _, windows = prepared([recording(1)])
+    config = TrainConfig(recipe=recipe, hidden=3).resolved()
+    assert isinstance(make_backend(setup, windows, config, setup.window_steps, 1), CoreBackend)
+
+
+def test_adam_forgets_a_large_gradient_by_the_schedules_decay():
+    def step_after_a_large_one(beta_2: float) -> float:
+        """The last of 300 steps with gradients of 0.1 behind one of 10."""
+        at, adam = Adam.start(1).step(np.zeros(1), np.full(1, 10.0), 0.01, beta_2)
+        for _ in range(300):
+            before = at
+            at, adam = adam.step(at, np.full(1, 0.1), 0.01, beta_2)
+        return float(before[0] - at[0])
+
+    assert step_after_a_large_one(0.99) > 2 * step_after_a_large_one(0.999)
+    assert PaperSchedule.square_decay == 0.999
 
 
 def test_the_dense_learning_rate_rises_and_falls_to_zero():
@@ -302,7 +361,7 @@ def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():
 
 def test_sequences_longer_than_every_recording_are_refused():
     setup, _, windows = prepared([recording(1, seconds=2.0)])
-    with pytest.raises(TrainingError, match="sequence of 309 steps.*lower targets = 300"):
+    with pytest.raises(TrainingError, match="sequence of 305 steps.*lower targets = 300"):
         train_network(setup, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
 
 

@@ -17,6 +17,26 @@ at every step. samples: no memory at all, a feed-forward network on x(k), drawn 
 
 
 @dataclass(frozen=True)
+class Drawing:
+    """How a network is taught by sequences that are drawn at random."""
+
+    speed_factor: float = 1.0
+    """Factor on joint speeds as the optimiser sees them. Friction changes its sign within a hundredth of the largest
+    speed, and Adam moves all weights at one pace, so the weights of speeds would grow too slowly."""
+    change_factor: float = 0.0
+    """The optimiser sees the change dq(k) - dq(k-1) times this and speed_factor instead of dq(k-1); 0: dq(k-1). The two
+    speeds are almost equal, and inertia acts on their small difference."""
+    early_targets: float = 0.0
+    """Share of a window by which a sequence's targets begin before a whole window was seen, 0 to below 1. If a joint
+    stuck for longer, the network then learns to expect no torque, rather than one from before the window."""
+    largest_gradient: float = 0.1
+    """A gradient of a larger norm is shortened to it."""
+    square_decay: float = 0.999
+    """Decay rate of Adam's mean of the squared gradient. A few stuck joints make a gradient ten times as large as
+    others; a shorter mean forgets it sooner."""
+
+
+@dataclass(frozen=True)
 class Recipe:
     """What makes one kind of bundle: the residual, the fit, the network for the rest, and the limits."""
 
@@ -41,6 +61,8 @@ class Recipe:
     network: Network | None = None
     """Network that is trained in steps. After a fit, which alone makes a bundle, the network is kept only if it
     helps."""
+    drawing: Drawing = Drawing()
+    """How the network is taught, if it is taught by what is drawn at random."""
     chooses_gain: bool = False
     """By default, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False
@@ -100,7 +122,7 @@ FULL_PRIOR: dict[str, Any] = {
     "error_scale": True,
     "coverage": True,
 }
-DENSE = {"batch": 64, "learning_rate": 0.01}
+DRAWN = {"targets": 100, "batch": 64, "learning_rate": 0.01}
 
 RECIPES = {
     recipe.name: recipe
@@ -109,7 +131,7 @@ RECIPES = {
             "tauext",
             **FULL_PRIOR,
             network="sequences",
-            defaults=DENSE | {"max_steps": 10_000},
+            defaults=DRAWN | {"max_steps": 10_000},
             baseline="tauext",
             rank=10,
         ),
@@ -126,7 +148,10 @@ RECIPES = {
             "dense",
             network="sequences",
             largest_error_limits=True,
-            defaults=DENSE | {"max_steps": 45_000},
+            drawing=Drawing(
+                speed_factor=5.0, change_factor=15.0, early_targets=0.4, largest_gradient=0.03, square_decay=0.99
+            ),
+            defaults=DRAWN | {"targets": 140, "batch": 32, "max_steps": 90_000},
             baseline="paper-lstm",
             rank=8,
         ),

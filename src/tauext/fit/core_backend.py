@@ -13,7 +13,7 @@ from tauext.fit.training_set import Setup, WindowSet
 # --- Adam on one flat vector of parameters.
 
 
-BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
+BETA_1, EPSILON = 0.9, 1e-8
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,15 @@ class Adam:
     def start(cls, count: int) -> Adam:
         return cls(np.zeros(count), np.zeros(count))
 
-    def step(self, parameters: np.ndarray, gradient: np.ndarray, learning_rate: float) -> tuple[np.ndarray, Adam]:
+    def step(
+        self, parameters: np.ndarray, gradient: np.ndarray, learning_rate: float, beta_2: float = 0.999
+    ) -> tuple[np.ndarray, Adam]:
         """Parameters (float64) and state after one step against the gradient; the old ones are left as they are."""
         steps = self.steps + 1
         m = self.m + (1 - BETA_1) * (gradient - self.m)
-        v = self.v + (1 - BETA_2) * (np.square(gradient, dtype=np.float64) - self.v)
+        v = self.v + (1 - beta_2) * (np.square(gradient, dtype=np.float64) - self.v)
         m_hat = m / (1 - BETA_1**steps)
-        v_hat = v / (1 - BETA_2**steps)
+        v_hat = v / (1 - beta_2**steps)
         return parameters - learning_rate * m_hat / (np.sqrt(v_hat) + EPSILON), Adam(m, v, steps)
 
 

@@ -20,9 +20,11 @@ from tauext.train.error_scale import (
     BLUNT,
     FEATURES,
     SHARP,
+    Judged,
     Rows,
     add_friction,
     collect_rows,
+    errors,
     fit_weights,
     freeze_floor_nm,
     put_constant_error,
@@ -232,6 +234,15 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
     recordings[1:] = []
     with pytest.raises(ConfigError, match="2 calibration recordings or more"):
         recalibrate(tmp_path / "made.tauext", dataset, tmp_path / "x.tauext", AlarmConfig(), refit_error_scale=True)
+
+
+def test_the_error_in_a_span_does_not_depend_on_what_follows(tmp_path, monkeypatch):
+    bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
+    one, part = motion(seed=1), slice(2_000, 3_000)
+    whole, until = (errors(bundle, judged, 1, FreeMotionConfig()) for judged in (one, Judged(one, part)))
+    assert len(until[0]) == part.stop and until[3][part].all() and not until[3][: part.start].any()
+    for a, b in zip(whole[:3], until[:3], strict=True):
+        np.testing.assert_array_equal(a[: part.stop], b)
 
 
 def test_rows_that_were_thinned_out_tell_the_same_hours(tmp_path, monkeypatch):

@@ -121,6 +121,19 @@ def test_online_equals_offline_bit_for_bit_at_every_sample():
     assert offline["detection"].any()
 
 
+def test_estimates_of_some_torque_columns_are_those_of_all():
+    bundle, _ = bundle_of_real_size()
+    made = recording(5)
+    signals = made.t_ns, made.q, made.dq, made.tau
+    whole, some = _core.estimate(bundle, *signals, 1), _core.estimate(bundle, *signals, 1, torques=["doubt", "tau_ext"])
+    torques = {"residual", "prior", "network", "drift", "sigma_nm", "contact_sigma_nm", "limit_scale", "limit_nm"}
+    assert set(whole) - set(some) == torques | {"contact_limit_nm"}
+    for name, values in some.items():
+        np.testing.assert_array_equal(values, whole[name], err_msg=name)
+    with pytest.raises(_core.CoreError, match="no torque column 'health'"):
+        _core.estimate(bundle, *signals, 1, torques=["health"])
+
+
 def test_a_push_raises_contact_then_a_latched_collision_and_run_equals_step():
     bundle, _ = bundle_of_real_size()
     made = recording(1, push_nm=-60)  # the motor gives way by 60 Nm, as if something pushed the elbow forward

@@ -149,6 +149,33 @@ def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray
 EVERY_FORM = list(formulas(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), [np.zeros((1, 3))] * 2))
 
 
+def test_regressors_of_links_are_the_differences_of_r_and_may_come_in_parts():
+    """Over a bridged gap and a restart; r of a model with more of one parameter falls by that parameter's column."""
+    tree, observer = three_joint_arm(), settings()
+    t_ns, q, dq, tau = wild_motion()
+    rows, links, some = np.arange(0, len(q), 7, dtype=np.int64), [0, 2], [0, 2, 5, 8, 10]
+    whole = _core.LinkRegressors(tree, observer, links, some).rows(t_ns, q, dq, rows)
+    r = _core.observe(tree, observer, t_ns, q, dq, tau).residual[rows]
+    for k, link in enumerate(links):
+        for m, parameter in enumerate(some):
+            changed = tree.links
+            more = inertial_parameters(changed[link]) + np.eye(len(PARAMETERS))[parameter]
+            changed[link] = with_inertial_parameters(changed[link], more)
+            then = _core.observe(_core.Tree(changed, tree.gravity), observer, t_ns, q, dq, tau).residual[rows]
+            np.testing.assert_allclose(whole[:, :, len(some) * k + m], r - then, rtol=0, atol=1e-11 * np.abs(r).max())
+    in_parts, cuts = _core.LinkRegressors(tree, observer, links, some), [0, 100, 403, len(q)]
+    parts = [
+        in_parts.rows(t_ns[a:b], q[a:b], dq[a:b], rows[(rows >= a) & (rows < b)] - a)
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    for links, some, why in (([3], [0], "link 3"), ([0], [11], "none of them 11")):
+        with pytest.raises(_core.CoreError, match=why):
+            _core.LinkRegressors(tree, observer, links, some)
+    with pytest.raises(_core.CoreError, match="ascending and within"):
+        _core.LinkRegressors(tree, observer, [0], [0]).rows(t_ns, q, dq, np.array([len(q)]))
+
+
 def test_a_load_may_be_that_of_the_corrected_model():
     t_ns, q, dq, tau = wild_motion()
     tree, observer = three_joint_arm(), settings()
@@ -502,6 +529,15 @@ def test_a_single_recording_is_cross_validated_in_parts():
     fit = fit_prior(setup_of(planar_arm()), recordings(loaded, count=1, seconds=60.0), ONE_SPEED)
     assert (fit.standard_errors[0, : len(fit.settings.terms) // 2] > 0).all()
     np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.15)
+
+
+def test_a_fit_does_not_depend_on_how_many_rows_of_the_links_are_held(monkeypatch):
+    made, setup = recordings(loaded, count=1, seconds=60.0), setup_of(planar_arm())
+    whole = fit_prior(setup, made, ONE_SPEED)
+    monkeypatch.setattr("tauext.fit.ridge.BLOCK", 100)
+    in_blocks = fit_prior(setup, made, ONE_SPEED)
+    np.testing.assert_allclose(in_blocks.weights, whole.weights, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(in_blocks.error_nm, whole.error_nm, rtol=1e-9)
 
 
 def test_standard_errors_are_not_zero_where_one_of_many_recordings_is_long_enough():

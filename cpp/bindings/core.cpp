@@ -254,6 +254,27 @@ void bind_observer(nb::module_& m) {
       },
       nb::arg("tree"), nb::arg("settings"), nb::arg("prior"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
       nb::arg("tau"), nb::arg("samples"), "Terms of the prior, each filtered like the observer: (samples, terms).");
+  nb::class_<LinkRegressors>(m, "LinkRegressors",
+      "Derivative of r by inertial parameters of the robot's links, one part of a recording after the other.")
+      .def(
+          "__init__",
+          [](LinkRegressors* r, const Tree& tree, const ObserverSettings& settings, const std::vector<int>& links,
+             const std::vector<int>& parameters) { new (r) LinkRegressors(tree, settings, links, parameters); },
+          nb::arg("tree"), nb::arg("settings"), nb::arg("links"), nb::arg("parameters"))
+      .def(
+          "rows",
+          [](LinkRegressors& r, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q,
+             const Array<double, 2>& dq, const Array<std::int64_t, 1>& samples) {
+            const RecordingView part = view(t_ns, q, dq, q);
+            std::vector<double> out;
+            {
+              nb::gil_scoped_release released;
+              out = r.rows(part, span_of(samples));
+            }
+            return to_numpy(std::move(out), {samples.shape(0), q.shape(1), r.columns()});
+          },
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("samples"),
+          "Rows at these samples of the next part: (samples, joints, links x parameters).");
   m.def(
       "presliding_states",
       [](const Array<double, 2>& q, const std::vector<double>& widths) {
@@ -615,27 +636,19 @@ void bind_bundle(nb::module_& m) {
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
          const Array<double, 2>& tau, int threads, const Temperatures& temperature,
-         const std::optional<Array<float, 2>>& outputs) {
+         const std::optional<Array<float, 2>>& outputs, const std::vector<std::string>& torques) {
         const RecordingView recording = view(t_ns, q, dq, tau, temperature);
         const auto known = outputs ? std::span<const float>(outputs->data(), outputs->size()) : std::span<const float>();
         Estimates e;
         {
           nb::gil_scoped_release released;
-          e = estimate(b, recording, threads, known);
+          e = estimate(b, recording, threads, known, torques);
         }
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
         ArrayDict out;
-        out["residual"] = to_numpy(std::move(e.residual), {N, n});
-        out["prior"] = to_numpy(std::move(e.prior), {N, n});
-        out["network"] = to_numpy(std::move(e.network), {N, n});
-        out["drift"] = to_numpy(std::move(e.drift), {N, n});
-        out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
-        out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
-        out["sigma_nm"] = to_numpy(std::move(e.sigma_nm), {N, n});
-        out["contact_sigma_nm"] = to_numpy(std::move(e.contact_sigma_nm), {N, n});
-        out["limit_scale"] = to_numpy(std::move(e.limit_scale), {N, n});
-        out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
-        out["contact_limit_nm"] = to_numpy(std::move(e.contact_limit_nm), {N, n});
+        for (const TorqueColumn& one : kTorqueColumns)
+          if (torques.empty() || std::ranges::find(torques, one.name) != torques.end())
+            out[one.name] = to_numpy(std::move(e.*one.column), {N, n});
         out["unfamiliar"] = to_numpy(std::move(e.unfamiliar), {N});
         out["unseen"] = to_numpy(std::move(e.unseen), {N});
         out["unseen_joint"] = to_numpy(std::move(e.unseen_joint), {N});
@@ -655,8 +668,10 @@ void bind_bundle(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       nb::arg("temperature") = nb::none(), nb::arg("outputs") = nb::none(),
+      nb::arg("torques") = std::vector<std::string>(),
       "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. outputs: those of "
-      "network_outputs(), so that the network is not run again. See estimates.hpp.");
+      "network_outputs(), so that the network is not run again. torques: names of the torque columns that are returned; "
+      "empty: all. See estimates.hpp.");
   m.def(
       "network_outputs",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,

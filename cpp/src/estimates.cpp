@@ -6,7 +6,10 @@
 namespace tauext {
 namespace {
 
-// Results of ObserveStage for every sample, as columns; residual, prior and doubt are already in the answer.
+// Samples of a bundle without a network that pass the first half of the chain before the second.
+constexpr std::size_t kBlock = 1024;
+
+// Results of ObserveStage for each sample of a block, as columns.
 struct Seen {
   struct Row {
     std::uint32_t causes, near_stiction;
@@ -16,51 +19,46 @@ struct Seen {
     std::int8_t cause_joint;
     bool restarted, overflowed, judged, teaches;
   };
-  std::vector<Row> rows;                      // (samples)
-  std::vector<float> features;                // (clock rows, columns)
-  std::vector<double> friction;               // (samples, Coulomb and viscous, joints), if the drift tracker needs it
-  std::vector<double> memory_gap;             // (samples, joints), if the prior has branches
-  std::vector<std::int64_t> judged_ends;      // clock rows of the samples that are judged
-  std::int64_t clock_rows = 0;
+  std::vector<Row> rows;                        // (samples)
+  std::vector<float> features;                  // (clock rows, columns)
+  std::vector<double> residual, prior, doubt;   // (samples, joints)
+  std::vector<double> friction;                 // (samples, Coulomb and viscous, joints), if the drift tracker needs it
+  std::vector<double> memory_gap;               // (samples, joints), if the prior has branches
+  std::vector<std::int64_t> judged_ends;        // clock rows of the samples that are judged
+  RowCount at;
 };
 
-Seen observe_all(const Bundle& bundle, const RecordingView& recording, Estimates& out) {
-  const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
-  Seen seen;
-  seen.rows.reserve(N);
-  ObserveStage stage(bundle, 1);
-  const std::size_t columns = stage.features().size();
-  seen.features.reserve(N * columns);
-  RowCount at;
+void observe_block(ObserveStage& stage, const RecordingView& recording, std::size_t begin, std::size_t end, Seen& seen) {
+  const std::size_t N = end - begin, n = static_cast<std::size_t>(recording.joints), columns = stage.features().size();
+  for (auto* torque : {&seen.residual, &seen.prior, &seen.doubt}) torque->assign(N * n, 0.0);
+  seen.rows.clear();
   for (std::size_t k = 0; k < N; ++k) {
-    const Observed& o = stage.step(recording.at(static_cast<std::int64_t>(k)));
+    const Observed& o = stage.step(recording.at(static_cast<std::int64_t>(begin + k)));
     seen.rows.push_back({o.causes, o.near_stiction, static_cast<std::int32_t>(o.ticks), o.passage, o.health,
                          static_cast<std::int8_t>(o.cause_joint), o.restarted, o.overflowed, o.judged, o.teaches});
     if (o.passage != Passage::entered) continue;
-    for (std::size_t j = 0; j < n; ++j) {
-      out.residual[k * n + j] = o.residual[j];
-      out.prior[k * n + j] = o.prior[j];
-      out.doubt[k * n + j] = o.doubt[j];
-    }
+    const auto cells = static_cast<std::ptrdiff_t>(k * n);
+    std::ranges::copy(o.residual, seen.residual.begin() + cells);
+    std::ranges::copy(o.prior, seen.prior.begin() + cells);
+    std::ranges::copy(o.doubt, seen.doubt.begin() + cells);
     if (!o.coulomb.empty()) {
       seen.friction.resize(2 * N * n);
-      std::ranges::copy(o.coulomb, seen.friction.begin() + static_cast<std::ptrdiff_t>(2 * k * n));
-      std::ranges::copy(o.viscous, seen.friction.begin() + static_cast<std::ptrdiff_t>((2 * k + 1) * n));
+      std::ranges::copy(o.coulomb, seen.friction.begin() + 2 * cells);
+      std::ranges::copy(o.viscous, seen.friction.begin() + 2 * cells + static_cast<std::ptrdiff_t>(n));
     }
     if (!o.memory_gap.empty()) {
       seen.memory_gap.resize(N * n);
-      std::ranges::copy(o.memory_gap, seen.memory_gap.begin() + static_cast<std::ptrdiff_t>(k * n));
+      std::ranges::copy(o.memory_gap, seen.memory_gap.begin() + cells);
     }
-    at.add(o.restarted, o.ticks);
+    if (columns == 0) continue;
+    seen.at.add(o.restarted, o.ticks);
     // Bridged ticks hold the sample before.
     const std::size_t before = seen.features.size();
-    for (std::int64_t held = 1; !o.restarted && held < o.ticks && columns > 0; ++held)
+    for (std::int64_t held = 1; !o.restarted && held < o.ticks; ++held)
       for (std::size_t c = 0; c < columns; ++c) seen.features.push_back(seen.features[before - columns + c]);
     seen.features.insert(seen.features.end(), stage.features().begin(), stage.features().end());
-    if (o.judged) seen.judged_ends.push_back(at.row);
+    if (o.judged) seen.judged_ends.push_back(seen.at.row);
   }
-  seen.clock_rows = at.row + 1;
-  return seen;
 }
 
 // The network's outputs for the judged samples, (judged, joints); none without a network.
@@ -68,19 +66,19 @@ std::vector<float> predict_all(const Bundle& bundle, const Seen& seen, int threa
   if (!bundle.has_network()) return {};
   WindowRows windows = windows_of(bundle);
   windows.rows = seen.features.data();
-  windows.row_count = seen.clock_rows;
+  windows.row_count = seen.at.row + 1;
   std::vector<float> outputs(seen.judged_ends.size() * bundle.links.size());
   lstm_forward(bundle.shape, bundle.parameters, windows, seen.judged_ends, outputs, threads);
   return outputs;
 }
 
-void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen& seen, std::span<const float> outputs,
-               Estimates& out) {
-  const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
-  JudgeStage stage(bundle);
+void judge_block(JudgeStage& stage, const RecordingView& recording, std::size_t begin, const Seen& seen,
+                 std::span<const float> outputs, Estimates& out) {
+  const auto n = static_cast<std::size_t>(recording.joints);
   Observed o;
-  for (std::size_t k = 0, judged = 0; k < N; ++k) {
-    const Seen::Row& row = seen.rows[k];
+  for (std::size_t r = 0, judged = 0; r < seen.rows.size(); ++r) {
+    const Seen::Row& row = seen.rows[r];
+    const std::size_t k = begin + r;
     const Sample sample = recording.at(static_cast<std::int64_t>(k));
     o.t_ns = sample.t_ns;
     o.passage = row.passage;
@@ -93,33 +91,23 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     o.judged = row.judged;
     o.teaches = row.teaches;
     o.near_stiction = row.near_stiction;
-    o.residual = std::span(out.residual).subspan(k * n, n);
-    o.prior = std::span(out.prior).subspan(k * n, n);
-    o.doubt = std::span(out.doubt).subspan(k * n, n);
+    o.residual = std::span(seen.residual).subspan(r * n, n);
+    o.prior = std::span(seen.prior).subspan(r * n, n);
+    o.doubt = std::span(seen.doubt).subspan(r * n, n);
     if (!seen.friction.empty()) {
-      o.coulomb = std::span(seen.friction).subspan(2 * k * n, n);
-      o.viscous = std::span(seen.friction).subspan((2 * k + 1) * n, n);
+      o.coulomb = std::span(seen.friction).subspan(2 * r * n, n);
+      o.viscous = std::span(seen.friction).subspan((2 * r + 1) * n, n);
     }
-    if (!seen.memory_gap.empty()) o.memory_gap = std::span(seen.memory_gap).subspan(k * n, n);
+    if (!seen.memory_gap.empty()) o.memory_gap = std::span(seen.memory_gap).subspan(r * n, n);
     const bool entered = row.passage == Passage::entered;
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();
     judged += entered && row.judged;
     const Estimate& e = stage.step(o, sample, network);
-    for (std::size_t j = 0, cell = k * n; j < n; ++j, ++cell) {
-      out.residual[cell] = e.residual[j];
-      out.prior[cell] = e.prior[j];
-      out.doubt[cell] = e.doubt[j];
-      out.network[cell] = e.network[j];
-      out.drift[cell] = e.drift[j];
-      out.tau_ext[cell] = e.tau_ext[j];
-      out.sigma_nm[cell] = e.sigma_nm[j];
-      out.contact_sigma_nm[cell] = e.contact_sigma_nm[j];
-      out.limit_scale[cell] = e.limit_scale[j];
-      out.limit_nm[cell] = e.limit_nm[j];
-      out.contact_limit_nm[cell] = e.contact_limit_nm[j];
-      out.near_stiction[cell] = e.near_stiction >> j & 1;
-    }
+    for (const TorqueColumn& one : kTorqueColumns)
+      if (std::vector<double>& column = out.*one.column; !column.empty())
+        std::copy_n((e.*one.values).begin(), n, column.begin() + static_cast<std::ptrdiff_t>(k * n));
+    for (std::size_t j = 0; j < n; ++j) out.near_stiction[k * n + j] = e.near_stiction >> j & 1;
     out.health[k] = static_cast<std::uint8_t>(e.health);
     out.causes[k] = e.causes;
     out.cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
@@ -138,11 +126,6 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
   }
 }
 
-// Memory for what observe_all() writes.
-void resize_observed(Estimates& out, std::size_t cells) {
-  for (auto* torque : {&out.residual, &out.prior, &out.doubt}) torque->resize(cells);
-}
-
 void expect_joints(const Bundle& bundle, const RecordingView& recording) {
   if (recording.joints != bundle.joints())
     throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
@@ -154,19 +137,22 @@ void expect_joints(const Bundle& bundle, const RecordingView& recording) {
 std::vector<float> network_outputs(const Bundle& bundle, const RecordingView& recording, int threads) {
   expect_joints(bundle, recording);
   if (!bundle.has_network()) return {};
-  Estimates out;
-  resize_observed(out, static_cast<std::size_t>(recording.samples) * static_cast<std::size_t>(recording.joints));
-  return predict_all(bundle, observe_all(bundle, recording, out), threads);
+  ObserveStage observe(bundle, 1);
+  Seen seen;
+  observe_block(observe, recording, 0, static_cast<std::size_t>(recording.samples), seen);
+  return predict_all(bundle, seen, threads);
 }
 
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs) {
+Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs,
+                   std::span<const std::string> torques) {
   expect_joints(bundle, recording);
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
-  resize_observed(out, N * n);
-  for (auto* torque : {&out.network, &out.drift, &out.tau_ext, &out.sigma_nm, &out.contact_sigma_nm, &out.limit_scale,
-                       &out.limit_nm, &out.contact_limit_nm})
-    torque->resize(N * n);
+  for (const std::string& name : torques)
+    if (std::ranges::none_of(kTorqueColumns, [&](const TorqueColumn& one) { return name == one.name; }))
+      throw Error("there is no torque column '" + name + "'");
+  for (const TorqueColumn& one : kTorqueColumns)
+    if (torques.empty() || std::ranges::find(torques, one.name) != torques.end()) (out.*one.column).resize(N * n);
   out.near_stiction.resize(N * n);
   for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.entered,
                       &out.restarted})
@@ -174,14 +160,19 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other}) which->resize(N);
   out.unfamiliar.resize(N);
   out.causes.resize(N);
-  const Seen seen = observe_all(bundle, recording, out);
-  if (outputs.empty()) {
-    judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
-    return out;
+  ObserveStage observe(bundle, 1);
+  JudgeStage judge(bundle);
+  Seen seen;
+  const std::size_t block = bundle.has_network() ? N : kBlock;  // the network's windows reach across blocks
+  for (std::size_t begin = 0; begin < N; begin += block) {
+    observe_block(observe, recording, begin, std::min(begin + block, N), seen);
+    if (!outputs.empty() && (!bundle.has_network() || outputs.size() != seen.judged_ends.size() * n))
+      throw Error("the outputs are not of this bundle's network for this recording");
+    if (outputs.empty())
+      judge_block(judge, recording, begin, seen, predict_all(bundle, seen, threads), out);
+    else
+      judge_block(judge, recording, begin, seen, outputs, out);
   }
-  if (!bundle.has_network() || outputs.size() != seen.judged_ends.size() * n)
-    throw Error("the outputs are not of this bundle's network for this recording");
-  judge_all(bundle, recording, seen, outputs, out);
   return out;
 }
 

@@ -1,7 +1,9 @@
 // The chain on a whole recording: the control loop's results, with the network evaluated in bulk.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "judge_stage.hpp"
@@ -27,10 +29,32 @@ struct Estimates {
   std::vector<std::uint8_t> entered, restarted;      // (samples): the sample entered; the chain restarted at it
 };
 
+// A torque column of Estimates.
+struct TorqueColumn {
+  const char* name;
+  std::vector<double> Estimates::*column;
+  JointVector Estimate::*values;
+};
+inline constexpr std::array<TorqueColumn, 11> kTorqueColumns{{
+    {"residual", &Estimates::residual, &Estimate::residual},
+    {"prior", &Estimates::prior, &Estimate::prior},
+    {"network", &Estimates::network, &Estimate::network},
+    {"drift", &Estimates::drift, &Estimate::drift},
+    {"tau_ext", &Estimates::tau_ext, &Estimate::tau_ext},
+    {"doubt", &Estimates::doubt, &Estimate::doubt},
+    {"sigma_nm", &Estimates::sigma_nm, &Estimate::sigma_nm},
+    {"contact_sigma_nm", &Estimates::contact_sigma_nm, &Estimate::contact_sigma_nm},
+    {"limit_scale", &Estimates::limit_scale, &Estimate::limit_scale},
+    {"limit_nm", &Estimates::limit_nm, &Estimate::limit_nm},
+    {"contact_limit_nm", &Estimates::contact_limit_nm, &Estimate::contact_limit_nm},
+}};
+
 // Equal to Monitor::step() for every sample, to the last bit, for any faults: times that go backwards, non-finite
-// numbers, gaps, other rates. `outputs` of network_outputs() replace running the network. Throws Error if the number of
-// joints differs, or that of the outputs.
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs = {});
+// numbers, gaps, other rates. `outputs` of network_outputs() replace running the network. torques: names of the torque
+// columns that are filled; empty: all of them, which take most of the memory. Throws Error if the number of joints
+// differs, or that of the outputs, or a name is unknown.
+Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs = {},
+                   std::span<const std::string> torques = {});
 
 // The network's outputs for each judged sample, (judged, joints); none without a network. Limits, drift tracker and error
 // scale do not change them.

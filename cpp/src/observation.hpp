@@ -5,7 +5,9 @@
 #include <span>
 #include <vector>
 
+#include "load_columns.hpp"
 #include "lstm.hpp"
+#include "momentum_observer.hpp"
 #include "residual.hpp"
 #include "signal_watch.hpp"
 #include "tauext/sample.hpp"
@@ -38,6 +40,33 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
 // `samples`, which rise. The same filter as Prior's: their weighted sum is the prior.
 std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                                      const RecordingView& recording, std::span<const std::int64_t> samples);
+
+// Derivative of the unfiltered r by inertial parameters of the robot's links, for the fit: LoadRegressor's of each link
+// about its origin, then its rotor inertia. A recording may come in parts, of which memory holds the rows of one.
+class LinkRegressors {
+ public:
+  static constexpr int kParameters = LoadRegressor::kParameters + 1;
+
+  // links, parameters: indices, each in the order of the columns. Throws Error if one does not exist.
+  LinkRegressors(const Tree& tree, const ObserverSettings& settings, std::span<const int> links,
+                 std::span<const int> parameters);
+
+  // The next samples: (rows, joints, links x parameters), one row for each of `samples`, which rise.
+  std::vector<double> rows(const RecordingView& part, std::span<const std::int64_t> samples);
+  std::size_t columns() const noexcept { return columns_; }
+
+ private:
+  // A column of a joint that moves the link; those of other joints are zero.
+  struct Cell {
+    std::size_t link, parameter, joint, column;  // link: of links_
+  };
+  int joints_;
+  std::size_t columns_;
+  SampleClock clock_;
+  std::vector<LoadRegressor> links_;
+  std::vector<Cell> cells_;
+  std::vector<MomentumObserver> filters_;  // of kMaxJoints cells each
+};
 
 // The mean step at each sample that a monitor compares with the sample period, as its share (SignalWatch).
 std::vector<double> mean_steps(std::int64_t sample_period_ns, int network_stride, std::span<const std::int64_t> t_ns);

@@ -44,7 +44,7 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
     inertia and friction.
     """
     up = [_core.Tree(list(tree.links), axis) for axis in np.eye(3).tolist()]
-    shared = np.stack([rows_of(stretches, t).gravity for t in up], axis=2)
+    shared = np.stack([model_of(stretches, t)[0] for t in up], axis=2)
     left, rest, weights, known = [], [], [], []
     given = np.array(tree.gravity)
     for j in range(rows.joints):
@@ -116,7 +116,8 @@ def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> 
     Args:
         rows: rows of these stretches with this tree.
     """
-    return np.stack([rows_of(stretches, loaded).model - rows.model for loaded in unit_loads(tree)], axis=2)
+    with_units = (with_model(rows, stretches, loaded) for loaded in unit_loads(tree))
+    return np.stack([one.model - rows.model for one in with_units], axis=2)
 
 
 def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
@@ -353,7 +354,7 @@ def rearranged(
     for _ in range(MOST_CHANGES):
         best: Best = (GAIN, None, now, now)
         for change in _changes(joints):
-            then = _errors(_with_model(change.of_rows(rows), [change.of(s) for s in few], tree))
+            then = _errors(with_model(change.of_rows(rows), [change.of(s) for s in few], tree))
             ratio = then / now[change.order]  # each torque signal against itself
             gain = -float(np.log(ratio).sum())
             if gain > best[0] and ratio.min() < HALVED and ratio.max() < WORSE:
@@ -361,7 +362,7 @@ def rearranged(
         shift = best_offset(rows, tree)
         if shift is not None:
             moved = [shifted(s, shift) for s in few]
-            then = _errors(_with_model(rows, moved, tree))
+            then = _errors(with_model(rows, moved, tree))
             ratio = then / now
             gain = -float(np.log(ratio).sum())
             leads = best[1] is None or gain > best[0] + lead
@@ -404,10 +405,10 @@ def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: fl
 def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows, now: np.ndarray) -> float:
     """Gain of a missing load or another direction of gravity."""
     trees = (loaded(tree, fit_load(stretches, tree, rows)), gravity_finding(stretches, tree, rows)[1])
-    return max(-float(np.log(_errors(_with_model(rows, stretches, other)) / now).sum()) for other in trees)
+    return max(-float(np.log(_errors(with_model(rows, stretches, other)) / now).sum()) for other in trees)
 
 
-def _with_model(rows: Rows, stretches: Sequence[Stretch], tree: _core.Tree) -> Rows:
+def with_model(rows: Rows, stretches: Sequence[Stretch], tree: _core.Tree) -> Rows:
     """The rows with the model's torques of this motion."""
     gravity, inertial = model_of(stretches, tree)
     return replace(rows, gravity=gravity, inertial=inertial)

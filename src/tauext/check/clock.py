@@ -244,8 +244,9 @@ def degree_findings(
         fast = np.max([np.percentile(np.abs(s.dq), 99.5, axis=0) for s in stretches], axis=0)
     beyond = np.zeros(len(joints), dtype=bool)
     if limits_rad is not None and np.isfinite(limits_rad).any():
-        q = np.radians(np.concatenate([r.q for r in recordings]))
-        within = ((q >= limits_rad[:, 0] - 0.1) & (q <= limits_rad[:, 1] + 0.1)).all(axis=0)
+        low, high = limits_rad[:, 0] - 0.1, limits_rad[:, 1] + 0.1
+        turned = (np.radians(r.q) for r in recordings)
+        within = np.all([((q >= low) & (q <= high)).all(axis=0) for q in turned], axis=0)
         beyond = within & (far > np.maximum(1.5 * np.abs(limits_rad).max(axis=1), 2 * math.pi))
     wide = far > WIDEST_RAD
     certain = (fast > FASTEST_RAD_S) | (far > 2 * WIDEST_RAD)

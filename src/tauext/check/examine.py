@@ -9,7 +9,15 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import exchanged_efforts, fit_load, gravity_finding, loaded, payload_findings, rearranged
+from tauext.check.arrangement import (
+    exchanged_efforts,
+    fit_load,
+    gravity_finding,
+    loaded,
+    payload_findings,
+    rearranged,
+    with_model,
+)
 from tauext.check.clock import clock_findings, degree_findings, time_findings
 from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
 from tauext.check.effort import (
@@ -28,7 +36,7 @@ from tauext.check.effort import (
     torque_lags,
 )
 from tauext.check.finding import SEVERITIES, Finding
-from tauext.check.fit import LEAST_ROWS, JointFit, Rows, fit_joint, rows_of
+from tauext.check.fit import LEAST_ROWS, JointFit, Rows, fit_joint, rows_of, torque_rows
 from tauext.check.motion import DEGREES, Stretch, VelocityFit, pose_findings, stretches, velocity_findings
 from tauext.check.odd_motion import odd_motions, odd_rates
 from tauext.check.odd_torque import odd_torques
@@ -249,24 +257,28 @@ def _examine(
     recordings, motion, velocities, units = _in_radians(recordings, motion, file)
     tree = file.tree if file else None
     names, unit = [r.name for r in recordings], torque_unit(recordings)
-    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, names, unit), recordings)
+    rows = None if unsigned or not motion else rows_of(motion, tree)
+    odd = [] if rows is None else of_servos(odd_torques(rows, motion, tree, joints, names, unit), recordings)
     recordings, odd = _alike(recordings, odd)
-    motion = stretches(recordings) if odd else motion
+    if odd:
+        motion = stretches(recordings)
+        rows = rows_of(motion, tree) if motion else None
     if any(map(derives_velocity, recordings)):
         units = [finding for finding in units if finding.code != "velocity-delay"]  # an intended delay of the window
     found += units + odd + excitation_findings(recordings, motion)
     found += limit_findings(recordings, file) if file else []
 
     standing = any(finding.code == "never-moves" for finding in found)
-    rows: Rows | None = None
     fits: list[JointFit] = []
     lags: list[tuple[float, float, float]] = []
     lag_s = 0.0
+    if standing or rows is None or len(rows.time_s) < LEAST_ROWS:
+        rows = None
     if unsigned:
         pass  # no further check applies to a torque without a sign
-    elif not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
+    elif rows is not None:
         torque_found, rows, fits, lags, tree, lag_s = _torque(
-            motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
+            rows, motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
         )
         torque_found = without_scale(torque_found, joints, efforts)
         unknown = in_amperes(recordings)
@@ -336,6 +348,7 @@ def _in_radians(
 
 
 def _torque(
+    rows: Rows,
     motion: list[Stretch],
     tree: _core.Tree | None,
     joints: Sequence[str],
@@ -345,27 +358,34 @@ def _torque(
     begin: Callable[[str], None],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
     """Check order, axes, zeros, sign, gravity, delay, kind and payload, drift and contacts, each on the corrected data
-    of the step before. Returns findings, the last rows and fits, the lags, the corrected model and the torque's lag."""
+    of the step before. Returns findings, the last rows and fits, the lags, the corrected model and the torque's lag.
+
+    Args:
+        rows: of this motion and tree.
+    """
     n = len(joints)
     begin("order of the torques")
-    rows = rows_of(motion, tree)
     found: list[Finding] = []
+    arranged: list[Finding] = []
     long_enough = moving_s(motion) >= SEARCH_S
     if long_enough:
         found, column = exchanged_efforts(rows, joints)
+    if found:
         motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
     if long_enough and tree is not None:
         begin("order and zero of the joints")
         arranged, motion = rearranged(motion, tree, joints)
-        found += arranged
     begin("signs")
-    rows = rows_of(motion, tree)
+    if found or arranged:
+        rows = rows_of(motion, tree)
+    found += arranged
     fits = [fit_joint(rows, j) for j in range(n)]
     votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
     found += sign_findings(joints, votes, fits, torque_unit(recordings))
     signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
-    motion = [replace(s, tau=s.tau * signs) for s in motion]
-    rows = rows_of(motion, tree)
+    if (signs < 0).any():
+        motion = [replace(s, tau=s.tau * signs) for s in motion]
+        rows = replace(rows, tau=torque_rows(motion, 0.0))
 
     begin("delays")
     lags = torque_lags(motion, rows)
@@ -375,13 +395,15 @@ def _torque(
     if tree is not None:
         tilted, tree = gravity_finding(motion, tree, rows)
         found += tilted
-    rows = rows_of(motion, tree, lag_s)
+        rows = with_model(rows, motion, tree) if tilted else rows
+    rows = replace(rows, tau=torque_rows(motion, lag_s))
     fits = [fit_joint(rows, j) for j in range(n)]
     if tree is not None:
-        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s, torque_unit(recordings))
+        scaled, heavier = _scale(motion, tree, rows, fits, joints, torque_unit(recordings))
         found += scaled
-        rows = rows_of(motion, tree, lag_s)
-        fits = [fit_joint(rows, j) for j in range(n)]
+        if heavier is not tree:
+            tree, rows = heavier, with_model(rows, motion, heavier)
+            fits = [fit_joint(rows, j) for j in range(n)]
     begin("drift and contacts")
     found += drift_findings(rows, joints, fits, recordings)
     if not spoils_contacts(signal_findings) and not any(f.severity == "fault" for f in found):
@@ -416,7 +438,6 @@ def _scale(
     rows: Rows,
     fits: Sequence[JointFit],
     joints: Sequence[str],
-    lag_s: float,
     unit: str,
 ) -> tuple[list[Finding], _core.Tree]:
     """Findings of a payload if it explains all factors, else of the factors; and the tree with the payload."""
@@ -430,7 +451,7 @@ def _scale(
     if not payload:
         return factors, tree
     tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
-    then = rows_of(motion, tree_with, lag_s)
+    then = with_model(rows, motion, tree_with)
     rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
     return (factors, tree) if rest else (payload, tree_with)
 

@@ -121,8 +121,7 @@ def _filtered(
     signals: Sequence[np.ndarray], rate_hz: float, cutoff_hz: float, rows_hz: float, end_s: float
 ) -> list[np.ndarray]:
     """Filter signals (samples, joints) and pick rows."""
-    together = low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate_hz / 6), rate_hz)
-    return np.split(picked(together, rate_hz, rows_hz, end_s), len(signals), axis=1)
+    return [picked(low_pass(x, min(cutoff_hz, rate_hz / 6), rate_hz), rate_hz, rows_hz, end_s) for x in signals]
 
 
 def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:
@@ -159,9 +158,10 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
 
 
 def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ, end_s: float = END_S) -> np.ndarray:
-    """Rows at `rows_hz`. The ends are left out: there a forward-backward filter has data on one side only."""
+    """A copy of the rows at `rows_hz`. The ends are left out: there a forward-backward filter has data on one side
+    only."""
     end = int(end_s * rate_hz)
-    return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]
+    return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))].copy(order="K")
 
 
 # --- Robust least squares of one joint's torque on its parts, with jackknife errors.

@@ -71,7 +71,8 @@ def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
         return x
     from scipy.signal import sosfiltfilt  # takes 0.6 s to import, and most commands do not need it
 
-    return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), x, axis=0)
+    # Along contiguous samples, since SciPy copies others several times.
+    return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), np.ascontiguousarray(x.T), axis=-1).T
 
 
 @cache

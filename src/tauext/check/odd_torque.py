@@ -430,20 +430,25 @@ class Pool:
 
 
 def odd_torques(
-    motion: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], names: Sequence[str], unit: str
+    rows: Rows,
+    motion: Sequence[Stretch],
+    tree: _core.Tree | None,
+    joints: Sequence[str],
+    names: Sequence[str],
+    unit: str,
 ) -> list[Finding]:
     """Find recordings whose torque disagrees with the others: at most one finding a recording.
 
     More than half of the recordings cannot be odd: then there are no findings.
 
     Args:
+        rows: of this motion and tree.
         motion: of all recordings.
         names: of the recordings.
         unit: of the recordings' torque, for the evidence: Nm or A.
     """
     if len({s.recording for s in motion}) < 2:
         return []
-    rows = rows_of(motion, tree)
     parts = {k: rows.taken(rows.recording == k) for k in np.unique(rows.recording).astype(int).tolist()}
     parts = {k: part for k, part in parts.items() if len(part.time_s) >= LEAST_ROWS}
     if len(parts) < 2:

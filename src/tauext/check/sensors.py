@@ -43,16 +43,26 @@ COARSE = 0.1
 
 def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
     found = []
+    repeated = [repeated_rows(r) for r in recordings]
+    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~rows for r, rows in zip(recordings, repeated, strict=True)]
     for j, joint in enumerate(recordings[0].joints):
-        for finding in (_saturated(recordings, j, joint), _stuck(recordings, j, joint), _coarse(recordings, j, joint)):
+        of_joint = (
+            _saturated(recordings, moving, j, joint),
+            _stuck(recordings, repeated, j, joint),
+            _coarse(recordings, j, joint),
+        )
+        for finding in of_joint:
             if finding is not None:
                 found.append(finding)
     return found + _smoothed(recordings)
 
 
-def _saturated(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
-    """Saturation of torque and velocity; a position at its extreme is a pose."""
-    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~repeated_rows(r) for r in recordings]
+def _saturated(recordings: Sequence[Recording], moving: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
+    """Saturation of torque and velocity; a position at its extreme is a pose.
+
+    Args:
+        moving: samples of each recording, (samples,) bool, at which the arm moves.
+    """
     for signal, unit in (("tau", torque_unit(recordings)), ("dq", "rad/s")):
         x = np.concatenate([getattr(r, signal)[m, j] for r, m in zip(recordings, moving, strict=True)])
         if len(x) < 100 or np.ptp(x) == 0:
@@ -88,15 +98,14 @@ def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit
     return False
 
 
-def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
+def _stuck(recordings: Sequence[Recording], repeated: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
     count, longest, longest_run = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
     # Torque from a servo's counts stays 0 while the current is small: no fault either.
     counted = any(makes_torque(r) for r in recordings)
     signals = ("q", "dq") if counted or _is_coarse(recordings, j) else ("q", "dq", "tau")
     velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
-    for r in recordings:
-        whole = repeated_rows(r)
+    for r, whole in zip(recordings, repeated, strict=True):
         travelled = {"q": r.dq, "dq": r.q, "tau": r.q}
         for signal in signals:
             x = getattr(r, signal)[:, j]
@@ -178,9 +187,11 @@ def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
 
     0 where no recording has five rows that differ.
     """
-    parts = [np.diff(r.tau[~repeated_rows(r)], 4, axis=0) / np.sqrt(70) for r in recordings]
-    squares = np.concatenate(parts) ** 2
-    return np.sqrt(squares.sum(axis=0) / max(len(squares), 1))
+    total, rows = np.zeros((1, len(recordings[0].joints))), 0
+    for r in recordings:
+        squares = (np.diff(r.tau[~repeated_rows(r)], 4, axis=0) / np.sqrt(70)) ** 2
+        total, rows = np.concatenate([total, squares]).sum(axis=0, keepdims=True), rows + len(squares)
+    return np.sqrt(total[0] / max(rows, 1))
 
 
 def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:

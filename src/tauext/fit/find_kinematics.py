@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data.free_motion import between
 from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS, Recording
-from tauext.fit.links import FIRST_MOMENT, LARGEST, LARGEST_SPREAD, MASS, ROTOR, inertial_regressors, observed
+from tauext.fit.links import FIRST_MOMENT, LARGEST, LARGEST_SPREAD, MASS, ROTOR, observed
 from tauext.fit.regression import FOLDS, NormalEquations, Regression
 from tauext.fit.ties import ranked, simplest
 from tauext.fit.training_set import Setup
@@ -81,8 +81,16 @@ class KinematicSample:
         self._folds = np.array_split(np.arange(self.rows), FOLDS)
 
     def regressors(self, tree: _core.Tree, of: Sequence[int], parameters: Sequence[int]) -> np.ndarray:
-        """See inertial_regressors, over the whole sample."""
-        each = [inertial_regressors(tree, self.observer, *piece, of, parameters) for piece in self.pieces]
+        """Derivative of r by these parameters of these links, over the whole sample: (rows, n, links * parameters).
+
+        Args:
+            tree: only its kinematics matter, since r is linear in the parameters.
+            parameters: indices in PARAMETERS.
+        """
+        each = [
+            _core.LinkRegressors(tree, self.observer, list(of), list(parameters)).rows(one.t_ns, one.q, one.dq, rows)
+            for one, rows in self.pieces
+        ]
         return np.concatenate(each)
 
     def regression(self, shared: np.ndarray, scales: np.ndarray | None = None) -> Regression:

@@ -9,41 +9,9 @@ import numpy as np
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.fit.regression import NormalEquations, Regression
-from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
+from tauext.robot.inertial import PARAMETERS, inertial_parameters
 
-# --- Regressors of the links' inertial parameters, in which the observer's r is linear.
-
-
-def inertial_regressors(
-    tree: _core.Tree,
-    observer: _core.ObserverSettings,
-    recording: Recording,
-    rows: np.ndarray,
-    of: Sequence[int] | None = None,
-    parameters: Sequence[int] = range(len(PARAMETERS)),
-) -> np.ndarray:
-    """Derivative of r by each link parameter of the *robot* at these rows: (rows, n, links * parameters).
-
-    Args:
-        tree: kinematics and inertia about which r is differentiated; since r is linear, only its kinematics matter.
-        of: links, None: all of them; the columns hold their parameters link by link.
-        parameters: indices in PARAMETERS.
-    """
-    of = range(tree.size) if of is None else of
-    # A first moment needs some mass; where it is added does not matter.
-    starts = [inertial_parameters(link) for link in tree.links]
-    for start in starts:
-        start[0] = start[0] or 1.0
-    started = [with_inertial_parameters(link, start) for link, start in zip(tree.links, starts, strict=True)]
-    base = observed(started, tree.gravity, observer, recording, rows)
-    units = np.eye(len(PARAMETERS))
-    values = np.empty((len(rows), tree.size, len(of) * len(parameters)))
-    for k, link in enumerate(of):
-        for m, parameter in enumerate(parameters):
-            changed = list(started)
-            changed[link] = with_inertial_parameters(tree.links[link], starts[link] + units[parameter])
-            values[:, :, len(parameters) * k + m] = base - observed(changed, tree.gravity, observer, recording, rows)
-    return values
+# --- r of the model alone.
 
 
 def observed(

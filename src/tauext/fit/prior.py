@@ -62,7 +62,9 @@ RIPPLE_JOINTS_S = 600.0  # ... for each joint, so this is divided by their numbe
 RIPPLE_ENOUGH_S = 120.0
 RIPPLE_LEAST_S = 45.0  # in less motion, noise can pass for a ripple
 AT_A_TIME = 2
-"""Joints: all numbers of cycles of one take hundreds of MB."""
+"""Joints."""
+CYCLES_AT_A_TIME = 50
+"""Numbers of cycles of a joint: all of them take hundreds of MB."""
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 ALIAS_TIE = 1e-6
 """An encoder of N counts a turn shows k and N - k cycles as the same, but for rounding: the fewer are taken."""
@@ -120,16 +122,19 @@ def _of_joint(
     setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, joint: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Products of each number's sine and cosine with the joint's residual, and their squares: (MOST_CYCLES, 2)."""
-    settings = _core.PriorSettings()
-    settings.terms = [
-        _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
-        for cycles in range(1, MOST_CYCLES + 1)
-        for form in (0, 1)
-    ]
-    settings.weights = [0.0] * (setup.tree.size * len(settings.terms))
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
-    return (values.T @ left[:, joint]).reshape(-1, 2), (values**2).sum(axis=0).reshape(-1, 2)
+    moment, square = np.zeros((2, MOST_CYCLES, 2))
+    for first in range(0, MOST_CYCLES, CYCLES_AT_A_TIME):
+        some = range(first, min(first + CYCLES_AT_A_TIME, MOST_CYCLES))
+        settings = _core.PriorSettings()
+        settings.terms = [
+            _core.Term(_core.TermKind.ripple, joint, b=cycles + 1, form=form) for cycles in some for form in (0, 1)
+        ]
+        settings.weights = [0.0] * (setup.tree.size * len(settings.terms))
+        values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
+        moment[some] = (values.T @ left[:, joint]).reshape(-1, 2)
+        square[some] = np.einsum("rm,rm->m", values, values).reshape(-1, 2)
+    return moment, square
 
 
 # --- Play between gear and load: the joints that have it, and the presliding width of its state.

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.fit.links import bound_links, fix_impossible, inertial_regressors, solve_possible
+from tauext.fit.links import bound_links, fix_impossible, solve_possible
 from tauext.fit.prior_terms import LeftOut, PriorFit
 from tauext.fit.regression import FOLDS, NormalEquations, Regression, inverse, solve_within
 from tauext.fit.training_set import Setup
@@ -22,6 +22,8 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 
 AT_A_TIME = 4
 """Recordings whose regressors are held at a time, at most."""
+BLOCK = 2048
+"""Rows of the links' regressors held at a time: those of a whole recording take hundreds of MB."""
 
 
 @dataclass(frozen=True)
@@ -149,25 +151,34 @@ def _problems(
     ends = np.cumsum([len(group) for group in own])
     mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
     terms_of = [np.r_[at, ends[-1] : len(terms)] for at in mine]  # its own and the shared ones
-    model = np.zeros((len(rows), n, 0))
-    if corrected is not None:
-        model = inertial_regressors(corrected, setup.observer, recording, rows)
-    width = ends[-1] + n * len(shared) + model.shape[2]
+    links = range(n if corrected else 0)
+    model = _core.LinkRegressors(corrected or setup.tree, setup.observer, list(links), list(range(len(PARAMETERS))))
+    corrections = len(links) * len(PARAMETERS)
+    width = ends[-1] + n * len(shared) + corrections
     columns = tuple(
-        np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - model.shape[2] : width]
+        np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - corrections : width]
         for i, at in enumerate(mine)
     )
     target = observation.residual[rows]
-    problems = []
+    problems, done = [], 0
     for piece in np.array_split(np.arange(len(rows)), pieces):
         of_piece = slice(piece[0], piece[-1] + 1)
-        X, y, Z = values[of_piece], target[of_piece], model[of_piece]
+        X, y = values[of_piece], target[of_piece]
         squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
-        gram, moment = [], []
-        for i, at in enumerate(terms_of):
-            mixed = X[:, at].T @ Z[:, i]
-            gram.append(np.block([[squares[np.ix_(at, at)], mixed], [mixed.T, Z[:, i].T @ Z[:, i]]]))
-            moment.append(np.r_[moments[at, i], Z[:, i].T @ y[:, i]])
+        gram = [np.zeros((len(at) + corrections,) * 2) for at in terms_of]
+        moment = [np.r_[moments[at, i], np.zeros(corrections)] for i, at in enumerate(terms_of)]
+        for first in range(0, len(piece) if corrections else 0, BLOCK):
+            block = slice(first, first + BLOCK)
+            at = rows[of_piece][block]
+            part, done = slice(done, int(at[-1]) + 1), int(at[-1]) + 1
+            Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], at - part.start)
+            for i, own_at in enumerate(terms_of):
+                moment[i][len(own_at) :] += Z[:, i].T @ y[block, i]
+                gram[i][: len(own_at), len(own_at) :] += X[block, own_at].T @ Z[:, i]
+                gram[i][len(own_at) :, len(own_at) :] += Z[:, i].T @ Z[:, i]
+        for of_joint, at in zip(gram, terms_of, strict=True):
+            of_joint[: len(at), : len(at)] = squares[np.ix_(at, at)]
+            of_joint[len(at) :, : len(at)] = of_joint[: len(at), len(at) :].T
         span = slice(int(rows[piece[0]]), int(rows[piece[-1]]) + 1)
         problems.append((NormalEquations(columns, gram, moment, (y**2).sum(axis=0), len(piece)), span))
     return problems

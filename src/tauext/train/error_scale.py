@@ -11,7 +11,10 @@ p weights the largest errors, which set a limit: the average limit becomes lowes
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,11 +24,17 @@ from scipy.optimize import minimize
 from tauext import _core
 from tauext.bundle.estimates import STALE
 from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, warm_up_s
-from tauext.data.free_motion import free_samples, standing_joints
+from tauext.data.free_motion import cut, free_samples, standing_joints
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 
 # --- Samples of free motion from which limits follow, and the bundle's error there.
+
+
+AT_A_TIME = 4
+"""Most recordings estimated at a time."""
+FOR_ERRORS = ("tau_ext", "doubt", "limit_scale")
+"""Torque columns of the estimates that the error follows from."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,12 @@ class Judged:
     """A bundle fitted without these samples; None: the bundle itself, whose training did not contain them."""
     outputs: np.ndarray | None = None
     """The network's outputs (with_outputs); None: the network runs each time."""
+
+    @property
+    def motion(self) -> Recording:
+        """The recording up to the end of the span, whose estimates do not depend on what follows."""
+        recording, end = self.recording, self.span.stop
+        return recording if end is None or end >= recording.samples else cut(recording, slice(0, end))
 
 
 def with_outputs(bundle: _core.Bundle, recording: Recording, threads: int) -> Judged:
@@ -60,32 +75,66 @@ def errors(
     |tau_ext| is divided by the bundle's error scale, if any, which gives its size in usual motion.
 
     Samples of free motion within the span count where tau_ext is compared with limits; that includes saturated drives,
-    although they are unhealthy. The whole recording runs through the chain, so that filters are warm at the span's
-    start.
+    although they are unhealthy. The recording runs through the chain from its start, so that filters are warm at the
+    span's start, to the end of the span.
     """
-    estimates, error, counted = judge(bundle, judged, threads, margins)
-    recording = judged.recording if isinstance(judged, Judged) else judged
-    return recording.t_ns, error, estimates["near_stiction"].astype(bool), counted
+    motion, estimates, error, counted = judge(bundle, judged, threads, margins)
+    return motion.t_ns, error, estimates["near_stiction"].astype(bool), counted
 
 
 def judge(
-    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """All estimates of the recording, and |tau_ext| and counted samples as in errors()."""
+    bundle: _core.Bundle,
+    judged: Recording | Judged,
+    threads: int,
+    margins: FreeMotionConfig,
+    torques: Sequence[str] = FOR_ERRORS,
+) -> tuple[Recording, dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """The motion up to the end of the span, its estimates, and |tau_ext| and counted samples as in errors().
+
+    Args:
+        torques: torque columns of the estimates, FOR_ERRORS at least.
+    """
     judged = judged if isinstance(judged, Judged) else Judged(judged)
-    recording = judged.recording
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    estimates = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature, judged.outputs)
-    counted = np.zeros(recording.samples, dtype=bool)
+    motion = judged.motion
+    signals = (motion.t_ns, motion.q, motion.dq, motion.tau)
+    estimates = _core.estimate(
+        judged.bundle or bundle, *signals, threads, motion.temperature, judged.outputs, list(torques)
+    )
+    counted = np.zeros(motion.samples, dtype=bool)
     counted[judged.span] = True
     counted &= (
         (estimates["health"] != STALE)
         & np.isfinite(estimates["tau_ext"]).all(axis=1)
-        & free_samples(recording, margins)
+        & free_samples(judged.recording, margins)[: motion.samples]
     )
     # Limits are raised by the prior's doubt, so it is not part of the error.
     error = np.maximum(np.abs(estimates["tau_ext"]) - estimates["doubt"], 0) / estimates["limit_scale"]
-    return estimates, error, counted
+    return motion, estimates, error, counted
+
+
+def judge_all(
+    bundle: _core.Bundle,
+    judged: Iterable[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig,
+    torques: Sequence[str] = FOR_ERRORS,
+) -> Iterator[tuple[Recording, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
+    """Yield judge() of each, in order. Up to AT_A_TIME are estimated at a time, since only the network's part of an
+    estimate runs in several threads.
+
+    Args:
+        threads: 0: one a core.
+    """
+    threads = threads or os.cpu_count() or 1
+    workers = min(threads, AT_A_TIME)
+    with ThreadPoolExecutor(workers) as pool:
+        coming: deque[Future] = deque()
+        for one in judged:
+            coming.append(pool.submit(judge, bundle, one, threads // workers, margins, torques))
+            if len(coming) > workers:
+                yield coming.popleft().result()
+        while coming:
+            yield coming.popleft().result()
 
 
 def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:
@@ -368,13 +417,11 @@ def collect_rows(
     found: list[tuple[np.ndarray, ...]] = []
     stride, count = bundle.observer.network_stride, 0
     numbers: dict[str, int] = {}
-    for one in judged:
-        one = one if isinstance(one, Judged) else Judged(one)
-        estimates, error, counted = judge(bundle, one, threads, margins)
+    for r, estimates, error, counted in judge_all(bundle, judged, threads, margins):
         at = np.flatnonzero(counted)[::stride].astype(np.int64)
         if len(at) == 0:
             continue
-        r, near = one.recording, estimates["near_stiction"]
+        near = estimates["near_stiction"]
         motion = _core.motion_errors(plain, r.t_ns, r.dq, near, estimates["entered"], estimates["restarted"], at)
         number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
         found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))

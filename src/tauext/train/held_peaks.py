@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -17,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
 from tauext.fit.tail import held_minimum, hold_lengths
-from tauext.train.error_scale import Judged, errors, no_free_motion
+from tauext.train.error_scale import Judged, judge_all, no_free_motion
 
 # --- Peaks of calibration recordings kept from an interrupted process.
 
@@ -50,8 +47,6 @@ GAP_S = 0.5
 """Alarms less than this apart are one false alarm, [s]."""
 KEEP = 4000
 """Largest peaks kept for each joint and region. A tail uses at most a twentieth of them."""
-AT_A_TIME = 4
-"""Most recordings estimated at a time."""
 
 
 def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
@@ -224,31 +219,15 @@ def collect_peaks(
             names.append((one.recording if isinstance(one, Judged) else one).name)
             yield one
 
-    for samples in _errors(bundle, named(), threads or os.cpu_count() or 1, margins):
+    for motion, estimates, error, counted in judge_all(bundle, named(), threads, margins):
         for collector in collectors:
-            collector.add(*samples)
+            collector.add(motion.t_ns, error, estimates["near_stiction"], counted)
         if kept:
             kept.offer(collectors, names)
     found = tuple(collector.peaks(names) for collector in collectors)
     if any(peaks.hours == 0 for peaks in found):
         raise no_free_motion(bundle, margins)
     return found
-
-
-def _errors(
-    bundle: _core.Bundle, recordings: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
-) -> Iterator[tuple[np.ndarray, ...]]:
-    """Yield the arguments of PeakCollector.add for each recording, in order. Up to AT_A_TIME are estimated at a time,
-    since only the network's part of an estimate runs in several threads."""
-    workers = min(threads, AT_A_TIME)
-    with ThreadPoolExecutor(workers) as pool:
-        coming: deque[Future] = deque()
-        for recording in recordings:
-            coming.append(pool.submit(errors, bundle, recording, threads // workers, margins))
-            if len(coming) > workers:
-                yield coming.popleft().result()
-        while coming:
-            yield coming.popleft().result()
 
 
 def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from scipy.special import gammaincinv
 from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
-from tauext.train.error_scale import Judged, judge
+from tauext.train.error_scale import FOR_ERRORS, Judged, judge_all
 
 CLIP = 3.0
 """Bound of z, so that a single large error does not determine the correlation."""
@@ -156,12 +156,10 @@ def free_rows(
     """Return q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
     stride = max(1, round(ROW_S / (1e-9 * bundle.observer.sample_period_ns)))
     found = []
-    for one in judged:
-        one = one if isinstance(one, Judged) else Judged(one)
-        estimates, _, counted = judge(bundle, one, threads, margins)
+    for motion, estimates, _, counted in judge_all(bundle, judged, threads, margins, (*FOR_ERRORS, "sigma_nm")):
         counted &= np.isfinite(estimates["sigma_nm"]).all(axis=1) & (estimates["sigma_nm"] > 0).all(axis=1)
         at = np.flatnonzero(counted)[::stride]
-        found.append((one.recording.q[at], estimates["tau_ext"][at], estimates["sigma_nm"][at]))
+        found.append((motion.q[at], estimates["tau_ext"][at], estimates["sigma_nm"][at]))
     if not found:
         return (np.empty((0, bundle.joints)),) * 3
     rows = [np.concatenate(column) for column in zip(*found, strict=True)]

@@ -18,7 +18,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK, STALE, WARMING_UP
 from tauext.data.servo import servo_facts
-from tauext.errors import ConfigError
+from tauext.errors import TauextError
 from tauext.monitor.places import PlaceFinder
 from tauext.monitor.source import SourceSettings, settings_of
 
@@ -379,6 +379,6 @@ def exchange(
             if successor.followed_s > GIVE_UP_S:
                 return f"bundle {bundle.name} stays out: {reason} in {GIVE_UP_S:g} s"
             time.sleep(WAIT_S)
-    except (_core.CoreError, ConfigError) as error:
+    except (TauextError, UnicodeError) as error:  # the core takes no path that is not text
         return str(error)
     return reason

@@ -423,20 +423,19 @@ class Loop:
                 else "a newer bundle, or the end of the loop, came first"
             )
 
+        own_rate, wrench = self._settings.own_rate, self._settings.wrench
         while (request := self._exchanges.get()) is not None:
             path, done = request
-            own_rate, wrench = self._settings.own_rate, self._settings.wrench
             try:
                 done(exchange(path, self._ring, self._arm, why_not, self._ask_to_take_over, stop, own_rate, wrench))
-            except Exception as error:  # of the caller's, or ours: the next bundle must still find this thread
-                text = f"the exchange for {path.name} failed: {type(error).__name__}: {error}"
-                self._requests.put(partial(self._note, text))
+            except Exception as error:  # of the caller's, too: the next bundle must still find this thread
+                self._requests.put(partial(self._note, f"{path.name}: {type(error).__name__}: {error}"))
 
     def _ask_to_take_over(self, successor: Successor) -> str:
         """In the thread of exchanges: have the loop take over, and wait for what it says."""
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._requests.put(lambda: answers.put(self._take_over(successor)))
-        while self._running:
+        while self._running or not answers.empty():
             with suppress(queue.Empty):
                 return answers.get(timeout=IDLE_S)
         return "the loop has ended"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -148,7 +149,11 @@ class Watch:
     def _next(self, answer: str = "") -> None:
         if answer:
             self.refused.append(answer)
-        if len(self.exchanged) + len(self.refused) < self._exchanges:
+        done = len(self.exchanged) + len(self.refused)
+        print(
+            f"\r  {done} of {self._exchanges}", end="" if done < self._exchanges else "\n", file=sys.stderr, flush=True
+        )
+        if done < self._exchanges:
             self.loop.exchange(self._paths[(len(self.exchanged) + 1) % len(self._paths)], self._next)
         else:
             self.loop.stop("the benchmark")

@@ -22,8 +22,10 @@ from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
 from tauext.monitor.exchange import (
+    FIRST_QUIET_S,
     MARK_S,
     NO_BUNDLE,
+    QUIET_S,
     AnyMonitor,
     Exchanged,
     NoMonitor,
@@ -423,11 +425,12 @@ class Loop:
                 else "a newer bundle, or the end of the loop, came first"
             )
 
-        own_rate, wrench = self._settings.own_rate, self._settings.wrench
+        given, calls = self._settings, (why_not, self._ask_to_take_over, stop)
         while (request := self._exchanges.get()) is not None:
             path, done = request
+            quiet_s = FIRST_QUIET_S if isinstance(self.monitor, NoMonitor) else QUIET_S
             try:
-                done(exchange(path, self._ring, self._arm, why_not, self._ask_to_take_over, stop, own_rate, wrench))
+                done(exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s))
             except Exception as error:  # of the caller's, too: the next bundle must still find this thread
                 self._requests.put(partial(self._note, f"{path.name}: {type(error).__name__}: {error}"))
 

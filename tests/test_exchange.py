@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -224,6 +225,55 @@ def test_a_bundle_that_is_not_quiet_stays_out(tmp_path, monkeypatch):
     loop, keeper, exchanged = looped(bundle_of("old"), [*samples[:4000], swap, *samples[4000:]])
     assert "stays out" in swap.answer and "alarms that the active bundle did not raise in 3 s" in swap.answer
     assert not exchanged and loop.monitor is swap.old and not loop.alarms
+
+
+def test_a_newer_bundle_replaces_one_that_waits_and_one_that_fails_stops_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(exchange, "GIVE_UP_S", 1e9)
+    low, good = saved(bundle_of("low", limit_nm=0.05), tmp_path), saved(bundle_of("good"), tmp_path)
+    told: list[str] = []
+
+    def fails(answer: str) -> None:
+        told.append(answer)
+        raise ValueError("of the caller")
+
+    class Failing(Keeper):
+        def follow(self, bundle, monitor):
+            raise RuntimeError("a sink's")
+
+    samples = samples_of(pushed(seconds=6, pushes=()))
+    swap = Swap(good)
+    asked = [low, Path("\udcff"), Path("."), low]
+    script = [*samples[:4000], lambda: all(not loop.exchange(path, fails) for path in asked), swap, *samples[4000:]]
+    failing = Failing()
+    keeper = Keeper()
+    settings = LoopSettings(missing_after_s=60.0)
+    loop = swap.loop = Loop(bundle_of("old"), ScriptedSource(script), [keeper, failing], settings=settings, arm=ARM)
+    notes: list[str] = []
+    loop.note = notes.append
+    loop.run()
+    assert swap.answer == "" and loop.monitor is not swap.old and len(keeper.verdicts) == 6000
+    assert len(told) == 4 and told[0] == told[3] == "a newer bundle, or the end of the loop, came first"
+    assert "is a folder" in told[2]
+    assert sum("ValueError: of the caller" in note for note in notes) == 4
+    assert failing not in loop.sinks and any("Failing is left out" in note for note in notes)
+
+
+def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_path):
+    other = saved(bundle_of("other"), tmp_path)
+    rule = SimpleNamespace(name="near the hand", links=("elbow",), newtons_over=None)
+    for settings, why in (({"wrench": "tool0"}, "wrench = 'tool0'"), ({}, "reaction 'near the hand': the place")):
+        samples = samples_of(pushed(seconds=2, pushes=()))
+        swap = Swap(other)
+        given = LoopSettings(missing_after_s=60.0, **settings)
+        loop = swap.loop = Loop(None, ScriptedSource([*samples, swap]), settings=given, arm=ARM)
+        loop._reactions = SimpleNamespace(threads=[SimpleNamespace(reaction=rule)], end=lambda: None)
+        loop.run()
+        assert why in swap.answer and isinstance(loop.monitor, NoMonitor)
+    (tmp_path / "profiles.toml").write_text(
+        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\nload = { mass = 1.0, com = [0, 0, 0] }\n"
+    )
+    with pytest.raises(ConfigError, match="profile usual: nothing is monitored yet"):
+        Loop(None, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", JOINTS), arm=ARM)
 
 
 # What has no bundle yet, or another.

@@ -385,6 +385,6 @@ def exchange(
             if successor.followed_s > GIVE_UP_S:
                 return f"bundle {bundle.name} stays out: {reason} in {GIVE_UP_S:g} s"
             time.sleep(WAIT_S)
-    except (TauextError, UnicodeError) as error:  # the core takes no path that is not text
+    except TauextError as error:
         return str(error)
     return reason

@@ -429,10 +429,14 @@ class Loop:
         while (request := self._exchanges.get()) is not None:
             path, done = request
             quiet_s = FIRST_QUIET_S if isinstance(self.monitor, NoMonitor) else QUIET_S
+            try:  # whatever is wrong, the next bundle must find this thread
+                answer = exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s)
+            except Exception as error:
+                answer = f"{path.name!r}: {type(error).__name__}: {error}"
             try:
-                done(exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s))
-            except Exception as error:  # of the caller's, too: the next bundle must still find this thread
-                self._requests.put(partial(self._note, f"{path.name}: {type(error).__name__}: {error}"))
+                done(answer)
+            except Exception as error:
+                self._requests.put(partial(self._note, f"{path.name!r}: {type(error).__name__}: {error}"))
 
     def _ask_to_take_over(self, successor: Successor) -> str:
         """In the thread of exchanges: have the loop take over, and wait for what it says."""

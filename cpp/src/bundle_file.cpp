@@ -151,11 +151,16 @@ void field(File& file, Bundle& b) {
 }  // namespace
 
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
+  static constexpr auto table = [] {
+    std::array<std::uint32_t, 256> of_byte{};
+    for (std::uint32_t byte = 0; byte < 256; ++byte) {
+      std::uint32_t& value = of_byte[byte] = byte;
+      for (int bit = 0; bit < 8; ++bit) value = (value >> 1) ^ (0xEDB88320u & (0u - (value & 1u)));
+    }
+    return of_byte;
+  }();
   crc = ~crc;
-  for (char byte : bytes) {
-    crc ^= static_cast<unsigned char>(byte);
-    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
-  }
+  for (char byte : bytes) crc = (crc >> 8) ^ table[(crc ^ static_cast<unsigned char>(byte)) & 0xffu];
   return ~crc;
 }
 
@@ -172,6 +177,25 @@ std::vector<char> to_bytes(const Bundle& bundle) {
   file.raw(&crc, sizeof crc);
   file.raw(payload.bytes.data(), payload.bytes.size());
   return std::move(file.bytes);
+}
+
+std::uint32_t model_digest(const Bundle& bundle) {
+  Bundle model;
+  model.links = bundle.links;
+  model.gravity = bundle.gravity;
+  model.observer = bundle.observer;
+  model.units = bundle.units;
+  model.window_steps = bundle.window_steps;
+  model.inputs = bundle.inputs;
+  model.input_factors = bundle.input_factors;
+  model.shape = bundle.shape;
+  model.parameters = bundle.parameters;
+  model.output_scale_nm = bundle.output_scale_nm;
+  model.prior = bundle.prior;
+  model.servo = bundle.servo;
+  Writer payload;
+  field(payload, model);
+  return crc32(payload.bytes);
 }
 
 Bundle from_bytes(std::span<const char> bytes) {

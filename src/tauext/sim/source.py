@@ -115,7 +115,7 @@ RIG_HAND_M = 0.3
 class DrivenArm:
     """An arm of tauext.sim.arms with geared drives that moves around its home for ever."""
 
-    signals = ("q", "dq", "tau")
+    signals: tuple[str, ...] = ("q", "dq", "tau")
 
     def __init__(self, arm: DemoArm, seed: int):
         self.period_ns = round(1e9 / arm.rate_hz)

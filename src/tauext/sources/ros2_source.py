@@ -310,7 +310,7 @@ class Ros2Source:
         inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
         waitset, came = WaitSet(self._node.participant), dict[int, list[JointState]]()
         waitset.attach(inbox.new)
-        unusable = ""
+        unusable = (0, "")  # of the message with most joints: a gripper often shares the topic
         try:
             while (now := time.monotonic()) < began + wait_s:
                 if now > began + LISTEN_S and len(max(came.values(), key=len, default=[])) > DESCRIBED_FROM:
@@ -318,11 +318,11 @@ class Ros2Source:
                 waitset.wait(LISTEN_NS)
                 for message in inbox.take()[0]:
                     if isinstance(usable := usable_joints(message, chosen.names), str):
-                        unusable = usable
+                        unusable = max(unusable, (len(message.name), usable))
                     else:
                         came.setdefault(message.sample_info.publication_handle, []).append(message)
             if not came:
-                raise ConfigError(f"{self.name}: {unusable or silence(inbox.reader, chosen.domain_id)}")
+                raise ConfigError(f"{self.name}: {unusable[1] or silence(inbox.reader, chosen.domain_id)}")
             return self._facts(list(came.values()), robot)
         finally:
             del waitset

@@ -32,10 +32,10 @@ from tauext.errors import ConfigError, RobotError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.robot.write import is_placeholder
 from tauext.sim.arms import ARMS
-from tauext.sim.source import DrivenArm, SimSource, facts_of, write_robot_file
+from tauext.sim.source import KINDS, DrivenArm, SimSource, write_robot_file
 from tauext.sources.servo import settings_by_type
 
-FACTS = facts_of("rig")
+FACTS, SEVEN = KINDS["rig"].facts(), KINDS["seven"].facts()
 MS = 1_000_000
 
 
@@ -195,7 +195,7 @@ def test_facts_survive_json_and_damage_is_refused(facts):
 
 
 def test_another_arm_is_a_fault_with_another_folder_as_its_remedy():
-    live = another_arm(FACTS, facts_of("seven"))
+    live = another_arm(FACTS, SEVEN)
     assert live.severity == "fault" and live.words.startswith("this is another arm: it has joints")
     assert live.remedy == "use another --out"
 
@@ -221,7 +221,7 @@ def test_the_robot_file_is_copied_with_its_shapes_and_an_existing_description_st
     arm = write_arm(FACTS, robot, tmp_path)
     assert arm.model == tmp_path / "robot.xml" and (tmp_path / "robot.shapes.json").exists()
     before = (tmp_path / "arm.toml").read_bytes()
-    assert write_arm(facts_of("seven"), None, tmp_path).robot.joints == FACTS.settings.joints
+    assert write_arm(SEVEN, None, tmp_path).robot.joints == FACTS.settings.joints
     assert (tmp_path / "arm.toml").read_bytes() == before
     recording, _ = recording_of(samples[:3000], FACTS)
     save_recording(recording, tmp_path / "seg-000001.parquet")
@@ -233,7 +233,7 @@ def test_the_robot_file_is_copied_with_its_shapes_and_an_existing_description_st
 
 def test_a_robot_file_without_the_joints_leaves_no_description(robot, tmp_path):
     with pytest.raises(RobotError, match="joint3"):
-        write_arm(facts_of("seven"), robot, tmp_path)
+        write_arm(SEVEN, robot, tmp_path)
     assert not (tmp_path / "arm.toml").exists()
     with pytest.raises(RobotError):
         write_arm(FACTS, tmp_path / "missing.urdf", tmp_path)

@@ -160,7 +160,9 @@ def _topic(
         return _good(topic, f"{name}: the velocity is the derivative of the position")
     if topic == "sign" and diagnosis.fits:
         witness = "friction and inertia" if robot is None else "friction, inertia and gravity"
-        return _good(topic, f"{name}: agrees with {witness} after {moved_s:.0f} s of motion")
+        low = {finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"}
+        of = f" of {', '.join(joint for joint in diagnosis.joints if joint not in low)}" if low else ""
+        return _good(topic, f"{name}{of}: agrees with {witness} after {moved_s:.0f} s of motion")
     if topic == "signal" and diagnosis.fits:
         return _signal(judged, diagnosis, robot, facts)
     if topic == "robot-file" and robot is None:

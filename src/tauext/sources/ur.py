@@ -1,4 +1,4 @@
-"""An arm of Universal Robots over RTDE, by ur_rtde. Never run on hardware; tested with that library on mocked packets."""
+"""An arm of Universal Robots over RTDE, by ur_rtde. Never run on hardware: tested on mocked packets of a controller."""
 
 from __future__ import annotations
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -221,3 +224,29 @@ def test_a_busy_machine_gives_time_up_and_ticks_that_are_off_pass():
     assert [stamps.is_off(skip=False) for _ in range(4)] == [True, True, True, False] and stamps.next_ns() == 4_000_000
     stamps.off_ns = 2_500_000
     assert not stamps.is_off(skip=True) and stamps.next_ns() == 8_000_000
+
+
+PARENT = """
+import sys, time
+from tauext.sim.source import SimSource
+if __name__ == "__main__":
+    source = SimSource("rig", 0, None if sys.argv[1] == "unpaced" else 1.0)
+    source.open(source.facts.settings)
+    while source.next_sample(1.0) is None: pass
+    print(source._process.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("pace", ["paced", "unpaced"])
+def test_a_killed_loop_leaves_no_simulation_behind(pace, tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, str(script), pace], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        parent.kill()
+    until = time.monotonic() + 10
+    while Path(f"/proc/{child}/stat").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < until
+        time.sleep(0.02)

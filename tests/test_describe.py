@@ -100,7 +100,7 @@ def test_names_come_from_the_robot_file_and_another_arms_file_is_refused(tmp_pat
         return write_placeholder(names, tmp_path)
 
     assert joint_names(("a", "b"), None, "arm") == (("a", "b"), ())
-    assert joint_names(("a", "b"), file("left_a", "left_b", "right_a"), "arm")[0] == ("left_a", "left_b")
+    assert joint_names(("a", "b"), file("r_a", "left_a", "left_b"), "arm")[0] == ("left_a", "left_b")
     names, notes = joint_names(("a", "b"), file("hip", "knee", "gripper_joint"), "arm")
     assert names == ("hip", "knee") and "in the order of robot.urdf: hip, knee" in notes[0]
     with pytest.raises(ConfigError, match="arm has 2 joints, robot.urdf has 3: x, y, z"):

@@ -36,7 +36,9 @@ def run(script=(), seconds: float = 0.5, arm: str = "rig", seed: int = 0, **opti
     source = SimSource(arm, seed, None, script, **options)
     source.open(source.describe(1.0).settings)
     try:
-        return taken(source, round(seconds * 1000))
+        first = source.next_sample(0.0)  # which waits: a sample that is not paced must not count as missing
+        assert first is not None
+        return [(first, source.tau_ext), *taken(source, round(seconds * 1000) - 1)]
     finally:
         source.close()
         source.close()

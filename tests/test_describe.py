@@ -38,6 +38,7 @@ WAIT_S = 20.0
 def ur(monkeypatch):
     arm = Arm(6, 0.002)
     monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
+    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
     return arm
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import socket
 import time
 
 import numpy as np
 import pytest
-from made_ur_rtde import Controller, value
+from made_ur_rtde import ADDRESSES, Controller, value
 
 from tauext.commission.connect import connect
 from tauext.errors import ConfigError
 from tauext.sources import reader
 from tauext.sources.lasting import LastingSource
-from tauext.sources.ur import JOINTS, VARIABLES, UrSource
+from tauext.sources.ur import JOINTS, RTDE_PORT, VARIABLES, UrSource
 
 pytest.importorskip("rtde_receive", reason="the extra tauext[ur] is not installed")
 WAIT_S = 20.0
@@ -72,6 +73,19 @@ def test_a_controller_that_restarts_is_found_again_and_its_clock_begins_anew(mon
     finally:
         lasting.close()
         controller.close()
+
+
+def test_a_controller_that_boots_does_not_hold_up_the_process(monkeypatch):
+    """It accepts connections and answers nothing, for which the library would wait for ever."""
+    monkeypatch.setattr("tauext.sources.ur.ANSWER_S", 0.2)
+    host = f"127.0.0.{next(ADDRESSES)}"
+    with (
+        socket.create_server((host, RTDE_PORT)),
+        pytest.raises(ConfigError, match="no controller answers on port 30004"),
+    ):
+        UrSource(host).describe(WAIT_S)
+    with pytest.raises(ConfigError, match="no controller answers on port 30004: .*refused"):
+        UrSource(host).describe(WAIT_S)
 
 
 def test_nobody_there_and_a_controller_that_sends_nothing_are_told_apart():

@@ -78,8 +78,8 @@ LEAST_DISK = 1 << 26
 
 
 class CommissionFolder:
-    """Paths and small files of one arm. The index has one writer, the recorder, and active.json and the bundles one, the
-    trainer; facts, labels, history and log may be written by both."""
+    """Paths and small files of one arm. The recorder alone writes the index, the trainer alone active.json and bundles;
+    facts, labels, history and log may be written by both."""
 
     def __init__(self, path: Path):
         self.path = path

@@ -12,15 +12,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.estimates import COLLISION
 from tauext.check.preflight import WORTH_A_WARNING
-from tauext.commission.course import DAY_H, Facts, Step, next_step
+from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
+from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.commission.history import kept_of
-from tauext.commission.keep import LEARNED, learned_up_to
+from tauext.commission.keep import LEARNED
 from tauext.commission.suspects import Suspect, find_suspects
 from tauext.config import PAPER_CASES, AlarmConfig, FreeMotionConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
@@ -29,6 +29,7 @@ from tauext.data.labels import MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TauextError
 from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.results import EvaluatedBundle, to_json
 from tauext.files.append_file import write_synced
 from tauext.files.checkpoint import Checkpoint
@@ -37,7 +38,6 @@ from tauext.files.preflight import expect_memory
 from tauext.files.provenance import provenance, write_json
 from tauext.progress import SILENT, Show, Silent, WallTimes
 from tauext.robot.model_case import chosen_case
-from tauext.robot.torque_limits import torque_limits
 from tauext.train.calibrate import no_freeze
 from tauext.train.held_peaks import collect_peaks
 from tauext.train.preflight import check_data
@@ -57,21 +57,19 @@ RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
 SPARE_S = 660.0
 """Calibration motion is learned when it is this old, [s]: answers about it have then come."""
+MOST_ALARMED = 0.02
+"""Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
 MOST_HITS_LOST = 0.05
 """A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
 BYTES_A_VALUE = 8 * 12
 """Memory of a training for each sample and joint, [bytes]."""
 
-Judge = Callable[[Sequence[Recording], Path | None], list[dict[str, Any]]]
-"""Findings about the stream as entries of findings.json."""
-
 
 class Trainer:
     """One piece of work after the other, each from what the folder holds."""
 
-    def __init__(self, folder: CommissionFolder, judge: Judge | None = None):
+    def __init__(self, folder: CommissionFolder):
         self.folder = folder
-        self._judge = judge
         self._checked_s = 0.0
         self._ledger: Ledger | None = None
         self._repair()
@@ -83,7 +81,9 @@ class Trainer:
         begun = [one.get("bundle") for one in history if one["kind"] == "activation"]
         if active is not None and (not begun or begun[-1] != active.stem):
             words = f"{active.stem} monitors the arm"
-            folder.note("activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None)
+            folder.note(
+                "activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None
+            )
         named = {str(one.get("bundle")) for one in history} | {str(pending.get("bundle"))}
         for path in folder.bundles.glob("b*.tauext"):
             if path.stem not in named and (active is None or path != active):
@@ -105,14 +105,14 @@ class Trainer:
         return Facts(
             seconds=seconds,
             kept_s=float(coverage.get("kept_s") or 0.0),
-            checked_s=self._checked_s if self._judge is not None else seconds,
+            checked_s=self._checked_s if "arm" in folder.facts else seconds,
             trained_min=max([*trained, float(pending.get("minutes") or 0.0)], default=0.0),
             unseen_s=sum(one.seconds for one in self._unseen(pending, segments)) if pending else None,
             has_bundle=active is not None,
             unlearned_s=sum(one.seconds for one in unlearned),
             learned_h=ledger.hours if ledger else 0.0,
             limits_h=ledger.limits_h if ledger else 0.0,
-            is_broken=bool(ledger) and self._is_broken(ledger),
+            is_broken=ledger is not None and self._is_broken(ledger),
             promised_s=max(promised, default=0.0),
         )
 
@@ -164,18 +164,26 @@ class Trainer:
 
     def _check(self, step: Step) -> None:
         """Check the stream: the newest three minutes suffice."""
-        seconds = self.folder.seconds()
-        assert self._judge is not None
+        folder, seconds = self.folder, self.folder.seconds()
         newest: list[Segment] = []
-        for one in reversed(self.folder.segments()):
+        for one in reversed(folder.segments()):
             if sum(kept.seconds for kept in newest) < MOST_TEST_S:
                 newest.append(one)
         try:
-            entries = self._judge(self.folder.load(newest[::-1]), self._robot())
-            write_synced(self.folder.findings_file, json.dumps({"findings": entries}, default=float) + "\n")
+            facts = facts_of_data(folder.facts["arm"])
+            lives = judge(self._load(newest[::-1]), self._robot(), facts)
+            if (now := settled(facts, lives)) != facts:
+                folder.save(arm=as_data(now))
+            write_synced(folder.findings_file, json.dumps({"findings": as_entries(lives)}, default=float) + "\n")
         except TauextError as error:
-            self.folder.log(f"the stream cannot be checked: {error}")
+            folder.log(f"the stream cannot be checked: {error}")
         self._checked_s = max(seconds, self._checked_s)
+
+    def _load(self, segments: Sequence[Segment]) -> list[Recording]:
+        """Recordings with their labels, and with what is known of the torque by now."""
+        recordings, arm = self.folder.load(segments), self.folder.facts.get("arm")
+        known = {} if arm is None else provenance_of(facts_of_data(arm))
+        return [replace(one, provenance=one.provenance | known) for one in recordings] if known else recordings
 
     # Training.
 
@@ -194,10 +202,10 @@ class Trainer:
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
             if (active := folder.active()) is not None:  # it knows the arm without the newest touches
-                self._suspect(load_bundle(active), folder.load(learning))
+                self._suspect(load_bundle(active), self._load(learning))
             config = self._config(step.minutes)
             for number in range(ROUNDS):
-                recordings = folder.load(training)
+                recordings = self._load(training)
                 if not recordings:
                     raise ConfigError("no training motion is left")
                 size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
@@ -207,7 +215,7 @@ class Trainer:
                 checked = check_data(dataset, given, config, (), SILENT)
                 report = Share(lambda share: self._progress(f"training {out.stem}", share))
                 train_on_recordings(given, config, out, report, checked)
-                if number == ROUNDS - 1 or not self._suspect(load_bundle(out), folder.load(learning)):
+                if number == ROUNDS - 1 or not self._suspect(load_bundle(out), self._load(learning)):
                     break
         except TauextError as error:
             why = " ".join(str(error).split())
@@ -239,19 +247,21 @@ class Trainer:
         unseen = self._unseen(pending, folder.segments())
         self._progress(f"judging {name}")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
-        self._suspect(candidate, folder.load(unseen))
+        self._suspect(candidate, self._load(unseen))
         facts, why = self._judged(name, unseen)
         passed = not why
         words = f"{name}, trained on {minutes:g} min of motion, " + ("passed" if passed else f"did not pass: {why}")
         folder.note("training", folder.seconds(), words, bundle=name, minutes=minutes, passed=passed, why=why, **facts)
         if passed:
-            folder.activate(name, f"it passed on {60 * facts['test_minutes']:.0f} s outside its training", folder.seconds())
+            folder.activate(
+                name, f"it passed on {60 * facts['test_minutes']:.0f} s outside its training", folder.seconds()
+            )
         (folder.path / PENDING).unlink(missing_ok=True)
 
     def _judged(self, name: str, unseen: Sequence[Segment]) -> tuple[dict[str, Any], str]:
         """Numbers of a bundle on unseen motion for the history, and why it does not pass."""
         folder, active = self.folder, self.folder.active()
-        pieces = free_pieces(folder.load(unseen))
+        pieces = free_pieces(self._load(unseen))
         pieces = [replace(one, name=f"{one.name}-{k:02d}") for k, one in enumerate(pieces)]
         if not pieces:
             return {}, "there is no free motion to judge it"
@@ -260,7 +270,12 @@ class Trainer:
         loaders = [lambda one=one: one for one in pieces]
         out = folder.results / name
         results = evaluate(bundles, loaders, [], out / "estimates", 0, THREADS, keep_free_estimates=0, inject=True)
-        source = {"command": "tauext commission", "dataset": folder.path.name, "scale": None, "recordings": {}}
+        source: dict[str, Any] = {
+            "command": "tauext commission",
+            "dataset": folder.path.name,
+            "scale": None,
+            "recordings": {},
+        }
         run = provenance("tauext commission", {"bundles": list(bundles)}, 0)
         keep = {key: run[key] for key in ("version", "seed", "machine")}
         write_json(to_json(replace(results, provenance=source | keep)), out / "results.json")
@@ -273,10 +288,13 @@ class Trainer:
             "error": list(free.l2_nm),
             "units": list(new.estimate_units),
             "hits": hits(new),
-            "per_hour": free.false_alarms_per_hour and free.false_collisions / free.hours if free.hours else 0.0,
+            "per_hour": (free.false_collisions or 0) / free.hours if free.hours else None,
             "promised_per_hour": free.promised_per_hour,
             "test_minutes": round(60 * (free.hours or 0.0), 3),
         }
+        alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
+        if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
+            return facts, f"it reports collisions during {share:.0%} of the motion"
         return facts, why_not(new, before)
 
     # Limits from calibration motion.
@@ -477,7 +495,8 @@ class Ledger:
             self.places += places
             self.names += [one.name for one in recordings]
         self.learned = learned
-        self.counted |= {one.id for one in again}
+        self.counted = {one.id for one in labels if one.answer == "nothing"}
+        self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
         self._forget(labels)
         self.put()
 
@@ -524,7 +543,7 @@ def run_trainer(pipe: Connection, path: Path) -> None:
     lower_priority()
     folder = CommissionFolder.open(path)
     with folder.locked("trainer.lock"):
-        trainer = Trainer(folder, stream_judge(folder))
+        trainer = Trainer(folder)
         failed: dict[str, int] = {}
         while True:
             what = "nothing"
@@ -547,17 +566,3 @@ def lower_priority() -> None:
         os.nice(19)
     with suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-def stream_judge(folder: CommissionFolder) -> Judge:
-    """The checks of connect.judge for the arm of this folder."""
-    from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, settled
-
-    def check(recordings: Sequence[Recording], robot: Path | None) -> list[dict[str, Any]]:
-        facts = facts_of_data(folder.facts["arm"])
-        lives = judge(recordings, robot, facts)
-        if (now := settled(facts, lives)) != facts:
-            folder.save(arm=as_data(now))
-        return as_entries(lives)
-
-    return check

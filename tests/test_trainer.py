@@ -98,8 +98,12 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
         ({"sliding_limit_nm": [0.2, 0.2], "near_stiction_limit_nm": [0.2, 0.2]}, "false alarms in"),
     ):
         path.write_text(json.dumps(content))
-        monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0 if why == "false alarms in" else 0.02)
         bundle = load_bundle(copy.bundles / "b0001.tauext")
+        if why == "false alarms in":
+            monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0)
+            facts = json.loads(bundle.provenance)
+            facts["limits"]["promise"]["supported_budget"]["rate_per_hour"] = 0.1
+            bundle.provenance = json.dumps(facts)
         for name, value in change.items():
             setattr(bundle, name, value)
         monkeypatch.setattr(trainer, "load_bundle", lambda path, bundle=bundle: bundle)

@@ -67,7 +67,9 @@ def show(
     """
     if is_commissioned(file):
         if force or data or frame or picture is not None:
-            raise ConfigError(f"{file}: --force, --data, --frame and --picture belong to a bundle; give one of {file}/{BUNDLES}")
+            raise ConfigError(
+                f"--force, --data, --frame and --picture belong to a bundle; give one of {file / BUNDLES}"
+            )
         show_folder(file, as_json)
         return
     if (file / "split.json").is_file():

@@ -26,6 +26,14 @@ from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig, changed_friction
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_events():
+    """Fewer added forces than in use: most of the time would go there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tauext.evaluate.comparison.EVENTS", 100)
+        yield
+
+
 @pytest.fixture(scope="module")
 def motion():
     """Four minutes; in the first, a touch that nobody reports."""

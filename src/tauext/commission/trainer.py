@@ -83,6 +83,8 @@ class Trainer:
         self.folder = folder
         self._checked_s = 0.0
         self._ledger: Ledger | None = None
+        self._bases: dict[str, str] = {}
+        """Names of bundles and of those whose model they have."""
         self._repair()
 
     def _repair(self) -> None:
@@ -269,8 +271,10 @@ class Trainer:
 
     def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
         """Label touches that nobody reported; returns them."""
-        found = find_suspects(bundle, recordings, THREADS)
-        ids = [one.id for one in self.folder.labels()]
+        labels = self.folder.labels()
+        told = [one for one in labels if one.answer == "nothing"]
+        found = [one for one in find_suspects(bundle, recordings, THREADS) if not any(_meets(one, of) for of in told)]
+        ids = [one.id for one in labels]
         number = min([0, *(one for one in ids if one < 0 and one % 2 == 0)])
         for one in found:
             number -= 2
@@ -432,7 +436,9 @@ class Trainer:
         """Peaks of the calibration motion for the model of the bundle in charge."""
         active = self.folder.active()
         assert active is not None
-        base = base_of(self.folder, active.stem)
+        if active.stem not in self._bases:
+            self._bases[active.stem] = base_of(self.folder, active.stem)
+        base = self._bases[active.stem]
         if self._ledger is None or self._ledger.base != base:
             self._ledger = Ledger.load(self.folder, base)
         return self._ledger
@@ -553,7 +559,7 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
 
 
 def base_of(folder: CommissionFolder, bundle: str) -> str:
-    """The bundle whose model a bundle with other limits has."""
+    """The bundle whose model a bundle with other limits, or with today's friction, comes from."""
     try:
         facts = json.loads(load_bundle(folder.bundles / f"{bundle}.tauext").provenance or "{}")
     except (TauextError, ValueError):
@@ -665,8 +671,8 @@ class Ledger:
             self.forgotten[label.id] = span
 
 
-def _meets(segment: Segment, label: Label) -> bool:
-    return segment.epoch == label.epoch and segment.from_ns <= label.to_ns and segment.to_ns >= label.from_ns
+def _meets(one: Segment | Suspect, label: Label) -> bool:
+    return one.epoch == label.epoch and one.from_ns <= label.to_ns and one.to_ns >= label.from_ns
 
 
 # --- The process.

@@ -23,6 +23,7 @@ ORDER = {
     "report": {"numpy", "matplotlib", "jinja2"},
     "fleet": {"numpy", "scipy", "jinja2", "matplotlib"},
     "sim": {"numpy", "mujoco"},
+    "commission": {"numpy"},
     "page": {"numpy", "mujoco"},
     "cli": {"tyro", "rich"},
 }

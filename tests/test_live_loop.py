@@ -276,7 +276,8 @@ def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so
 
 def test_lines_that_ask_for_nothing_known_are_answered():
     usage = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, "
-    usage += "`expect seconds=S at_most=KG`, `weigh [tell|stop]` or `stop`"
+    usage += "`expect seconds=S at_most=KG`, `weigh [tell|stop]`, `touched [ALARM]`, `nothing [ALARM]`, "
+    usage += "`learn yes|no`, `sim COMMAND` or `stop`"
     assert obey("sing", None, "x") == f"error: 'sing' must be {usage}"
     assert obey("profile", None, "x").startswith("error:") and obey("stop now", None, "x").startswith("error:")
 

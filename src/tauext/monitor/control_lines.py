@@ -24,7 +24,7 @@ UNHEARD_S = 5.0
 RETRY_S = 0.1
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
-    "`weigh [tell|stop]` or `stop`"
+    "`weigh [tell|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
 )
 
 
@@ -47,6 +47,12 @@ def obey(line: str, control: Control, by: str) -> str:
             control.weigh(name.strip(), by)
         elif what == "weigh":
             control.weigh("start", by, reach_of_text(name.strip()))
+        elif what in ("touched", "nothing"):
+            control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(name.strip()))
+        elif what == "learn" and name.strip() in ("yes", "no"):
+            control.answer("learn" if name.strip() == "yes" else "leave", by)
+        elif what == "sim" and name.strip():
+            control.command(name.strip(), by)
         elif what == "stop" and not name:
             control.stop(by)
         else:
@@ -67,6 +73,13 @@ def reach_of_text(text: str) -> float:
         if name == "reach":
             return float(number)
     raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `tell`, `stop` or nothing")
+
+
+def alarm_of_text(text: str) -> int | None:
+    """Parse the number of an alarm; empty text gives None."""
+    if text and not (text.isascii() and text.isdecimal() and len(text) < 19 and int(text)):
+        raise ConfigError(f"{text[:60]!r} must be the number of an alarm, or nothing for the one that stands")
+    return int(text) if text else None
 
 
 def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:

@@ -13,18 +13,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION
+from tauext.bundle.estimates import COLLISION, NONE
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.monitor.changes import LoadChange, WeighChange
+from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceFinder
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.replay import Chunk, EventStream
-from tauext.monitor.sink import USUAL_REACH_M, EventFinder, LoopReport, Sink, Verdict
-from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
+from tauext.monitor.sink import (
+    USUAL_REACH_M,
+    Answer,
+    AnswerKind,
+    EventFinder,
+    HearsAnswers,
+    LoopReport,
+    Sink,
+    Verdict,
+)
+from tauext.monitor.source import Commanded, Sample, ServoStage, Source, settings_of
 
 # --- Verdicts of a live loop in the form of a replay, for output and statistics.
 
@@ -107,6 +116,8 @@ class Loop:
         self.tick = Latencies()
         """Time from a sample's reception until every sink has received its verdict."""
         self.missing = self.samples = 0
+        self.alarms = 0
+        """Number of alarms so far, which is the newest one's number; set it before run() to continue a count."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
         self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
         self._profiles, self._recorder = profiles, recorder
@@ -126,6 +137,7 @@ class Loop:
         self._changes = EventStream(self.monitor, places)
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
         self._due_ns: int | None = None
+        self._alarm_id = 0
         self._last: Sample | None = None
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
@@ -165,6 +177,20 @@ class Loop:
         require(1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a load's centre of mass may be")
         self._requests.put(lambda: self._weigh(what, reach_m, by))
 
+    def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
+        if not any(isinstance(sink, HearsAnswers) for sink in self.sinks):
+            raise ConfigError(f"{what}: answers are kept by `tauext commission` only")
+        if alarm is not None and alarm > self.alarms:
+            raise ConfigError(f"{what}: there was no alarm {alarm} yet; the last was {self.alarms}")
+        if what == "nothing" and not self.alarms:
+            raise ConfigError("nothing: there was no alarm yet")
+        self._requests.put(lambda: self._answer(what, by, alarm))
+
+    def command(self, text: str, by: str) -> None:
+        if not isinstance(self._source, Commanded):
+            raise ConfigError(f"{text[:60]!r}: source {self._source.name} takes no commands; sim:ARM does")
+        self._source.command(text)
+
     def stop(self, by: str) -> None:
         self._requests.put(lambda: self._stop(by))
 
@@ -192,10 +218,7 @@ class Loop:
                 opened.append(sink)
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
                 self.note(text)
-            timing, units = self._bundle.observer.timing.name, tuple(self._bundle.torque_units)
-            period_ns, servo = self.monitor.sample_period_ns, self._bundle.servo
-            tolerance = self._bundle.rate_tolerance
-            self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo, tolerance))
+            self._source.open(settings_of(self._bundle))
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()  # excludes present objects from collections during the loop
@@ -270,7 +293,12 @@ class Loop:
         if not self.samples:  # loads set before the first sample apply from there on
             early = LoadChange | WeighChange
             changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
-        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes))
+        for change in changes:
+            if isinstance(change, AlarmChange):
+                if change.alarm != NONE and change.was == NONE:
+                    self.alarms += 1
+                self._alarm_id = self.alarms if change.alarm != NONE else 0
+        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._alarm_id)
         for event in self._events.find(verdict):
             self._reactions.put(event)
         if estimates["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
@@ -307,6 +335,14 @@ class Loop:
     def _stop(self, by: str) -> None:
         self.note(f"stopped by {by}")
         self._stopped = True
+
+    def _answer(self, what: AnswerKind, by: str, alarm: int | None) -> None:
+        about_alarm = what in ("touched", "nothing")
+        known = (self._alarm_id if alarm is None else alarm) if about_alarm else 0
+        answer = Answer(what, by, known, self.samples, self._last_ns)
+        self._each_sink(lambda sink: sink.answered(answer) if isinstance(sink, HearsAnswers) else None)
+        if known and known == self._alarm_id:
+            self._end_alarm(self.monitor.acknowledge, f"{what}, by {by}: acknowledged")
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from tauext._core import Load
+from tauext._core import Bundle, Load, Monitor
 from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
 from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.loads import Expected
@@ -36,6 +36,8 @@ class Verdict:
     estimates: Mapping[str, np.ndarray]
     """One row of Monitor.run: tau_ext (1, joints) [N m], health (1,), ..."""
     changes: tuple[Change, ...]
+    alarm_id: int = 0
+    """Number of the alarm that stands at this sample, counted by Loop.alarms; 0: none stands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +118,44 @@ class Sink(Protocol):
 
 
 @runtime_checkable
+class Follows(Protocol):
+    """A sink that has something of the bundle, and must follow when another bundle takes its place."""
+
+    def follow(self, bundle: Bundle, monitor: Monitor) -> None:
+        """Called in the loop's thread between two samples, before the first verdict of this monitor."""
+        ...
+
+
+AnswerKind = Literal["touched", "nothing", "learn", "leave"]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A person's answer, received between two samples."""
+
+    what: AnswerKind
+    """touched, nothing: what an alarm was, or without an alarm: the arm was touched in the last seconds. learn, leave:
+    whether a named change of the arm may be learned."""
+    by: str
+    """Origin of the answer, for the log: `page`, `control socket`."""
+    alarm: int
+    """Number of the alarm, counted by Loop.alarms; 0: none was named and none stood."""
+    row: int
+    """Number of samples before the answer."""
+    t_ns: int
+    """Stamp of the last sample before the answer, [ns]; 0: no sample yet."""
+
+
+@runtime_checkable
+class HearsAnswers(Protocol):
+    """A sink that keeps answers."""
+
+    def answered(self, answer: Answer) -> None:
+        """Called in the loop's thread between two samples; must return at once."""
+        ...
+
+
+@runtime_checkable
 class Publisher(Protocol):
     """A sink that reactions with `publish = true` also use."""
 
@@ -178,6 +218,25 @@ class Control(Protocol):
 
         Raises:
             ConfigError: the bundle cannot weigh loads, or the reach is invalid; the message gives the reason.
+        """
+        ...
+
+    def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
+        """Pass an answer to the sinks that keep answers; one about the alarm that stands also acknowledges it.
+
+        Args:
+            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands, or none.
+
+        Raises:
+            ConfigError: nothing keeps answers, or there was no such alarm.
+        """
+        ...
+
+    def command(self, text: str, by: str) -> None:
+        """Pass a line to a source that takes commands, see Commanded.
+
+        Raises:
+            ConfigError: the source takes no commands, or not this one.
         """
         ...
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class SourceCounts:
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """Settings of a source from the bundle."""
+    """Settings of a source: of the bundle or, before one exists, what it said of itself."""
 
     joints: tuple[str, ...]
     """Names of the joints, in the order of the samples."""
@@ -67,6 +68,61 @@ class SourceSettings:
     """Settings for computing torque from servo signals; None or off: tau is used unchanged."""
     rate_tolerance: float = RATE_TOLERANCE_RANGE[0]
     """Largest relative difference of the period; a monitor reports more as a wrong rate."""
+
+
+def settings_of(bundle: _core.Bundle) -> SourceSettings:
+    """What a source must deliver for this bundle."""
+    observer = bundle.observer
+    joints, units = tuple(link.joint_name for link in bundle.links), tuple(bundle.torque_units)
+    return SourceSettings(
+        joints, observer.sample_period_ns, units, observer.timing.name, bundle.servo, bundle.rate_tolerance
+    )
+
+
+Signal = Literal["torque", "current", "duty", "goal", "unknown"]
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """What a source delivers, as far as it is known before a bundle exists."""
+
+    settings: SourceSettings
+    signal: Signal
+    """Kind of the signal that stands for the torque."""
+    temperature: bool
+    """Whether samples contain temperatures."""
+    notes: tuple[str, ...] = ()
+    """What was assumed, a sentence each."""
+
+
+@runtime_checkable
+class Describes(Protocol):
+    """A source that can find out what it delivers, so that no bundle has to prescribe it."""
+
+    def describe(self, wait_s: float, robot: Path | None = None) -> SourceFacts:
+        """May connect, read and disconnect; called before open().
+
+        Args:
+            wait_s: longest wait for the arm, [s].
+            robot: robot file, for the names and the order of joints.
+
+        Raises:
+            ConfigError: nothing was received in this time, or it does not fit; the caller may try again.
+        """
+        ...
+
+
+@runtime_checkable
+class Commanded(Protocol):
+    """A source that takes commands, such as pushes at a simulated arm."""
+
+    def command(self, text: str) -> None:
+        """Called by any thread, concurrently with next_sample(); must return at once.
+
+        Raises:
+            ConfigError: an unknown command, or a bad value.
+        """
+        ...
 
 
 class Source(Protocol):

@@ -7,6 +7,7 @@ import base64
 import hashlib
 import hmac
 import json
+import re
 import socket
 import sys
 import threading
@@ -37,6 +38,8 @@ MOST_ROWS = 800
 """Rows of a trace that the page draws."""
 SHOWN_EVENTS, SHOWN_HISTORY = 40, 200
 COOKIE = "tauext"
+PUSH_S = 0.5
+"""After which a push at a simulated arm ends unless it is sent again, [s]."""
 WHOLE = ("commission", "coverage", "findings", "trainer", "question", "active")
 """JSON files of the folder that the page reads."""
 
@@ -186,12 +189,20 @@ def line_of(path: str, body: dict[str, Any]) -> str | None:
         return "acknowledge"
     if path == "/learn" and isinstance(body.get("yes"), bool):
         return f"learn {'yes' if body['yes'] else 'no'}"
-    if path == "/push":
-        values = [body.get("joint"), *(body.get("point") or ()), *(body.get("force") or ())]
-        numbers = [one for one in values if isinstance(one, int | float) and not isinstance(one, bool)]
-        if len(values) == len(numbers) == 7 and is_whole(values[0]) and all(abs(one) < 1e6 for one in numbers):
-            return "sim push " + " ".join(f"{one:g}" for one in numbers)
+    if path == "/push" and re.fullmatch(r"[\w.:/-]{1,100}", str(body.get("joint"))):
+        point, force = body.get("point"), body.get("force")
+        if is_vector(point) and is_vector(force):
+            words = [",".join(f"{one:.4g}" for one in vector) for vector in (force, point)]
+            return f"sim push joint={body['joint']} force={words[0]} point={words[1]} seconds={PUSH_S}"
     return None
+
+
+def is_vector(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < 1e4 for one in value)
+    )
 
 
 def is_whole(value: Any) -> bool:

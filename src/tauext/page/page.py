@@ -17,12 +17,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tauext.commission.processes import start_worker
 from tauext.errors import ConfigError, TauextError
 from tauext.page.bundles import LESSONS, Lesson, Report, bundle_folder, find_bundles
 from tauext.page.door import free_port, is_own_name
 from tauext.page.simulation import Stretch, Weigher
 from tauext.page.snapshot import Event, Snapshot
-from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training, start_worker
+from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training
 from tauext.sim.arms import ARMS
 
 if TYPE_CHECKING:

@@ -1,0 +1,400 @@
+"""The main process of `tauext commission`: connects the arm, runs the loop, and tends the page and the training.
+
+Loop, page and training are separate processes. The training and the loop exchange files of the folder; the page reads
+the same files and the loop's socket, and sends lines to the control socket.
+
+from __future__ import annotations
+
+import calendar
+import json
+import math
+import os
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tauext import _core
+from tauext.commission.answers import EventKeeper, Steering
+from tauext.commission.connect import another_arm, as_data, facts_of_data, write_arm
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.keep import KeepSink
+from tauext.commission.live import LiveSink, wall
+from tauext.commission.processes import Child
+from tauext.commission.trainer import run_trainer
+from tauext.errors import ConfigError, TauextError
+from tauext.bundle.history_file import ACTIVE
+from tauext.files.append_file import write_synced
+from tauext.files.atomic_write import atomic_write
+from tauext.files.plain_file import json_of
+from tauext.monitor.control_lines import ControlSocket
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.reaction_file import Reaction
+from tauext.monitor.reactions import start_reactions
+from tauext.monitor.record_sink import FlightSink
+from tauext.monitor.sink import Sink
+from tauext.monitor.source import Describes, Source, SourceFacts
+from tauext.sources.lasting import LastingSource
+from tauext.robot.write import is_placeholder
+from tauext.sources.open import KINDS, SourceOptions, open_source
+
+Echo = Callable[[str], None]
+
+BEFORE_S, AFTER_S = 5.0, 2.0
+"""Length of a flight around its event."""
+DESCRIBE_S = 10.0
+RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
+ASKING_S = 600.0
+"""Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
+CARRIED_S = 10.0
+"""Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
+TEND_S = 1.0
+CARRIED = "carried.bin"
+LONGEST_SOCKET = 100
+"""Longest path of a socket, [bytes]; systems allow 103 to 107."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command beside source and folder."""
+
+    robot: Path | None = None
+    source: SourceOptions = SourceOptions()
+    reactions: Callable[[tuple[str, ...]], list[Reaction]] = lambda joints: []
+    """The rules of a reactions file for these joints."""
+    page: Callable[..., None] | None = None
+    """Target of the page's process; None: no page."""
+    host: str = "127.0.0.1"
+    port: int = 8080
+    token: str = ""
+    disk_bytes: float = 5e9
+    core: int | None = None
+    priority: int | None = None
+
+
+def run(path: Path, text: str, options: Options, echo: Echo) -> None:
+    """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
+
+    Raises:
+        ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
+    """
+    folder = CommissionFolder.open(path, create=True)
+    with folder.locked(), ExitStack() as stack:
+        Commission(folder, text, options, echo, stack).run()
+
+
+# --- Sockets beside the folder's files.
+
+
+def socket_folder(folder: Path, stack: ExitStack) -> Path:
+    """Where the sockets lie: the folder itself, or a temporary one if its path is too long or it takes no sockets."""
+    import socket
+
+    at = folder.resolve()
+    if len(os.fsencode(at / "control.sock")) <= LONGEST_SOCKET:
+        trial = at / ".trial.sock"
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as one:
+            trial.unlink(missing_ok=True)
+            one.bind(str(trial))
+            trial.unlink()
+            return at
+    return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tauext-")))
+
+
+# --- The main process.
+
+
+class Commission:
+    """One run of the command."""
+
+    def __init__(self, folder: CommissionFolder, text: str, options: Options, echo: Echo, stack: ExitStack):
+        self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
+        self._stopping = threading.Event()
+        self._by = ""
+        self._record: KeepSink | None = None
+        self._flights: FlightSink | None = None
+        self._source: Source | None = None
+        self._loop: Loop | None = None
+        at = socket_folder(folder.path, stack)
+        self._live = LiveSink(at / "live.sock")
+        stack.callback(self._live.end)
+        self._keeper = EventKeeper(folder.path, lambda: self._record.epoch if self._record else 0, self._note)
+        stack.callback(self._keeper.end)
+        self._keeper.learn = self._learn
+        self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
+        self.steering = Steering(self._keeper)
+        control = ControlSocket(at / "control.sock", self.steering)
+        stack.callback(control.close)
+        folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
+        self._children: list[Child] = []
+        if options.page is not None:
+            arguments = (folder.path, at / "live.sock", at / "control.sock", options.host, options.port, options.token)
+            self._children.append(Child("page", options.page, arguments))
+        self._trainer = Child("training process", run_trainer, (folder.path,), is_low=True)
+        self._shown = len(folder.history())
+        self._active = 0
+        """Time of active.json when the loop took its bundle."""
+        self._exchanging = False
+        self._carried_s, self._carried_alarm = 0.0, 0
+
+    def run(self) -> None:
+        with self._until_signal():
+            tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
+            tending.start()
+            try:
+                source, facts, publishers = self._connect()
+                if source is not None:
+                    self._monitor(source, facts, publishers)
+            finally:
+                self._stopping.set()
+                tending.join()
+
+    # Connect.
+
+    def _connect(self) -> tuple[Source | None, SourceFacts | None, tuple[Sink, ...]]:
+        """The source, what it delivers and its publishers; no source if the run ends before the arm answers."""
+        known = self._folder.facts.get("arm")
+        facts = facts_of_data(known) if known else None
+        wait_s, said = RETRY_S, ""
+        while not self._stopping.is_set():
+            source, publishers = self._open()  # refuses an option before anything else
+            try:
+                found = source.describe(DESCRIBE_S, self._robot()) if isinstance(source, Describes) else facts
+                if found is None:
+                    raise ConfigError(f"{source.name} cannot describe itself; use `tauext monitor`")
+            except (ConfigError, TauextError) as error:
+                source.close()
+                if facts is not None:  # known from before: the loop waits for the arm, and the page shows it
+                    return self._lasting(self._open()[0], facts), facts, publishers
+                self._live.says = str(error)
+                if str(error) != said:
+                    said = str(error)
+                    self._note(f"{source.name}: {error}; it is tried again")
+                self._stopping.wait(wait_s)
+                wait_s = min(2 * wait_s, LONGEST_RETRY_S)
+                continue
+            if facts is not None and (other := another_arm(facts, found)) is not None:
+                source.close()
+                raise ConfigError(f"{other.words}: {other.remedy}")
+            if facts is None:
+                write_arm(found, self._robot(), self._folder.path)
+                self._folder.save(arm=as_data(found))
+                for note in found.notes:
+                    self._note(note)
+            return self._lasting(source, facts or found), facts or found, publishers
+        return None, facts, ()
+
+    def _open(self) -> tuple[Source, tuple[Sink, ...]]:
+        kind, _, target = self._text.partition(":")
+        if kind == "sim":
+            from tauext.sim.source import SimSource
+
+            return SimSource(target), ()
+        if kind not in KINDS:
+            choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]
+            raise ConfigError(f"--source {self._text!r} must be one of {', '.join(choices)}")
+        return open_source(self._text, self._options.source)
+
+    def _robot(self) -> Path | None:
+        """The robot file: the folder's once it has one, else the given one, or that of a simulated arm."""
+        for name in ("robot.urdf", "robot.xml"):
+            if (path := self._folder.path / name).is_file() and not is_placeholder(path):
+                return path
+        kind, _, target = self._text.partition(":")
+        if self._options.robot is None and kind == "sim":
+            from tauext.sim.source import write_robot_file
+
+            return write_robot_file(target, Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
+        return self._options.robot
+
+    def _lasting(self, source: Source, facts: SourceFacts) -> Source:
+        if self._text.startswith("replay:"):
+            return source
+        return LastingSource(source, lambda: self._open()[0], facts, self._robot())
+
+    # Monitor.
+
+    def _monitor(self, source: Source, facts: SourceFacts, publishers: tuple[Sink, ...]) -> None:
+        folder, options, live = self._folder, self._options, self._live
+        settings = facts.settings
+        bundle = self._first_bundle()
+        record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
+        record.note, record.on_label = self._note, self._keeper.labelled
+        recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
+        flights = FlightSink(folder.flights, bundle, recorder, source.name)
+        reactions = start_reactions(options.reactions(settings.joints), source, publishers)
+        self._stack.callback(reactions.end)
+        chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
+        sinks = [*publishers, flights, record, self._keeper, live]
+        loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
+        loop.alarms, loop.note = self._keeper.newest, self._note
+        live.describe(settings.joints, settings.torque_units)
+        if bundle is not None:
+            live.follow(bundle, loop.monitor)
+            with suppress(OSError):
+                loop.start_from((folder.path / CARRIED).read_bytes())
+        self._source, self._record, self._flights, self._loop = source, record, flights, loop
+        self.steering.loop = loop
+        if self._by:  # stopped meanwhile
+            loop.stop(self._by)
+        loop.run()
+        self._news_of_flights()
+        if not self._by:
+            self._note(f"{source.name} has ended; the training goes on with what was recorded, and Ctrl-C ends it")
+            live.lost = "the source has ended"
+            self._stopping.wait()
+
+    def _first_bundle(self) -> _core.Bundle | None:
+        """The bundle in charge, as the last process left it."""
+        path = self._folder.active()
+        if path is None:
+            return None
+        try:
+            bundle = _core.Bundle.load(str(path))
+        except TauextError as error:
+            self._note(f"{error}; the arm is not monitored until another bundle is active")
+            return None
+        self._active = self._stamp()
+        return bundle
+
+    def _stamp(self) -> int:
+        with suppress(OSError):
+            return (self._folder.path / ACTIVE).stat().st_mtime_ns
+        return 0
+
+    # Once a second, beside the loop.
+
+    def _tend_for_ever(self) -> None:
+        """Linux ends a child with the thread that started it: this one lives until the children are ended."""
+        try:
+            while not self._stopping.wait(TEND_S):
+                try:
+                    self._tend()
+                except Exception as error:  # a full disk, for example; the loop goes on
+                    self._note(f"{type(error).__name__}: {error}")
+        finally:
+            for child in (*self._children, self._trainer):
+                child.end()
+
+    def _tend(self) -> None:
+        for child in (*self._children, *([self._trainer] if self._loop is not None else [])):
+            if text := child.tend():
+                self._note(text)
+        self._show_news()
+        self._show_state()
+        if (loop := self._loop) is None:
+            return
+        self._news_of_flights()
+        if (now := self._stamp()) != self._active and not self._exchanging:
+            self._active, self._exchanging = now, True
+            if (path := self._folder.active()) is not None:
+                loop.exchange(path, lambda why: self._exchanged(path, why))
+        if time.monotonic() > self._carried_s + CARRIED_S or self._live.alarm_id != self._carried_alarm:
+            self._carried_s, self._carried_alarm = time.monotonic(), self._live.alarm_id
+            if carried := loop.carried:
+                write_bytes(self._folder.path / CARRIED, carried)
+
+    def _exchanged(self, path: Path, why: str) -> None:
+        self._exchanging = False
+        if why:
+            self._note(f"{path.stem} does not take over: {why}")
+        else:
+            self._note(f"{path.stem} has taken over between two samples")
+
+    def _news_of_flights(self) -> None:
+        for news in self._flights.news() if self._flights is not None else ():
+            self._keeper.flown(news)
+            if news.error:
+                self._note(f"flight of the {news.what} lost: {news.error}")
+
+    def _show_news(self) -> None:
+        """Print what trainings have added to the history."""
+        history = self._folder.history()
+        for line in history[self._shown :]:
+            self._echo(str(line.get("words")))
+        self._shown = len(history)
+
+    def _show_state(self) -> None:
+        live, loop, source = self._live, self._loop, self._source
+        live.lost = getattr(source, "away", "") if source is not None else ""
+        asks = self._keeper.unanswered
+        if loop is None or not loop.samples:
+            state = "connecting"
+        elif self._question() or (asks is not None and age_s(asks.get("wall")) < ASKING_S):
+            state = "asking"
+        else:
+            state = "learning" if live.bundle is None else "monitoring"
+        if state == "learning":
+            needs_s = self._folder.coverage().get("needs_s")
+            live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
+        elif loop is not None:
+            live.says = ""
+        if state != live.state:
+            live.state = state
+            self._folder.save(state=state)
+            self._folder.log(f"state: {state}")
+            if state in ("learning", "connecting"):
+                self._echo(f"{state}: NOTHING IS MONITORED")
+
+    # Answers and messages.
+
+    def _question(self) -> dict[str, Any]:
+        """The named change that waits for an answer."""
+        with suppress(OSError, ValueError):
+            content = json_of(self._folder.question_file.read_text(encoding="utf-8"))
+            if isinstance(content, dict) and not content.get("answer"):
+                return content
+        return {}
+
+    def _learn(self, yes: bool, by: str) -> None:
+        if question := self._question():
+            answer = {"answer": "learn" if yes else "leave", "by": by, "answered": wall()}
+            write_synced(self._folder.question_file, json.dumps(question | answer) + "\n")
+
+    def _note(self, text: str) -> None:
+        self._folder.log(text)
+        self._echo(text)
+
+    @contextmanager
+    def _until_signal(self) -> Iterator[None]:
+        """Ctrl-C and SIGTERM end the run; a second one breaks it off."""
+
+        def stop(number: int, frame: object) -> None:
+            signal.signal(number, before[signal.Signals(number)])
+            self.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
+
+        before = {}
+        if threading.current_thread() is threading.main_thread():
+            before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def stop(self, by: str) -> None:
+        """End the run cleanly; any thread."""
+        self._by = by
+        if self._loop is not None:
+            self._loop.stop(by)
+        else:
+            self._stopping.set()
+
+
+def age_s(at: Any) -> float:
+    """Age of a date and time of wall(), [s]."""
+    try:
+        return time.time() - calendar.timegm(time.strptime(str(at), "%Y-%m-%dT%H:%M:%SZ"))
+    except ValueError:
+        return math.inf
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Replace a small file at once; without waiting for the disk, since an older one serves as well."""
+    with atomic_write(path) as part:
+        part.write_bytes(content)

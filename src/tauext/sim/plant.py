@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import mujoco
@@ -38,7 +40,7 @@ class Plant:
 
     def __init__(self, arm: DemoArm, seed: int = 0):
         self.arm = arm
-        self.model = arm.model
+        self.model = copy(arm.model)  # its friction changes
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = arm.home
         mujoco.mj_forward(self.model, self.data)
@@ -64,14 +66,19 @@ class Plant:
     def set_friction(self, factor: float) -> None:
         """Go on with so many times the arm's own friction; the bristles stay bent as they are."""
         self._friction = factor
-        self._change()
+        for name, by_factor in self._friction_rates.items():
+            getattr(self.model, name)[:] = getattr(self.arm.model, name) + (factor - 1) * by_factor
+
+    @cached_property
+    def _friction_rates(self) -> dict[str, np.ndarray]:
+        """Change of the model's parameters per unit of the friction factor, in which they are linear."""
+        double = self.arm.changed_model(2.0)
+        names = ("actuator_biasprm", "actuator_damping")
+        return {name: getattr(double, name) - getattr(self.arm.model, name) for name in names}
 
     def hold(self, held: _core.Load | None) -> None:
         """Go on with this in the hand, at the hand's own speed; None: with nothing."""
         self._weight = held
-        self._change()
-
-    def _change(self) -> None:
         state = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, state, STATE)
         self.model = self.arm.changed_model(self._friction, self._weight)

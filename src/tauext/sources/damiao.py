@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,16 @@ import numpy as np
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
-from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import BusSource, Ticks, Unreachable, optional_library
+from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.sources.describing import LEARNT_STEPS, chosen_joints, learnt_period_ns
+from tauext.sources.reader import (
+    BusSource,
+    Ticks,
+    Unreachable,
+    expect_answers,
+    optional_library,
+    shortest_period_ns,
+)
 
 # --- The bus file: ids, zeros and directions of the motors by joint.
 
@@ -124,6 +133,8 @@ RANGES = (21, 22, 23)
 LAST_REGISTER = 81
 ANSWER_S = 0.02
 """Longest delay of an answer, [s]."""
+PERIODS_NS = (1_000_000, 2_000_000, 5_000_000, 10_000_000, 20_000_000)
+"""Periods of which describe() takes one."""
 WAIT_S = 0.1
 TRIES = 3
 FAULTS = {
@@ -149,7 +160,32 @@ class DamiaoSource(BusSource):
         self._motors: list[CanMotor] = []
         self.answer_s = ANSWER_S
 
+    def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
+        """Time some readings; the period is the shortest usual one of at least twice a reading. With ask = false: learn
+        the other program's."""
+        until = time.monotonic() + wait_s
+        joints, notes = chosen_joints(list(self._file.motors), robot, self.name)
+        settings = SourceSettings(joints, PERIODS_NS[-1] if self._file.ask else 1, ("N m",) * len(joints), "instant")
+        self._prepare(settings)
+        self.settings = settings
+        self.connect()
+        stamps, took_ns = list[int](), list[int]()
+        while len(stamps) <= LEARNT_STEPS and time.monotonic() < until:
+            if (sample := self._asked() if self._file.ask else self._overheard()) is not None:
+                stamps.append(sample.t_ns)
+                took_ns.append(sample.received_ns - sample.t_ns)
+        if self._file.ask:
+            expect_answers(len(stamps), self.notes())
+            period_ns = shortest_period_ns(float(np.median(took_ns)), PERIODS_NS, self.name)
+        else:
+            period_ns = learnt_period_ns(stamps, self.name)
+        return SourceFacts(replace(settings, period_ns=period_ns), "torque", temperature=True, notes=notes)
+
     def open(self, settings: SourceSettings) -> None:
+        self._prepare(settings)
+        super().open(settings)
+
+    def _prepare(self, settings: SourceSettings) -> None:
         self._motors = self.motors_of(settings, self._file.path, self._file.motors)
         if any(unit not in ("N m", "N") for unit in settings.torque_units):
             raise ConfigError(f"{self.name} reports torque in N m, the bundle takes {', '.join(settings.torque_units)}")
@@ -159,7 +195,6 @@ class DamiaoSource(BusSource):
         self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
         self._faults = [0] * len(self._motors)
         self._states: dict[int, bytes] = {}
-        super().open(settings)
 
     def connect(self) -> None:
         library = self._library = optional_library("can", "source damiao", "python-can", "damiao")
@@ -186,6 +221,10 @@ class DamiaoSource(BusSource):
         if (skipped := self._ticks.wait(WAIT_S)) is None:
             return None
         self.counts.lost += skipped
+        return self._asked()
+
+    def _asked(self) -> Sample | None:
+        """Ask every motor for its state."""
         while self._receive(0.0) is not None:  # late answers to an earlier request
             pass
         t_ns = time.monotonic_ns()

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tauext.errors import ConfigError
-from tauext.monitor.source import Sample, SourceSettings
+from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.sources.describing import joint_names
 from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
 
 RATE_HZ = 1000.0
+JOINTS = tuple(f"joint{number}" for number in range(1, 8))
+"""Names in the maker's robot files, behind a prefix such as fr3_."""
 KEPT = 256
 
 
@@ -30,6 +34,13 @@ class FrankaSource(ReaderSource):
         self._robot: Any = None
         self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
         """Newest pairs of t_ns and tau_ext_hat_filtered (7,) [N m]."""
+
+    def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
+        joints, notes = joint_names(JOINTS, robot, self.name)
+        self.connect()
+        self.read()
+        settings = SourceSettings(joints, round(1e9 / RATE_HZ), ("N m",) * len(joints), "instant")
+        return SourceFacts(settings, "torque", temperature=False, notes=notes)
 
     def open(self, settings: SourceSettings) -> None:
         rate_hz = 1e9 / settings.period_ns

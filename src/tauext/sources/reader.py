@@ -7,14 +7,15 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 
 # --- Bounded queue between the receiving thread and the loop. The newest samples win; dropped ones are counted.
 
@@ -118,7 +119,19 @@ class ReaderSource(ABC):
     def disconnect(self) -> None:
         """Close the connection; also called without one."""
 
+    @abstractmethod
+    def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
+        """Connect, and describe the arm, see Describes; describe() disconnects. Raises Unreachable."""
+
     # The interface of a source.
+
+    def describe(self, wait_s: float, robot: Path | None = None) -> SourceFacts:
+        try:
+            return self.find_out(wait_s, robot)
+        except Unreachable as error:
+            raise ConfigError(f"{self.name}: {error}") from error
+        finally:
+            self.disconnect()
 
     def open(self, settings: SourceSettings) -> None:
         if len(settings.joints) != self.robot_joints:
@@ -274,6 +287,27 @@ class BusSource(ReaderSource):
         if self._drop_outs is not None and (summary := self._drop_outs.summary()):
             self._note(f"{self.name}: {summary}")
             self._drop_outs.forget()
+
+
+def expect_answers(readings: int, notes: list[str]) -> None:
+    """Raise Unreachable, with the notes of the bus, if no reading was whole."""
+    if not readings:
+        raise Unreachable("; ".join(notes) or "no reading in which every motor answered")
+
+
+def shortest_period_ns(reading_ns: float, periods_ns: Sequence[int], arm: str) -> int:
+    """The shortest of the periods in which a reading, [ns], fits twice.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    for period_ns in periods_ns:
+        if 2 * reading_ns <= period_ns:
+            return period_ns
+    raise ConfigError(
+        f"{arm}: a reading takes {reading_ns * 1e-6:.3g} ms, more than half of the longest period, "
+        f"{periods_ns[-1] * 1e-6:g} ms: set a higher baud rate, or put fewer motors on the bus"
+    )
 
 
 def sample_of(

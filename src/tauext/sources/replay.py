@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.servo import RAW_SIGNALS
+from tauext.data.servo import RAW_SIGNALS, from_amperes, in_amperes, servo_of
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.monitor.replay import Pace
-from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+from tauext.monitor.source import Sample, Signal, SourceCounts, SourceFacts, SourceSettings
 
 
 class ReplaySource:
@@ -26,6 +27,19 @@ class ReplaySource:
         self.name = f"replay {self.recording.name}"
         self.counts = SourceCounts()
         self._next, self._stopped, self._pace = 0, False, Pace(speed)
+
+    def describe(self, wait_s: float, robot: Path | None = None) -> SourceFacts:
+        recording = self.recording
+        units = ("A" if in_amperes([recording]) else "N m",) * len(recording.joints)
+        made = recording.provenance.get("servo")
+        servo = servo_of(made) if made else None
+        signal: Signal = "torque" if units[0] == "N m" and not from_amperes([recording]) else "current"
+        if servo is not None and servo.torque_from.name in ("duty", "goal"):
+            signal = "duty" if servo.torque_from.name == "duty" else "goal"
+        settings = SourceSettings(
+            recording.joints, round(1e9 / recording.rate_hz), units, recording.torque_timing, servo
+        )
+        return SourceFacts(settings, signal, recording.temperature is not None)
 
     def open(self, settings: SourceSettings) -> None:
         """Refuse a recording of another arm or another rate."""

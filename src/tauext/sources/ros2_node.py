@@ -212,12 +212,16 @@ class Node:
     def leave(self, entities: list[Entity]) -> None:
         """Remove a user and its readers and writers; the last user closes the node."""
         self._users -= 1
-        self._readers = [reader for reader in self._readers if reader not in entities]
-        self._writers = [writer for writer in self._writers if writer not in entities]
+        self.remove(entities)
         if self._users > 0:
             self.announce()
         else:
             self._graph = self.participant = None
+
+    def remove(self, entities: list[Entity]) -> None:
+        """Remove readers and writers."""
+        self._readers = [reader for reader in self._readers if reader not in entities]
+        self._writers = [writer for writer in self._writers if writer not in entities]
 
     def _topic(self, name: str, of: type) -> Topic:
         return topic_of(self.participant, f"rt{name}", of)

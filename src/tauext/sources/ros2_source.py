@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-import statistics
 import time
 from collections import deque
+from contextlib import nullcontext, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cyclonedds.core import WaitSet
 
 from tauext.errors import ConfigError
-from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
+from tauext.sources.describing import LEARNT_STEPS, chosen_joints, learnt_period_ns, mean_period_ns
 from tauext.sources.ros2_messages import JointState, Temperature
 from tauext.sources.ros2_node import Conditions, Inbox, Node
 
@@ -99,7 +101,7 @@ class Followed:
 # --- From the publisher's rate to the bundle's: every n-th sample, by time stamps.
 
 
-LEARNT_FROM = 21
+LEARNT_FROM = LEARNT_STEPS + 1
 """Samples from which the rate is learnt. They are not passed on, since the monitor would detect a wrong rate."""
 TOLERANCE = 0.05
 """Relative difference from which the monitor reports another rate."""
@@ -166,16 +168,11 @@ class SampleRate:
         )
 
     def _learn(self, step_ns: int) -> None:
-        """Learn the period from every LEARNT_FROM samples, since rates change.
-
-        The period is the mean step; a step of several medians counts as several, so lost samples and jitter do not
-        matter.
-        """
+        """Learn the period from every LEARNT_FROM samples, since rates change."""
         self._steps.append(step_ns)
         if len(self._steps) < LEARNT_FROM - 1:
             return
-        median_ns = statistics.median(self._steps)
-        period_ns = round(sum(self._steps) / max(1, sum(round(step / median_ns) for step in self._steps)))
+        period_ns = mean_period_ns(self._steps)
         self._steps.clear()
         if self.period_ns is not None and abs(period_ns / self.period_ns - 1) <= CHANGED:
             return
@@ -278,6 +275,10 @@ class Temperatures:
 # --- The source.
 
 
+LISTEN_S, LISTEN_NS = 1.0, 50_000_000
+"""Least time for which describe() listens, since publishers are found one after the other; longest wait of a step."""
+DESCRIBED_FROM = 2 * LEARNT_FROM
+"""Messages of one publisher after which describe() has enough."""
 LOOK_NS = 500_000_000
 """Interval at which publishers are checked while no message arrives."""
 
@@ -299,6 +300,53 @@ class Ros2Source:
         self._inbox: Inbox | None = None
         self._waitset: Any = None
         self._pending: deque[JointState] = deque()
+
+    def describe(self, wait_s: float, robot: Path | None = None) -> SourceFacts:
+        """Listen for at least LISTEN_S, then describe the publisher with most joints of the arm.
+
+        Units and kind of its effort are not known.
+        """
+        chosen, began = self._node.settings, time.monotonic()
+        inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
+        waitset, came = WaitSet(self._node.participant), dict[int, list[JointState]]()
+        waitset.attach(inbox.new)
+        unusable = (0, "")  # of the message with most joints: a gripper often shares the topic
+        try:
+            while (now := time.monotonic()) < began + wait_s:
+                if now > began + LISTEN_S and len(max(came.values(), key=len, default=[])) > DESCRIBED_FROM:
+                    break
+                waitset.wait(LISTEN_NS)
+                for message in inbox.take()[0]:
+                    if isinstance(usable := usable_joints(message, chosen.names), str):
+                        unusable = max(unusable, (len(message.name), usable))
+                    else:
+                        came.setdefault(message.sample_info.publication_handle, []).append(message)
+            if not came:
+                raise ConfigError(f"{self.name}: {unusable[1] or silence(inbox.reader, chosen.domain_id)}")
+            return self._facts(list(came.values()), robot)
+        finally:
+            del waitset
+            self._node.remove([inbox.reader])
+
+    def _facts(self, publishers: list[list[JointState]], robot: Path | None) -> SourceFacts:
+        """Facts of the publisher with most joints of the arm; of several such, the one that came first."""
+        settings, found = self._node.settings, []
+        for messages in publishers:
+            usable, left_out = usable_joints(messages[-1], settings.names), tuple[str, ...]()
+            assert not isinstance(usable, str)
+            with suppress(ConfigError) if len(publishers) > 1 else nullcontext():
+                usable, left_out = (settings.names, ()) if settings.names else chosen_joints(usable, robot, self.name)
+                found.append((usable, left_out, messages))
+        if not found:
+            raise ConfigError(f"{self.name}: no publisher has the joints of {robot}")
+        joints, notes, messages = max(found, key=lambda one: len(one[0]))
+        if sum(one[0] == joints for one in found) > 1:
+            notes += (f"two publishers on {settings.topic}: the first is used",)
+        stamps = [one.header.stamp.ns or one.sample_info.source_timestamp for one in messages]
+        period_ns = learnt_period_ns(stamps, self.name)
+        notes += ("the effort is taken as a torque in N m until the arm's motion shows another kind",)
+        arm = SourceSettings(joints, period_ns, ("N m",) * len(joints), "instant")
+        return SourceFacts(arm, "unknown", bool(settings.temperatures), notes)
 
     def open(self, settings: SourceSettings) -> None:
         """Subscribe; the publisher may start later."""
@@ -453,12 +501,32 @@ class Ros2Source:
             return
         self._looked_ns = now_ns
         assert self._inbox is not None  # between open() and close()
-        reader = self._inbox.reader
-        matched = reader.get_matched_publications()
-        if not matched and reader.get_requested_incompatible_qos_status().total_count:
-            text = "a publisher offers less reliability or durability than requested"
-        elif not matched:
-            text = f"no publisher of sensor_msgs/JointState in domain {self._node.settings.domain_id}"
-        else:
-            text = "the publisher is silent"
-        self._report("silence", text, now_ns)
+        self._report("silence", silence(self._inbox.reader, self._node.settings.domain_id), now_ns)
+
+
+def silence(reader: Any, domain_id: int) -> str:
+    """Why no message arrives."""
+    matched = reader.get_matched_publications()
+    if not matched and reader.get_requested_incompatible_qos_status().total_count:
+        return "a publisher offers less reliability or durability than requested"
+    if not matched:
+        return f"no publisher of sensor_msgs/JointState in domain {domain_id}"
+    return "the publisher is silent"
+
+
+def usable_joints(message: JointState, names: tuple[str, ...]) -> tuple[str, ...] | str:
+    """Joints of a message with finite position, velocity and effort, or the reason why it is unusable.
+
+    Args:
+        names: joints that must be among them; empty: at least one must.
+    """
+    counted = [len(getattr(message, field)) for field in FIELDS]
+    for field, count in zip(FIELDS, counted, strict=True):
+        if not count and message.name:
+            return f"{field} is empty: position, velocity and effort are needed"
+    rows = zip(message.name, *(getattr(message, field) for field in FIELDS), strict=False)
+    finite = tuple(name for name, *values in rows if all(map(math.isfinite, values)))
+    what = "no finite position, velocity and effort"
+    if missing := [name for name in names if name not in finite]:
+        return f"{what} of {', '.join(missing)} among {', '.join(message.name) or '(none)'}"
+    return finite or f"{what} of a joint among {', '.join(message.name) or '(none)'}"

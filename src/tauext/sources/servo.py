@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from tauext.data.servo_types import COUNTS_A_TURN
+from tauext import _core
+from tauext.data.description import parse_arm
+from tauext.data.servo import servo_settings
+from tauext.data.servo_types import COUNTS_A_TURN, SERVO_TYPES
 from tauext.errors import ConfigError
-from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import BusSource, Ticks, Unreachable
+from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.sources.describing import chosen_joints
+from tauext.sources.reader import BusSource, Ticks, Unreachable, expect_answers, shortest_period_ns
 from tauext.sources.servo_bus import ServoBus, ServoPort
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
 from tauext.sources.servo_series import Series
 
 WAIT_S = 0.1
+PERIODS_NS = (5_000_000, 10_000_000, 20_000_000, 33_333_333, 50_000_000)
+"""Periods of which describe() takes the shortest in which a reading fits twice."""
+DESCRIBED_FROM = 5
+"""Readings that describe() times."""
 TRIES = 3
 """Attempts at a one-time request, since packets may be lost."""
 ON = b"\x01"
@@ -72,13 +82,51 @@ class ServoSource(BusSource):
         self._note_delay(settings)
         super().open(settings)
 
+    def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
+        """Read which servos there are and time some readings.
+
+        The torque comes from the best signal that all servos report; constants are those of their types.
+        """
+        joints, notes = chosen_joints(list(self._file.joints), robot, self.name)
+        self._servos = [self._file.joints[name] for name in joints]
+        self._ids, self._errors = [servo.id for servo in self._servos], {}
+        self.bus.port.close()
+        self.bus.port.open()
+        self._identify()
+        took_ns, samples = list[int](), list[Sample]()
+        for _ in range(DESCRIBED_FROM):
+            reading = self.bus.read(*self._series.state, self._ids)
+            took_ns.append(time.monotonic_ns() - reading.t_ns)
+            if len(reading.data) == len(self._ids):
+                samples.append(self._sample(reading.t_ns, [reading.data[id_] for id_ in self._ids]))
+        expect_answers(len(samples), [])
+        least_ns = self.bus.transaction_s(len(self._ids), self._series.state[1]) * 1e9
+        period_ns = shortest_period_ns(max(least_ns, float(np.median(took_ns))), PERIODS_NS, self.name)
+        signal = self._series.current if self._series.current == "phase-current" else "duty"
+        if not all(signal in self._identities[id_].reports for id_ in self._ids):
+            signal = "duty"
+        assert samples[-1].voltage is not None
+        servo, known = settings_by_type(self._types(samples[-1].voltage), joints, signal, 1e9 / period_ns)
+        if not known:
+            notes += ("no constants are known of these servos: the torque is in units that training converts",)
+        settings = SourceSettings(joints, period_ns, ("N m" if known else "A",) * len(joints), "held", servo)
+        return SourceFacts(settings, "duty" if signal == "duty" else "current", temperature=True, notes=notes)
+
+    def _types(self, volts: np.ndarray) -> list[str]:
+        """Names in SERVO_TYPES of the servos at this supply voltage, [V]; "": unknown."""
+        found = []
+        for servo, supply in zip(self._servos, volts.tolist(), strict=True):
+            model = servo.type if servo.type in SERVO_TYPES else self._identities[servo.id].model
+            fits = [name for name in SERVO_TYPES if name.startswith(model)]
+            found.append(min(fits, key=lambda name: abs(SERVO_TYPES[name].volts - supply), default=""))
+        return found
+
     def connect(self) -> None:
         port = self.bus.port
         port.close()
         port.open()
         try:
-            blocks = self._all_of(*self._series.identity)
-            self._identities = {one.id: self._identified(one, blocks[one.id]) for one in self._servos}
+            self._identify()
             for servo in self._servos:
                 self._expect(servo, self._identities[servo.id])
         except Unreachable:
@@ -149,6 +197,11 @@ class ServoSource(BusSource):
             f"{there} do" if there else f"no servo does: check the arm's power, and that {self._file.baud} baud is set"
         )
         raise Unreachable(f"{silent} does not answer; {found}")
+
+    def _identify(self) -> None:
+        """Read model and settings of all servos. Raises Unreachable: one does not answer, or its model is unknown."""
+        blocks = self._all_of(*self._series.identity)
+        self._identities = {one.id: self._identified(one, blocks[one.id]) for one in self._servos}
 
     def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
         """Decode the block `identity`. Raises Unreachable: the model is unknown."""
@@ -226,6 +279,22 @@ class ServoSource(BusSource):
             duty=sign * column("duty"),
             voltage=column("volts"),
         )
+
+
+def settings_by_type(
+    types: Sequence[str], joints: Sequence[str], torque_from: str, rate_hz: float
+) -> tuple[_core.ServoSettings, bool]:
+    """Settings for servos of these types, as an arm.toml with [servo] gives them, and whether the constants are known.
+
+    Args:
+        types: names in SERVO_TYPES, one a joint; "": unknown, and then no constant of any is used.
+    """
+    known = all(types) and all(SERVO_TYPES[name].nm_per_ampere for name in types)
+    lines = [f"[robot]\njoints = {json.dumps(list(joints))}"]
+    lines += [f'[signals.{name}]\ncolumns = "{name}_{{joint}}"' for name in ("q", "current", "duty", "voltage")]
+    lines.append(f'[servo]\ntorque_from = "{torque_from}"')
+    lines.append(f"type = {json.dumps(list(types))}" if known else f"counts_a_turn = {COUNTS_A_TURN}")
+    return servo_settings(parse_arm("\n".join(lines)), rate_hz, np.zeros((0, len(joints)))), known
 
 
 def angle_counts(servo: ServoJoint, count: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ import numpy as np
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables
-from tauext.monitor.source import Sample, SourceSettings
+from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.sources.describing import LEARNT_STEPS, joint_names, learnt_period_ns
 from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
 from tauext.sources.ur_dashboard import PORT, Dashboard, DashboardError
 
@@ -40,6 +42,13 @@ def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
 
 
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"]
+JOINTS = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
+"""Names in the maker's robot files, in the order of the controller."""
+ITS_OWN_HZ = -1.0
+"""The library then takes the controller's own rate."""
+DESCRIBING_NAP_S = 2e-4
 POLLS_A_PERIOD = 10
 """The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp."""
 
@@ -75,9 +84,31 @@ class UrSource(ReaderSource):
             self._constants = load_torque_constants(self._file, settings.joints)
         super().open(settings)
 
+    def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
+        """Count the controller's stamps at its own rate: 500 Hz of an e-Series, 125 Hz of a CB3."""
+        until = time.monotonic() + wait_s
+        joints, notes = joint_names(JOINTS, robot, self.name)
+        if self._file is not None:
+            load_torque_constants(self._file, joints)
+        self._connect(ITS_OWN_HZ)
+        stamps = [self._stamp_s]
+        while len(stamps) <= LEARNT_STEPS and time.monotonic() < until:
+            if not self._receive.isConnected():
+                raise Unreachable("the connection is closed")
+            if (stamp_s := self._receive.getTimestamp()) != stamps[-1]:
+                stamps.append(stamp_s)
+            else:
+                time.sleep(DESCRIBING_NAP_S)
+        period_ns = learnt_period_ns([round(stamp_s * 1e9) for stamp_s in stamps], self.name)
+        amperes = self._file is None
+        settings = SourceSettings(joints, period_ns, ("A" if amperes else "N m",) * len(joints), "held")
+        return SourceFacts(settings, "current", temperature=True, notes=notes)
+
     def connect(self) -> None:
+        self._connect(1e9 / self.settings.period_ns)
+
+    def _connect(self, rate_hz: float) -> None:
         library = optional_library("rtde_receive", "source ur", "ur_rtde", "ur")
-        rate_hz = 1e9 / self.settings.period_ns
         try:
             self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)
         except Exception as error:  # the library's are plain RuntimeErrors

@@ -1,0 +1,157 @@
+"""A source that lasts: where one is lost for good, a new object of its kind connects again."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import astuple
+from pathlib import Path
+
+from tauext.errors import ConfigError
+from tauext.monitor.source import (
+    Commanded,
+    Describes,
+    Sample,
+    Source,
+    SourceCounts,
+    SourceFacts,
+    SourceSettings,
+    StopChecked,
+    Stoppable,
+)
+from tauext.sources.describing import why_another
+
+RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
+"""Time before the first attempt, which doubles, and the longest one, [s]."""
+DESCRIBE_S = 10.0
+"""Longest wait for an arm that describes itself again, [s]."""
+
+
+class LastingSource:
+    """Passes on the samples of one source after the other, and never ends.
+
+    A source that ends or cannot be opened is closed and replaced, in a thread of its own. The new one must describe the
+    same arm.
+    """
+
+    def __init__(self, first: Source, again: Callable[[], Source], facts: SourceFacts, robot: Path | None = None):
+        """Args:
+        first: not open yet.
+        again: makes a new one; may raise ConfigError.
+        facts: what the arm said of itself, and must say again.
+        robot: robot file, as describe() got it.
+        """
+        self.name = first.name
+        self.away = ""
+        """Why there is no source now; empty: there is one."""
+        self._first, self._again, self._facts, self._robot = first, again, facts, robot
+        self._source: Source | None = None
+        self._next: Source | None = None
+        self._before = SourceCounts()
+        self._notes: list[str] = []
+        self._closed, self._ready = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self, settings: SourceSettings) -> None:
+        self._settings = settings
+        try:
+            self._first.open(settings)
+        except ConfigError as error:
+            self._replace(self._first, str(error))
+        else:
+            self._source = self._first
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        if self._source is None:
+            if not self._ready.wait(timeout_s):
+                return None
+            self._ready.clear()
+            self._source, self._next, self.away = self._next, None, ""
+            if self._source is None:  # closed meanwhile
+                return None
+            self._notes.append(f"{self.name} is back")
+        sample = self._source.next_sample(timeout_s)
+        if sample is None and self._source.ended:
+            self._notes += self._source.notes()
+            self._before = self.counts
+            lost, self._source = self._source, None
+            self._replace(lost, "it has ended")
+        return sample
+
+    @property
+    def counts(self) -> SourceCounts:
+        """Of all sources so far."""
+        now = SourceCounts() if self._source is None else self._source.counts
+        return SourceCounts(*(a + b for a, b in zip(astuple(self._before), astuple(now), strict=True)))
+
+    @property
+    def ended(self) -> bool:
+        return self._closed.is_set()
+
+    def notes(self) -> list[str]:
+        notes, self._notes = self._notes, []
+        return notes + (self._source.notes() if self._source is not None else [])
+
+    def command(self, text: str) -> None:
+        source = self._source
+        if not isinstance(source or self._first, Commanded):
+            raise ConfigError(f"{text[:60]!r}: source {self.name} takes no commands; sim:ARM does")
+        if source is None:
+            raise ConfigError(f"{self.name} is away: {self.away}")
+        source.command(text)  # type: ignore[attr-defined]
+
+    def check_stop(self) -> None:
+        if not isinstance(self._first, Stoppable):
+            raise ConfigError(f"{self.name} cannot stop its robot: leave `stop = true` out")
+        if isinstance(self._first, StopChecked):
+            self._first.check_stop()
+
+    def stop(self) -> None:
+        if self._source is None:
+            raise RuntimeError(f"{self.name} is away: {self.away}")
+        self._source.stop()  # type: ignore[attr-defined]
+
+    def close(self) -> None:
+        self._closed.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+        for source in (self._source, self._next):
+            if source is not None:
+                source.close()
+                self._notes += source.notes()
+        self._source = self._next = None
+
+    def _replace(self, lost: Source, why: str) -> None:
+        self.away = why
+        self._notes.append(f"{self.name} is away: {why}; it is tried again")
+        self._thread = threading.Thread(target=self._work, args=(lost,), name=f"retry of {self.name}", daemon=True)
+        self._thread.start()
+
+    def _work(self, lost: Source) -> None:
+        lost.close()
+        wait_s = RETRY_S
+        while not self._closed.wait(wait_s):
+            source: Source | None = None
+            try:
+                source = self._again()
+                if isinstance(source, Describes):
+                    found = source.describe(DESCRIBE_S, self._robot)
+                    if other := why_another(self._facts, found):
+                        raise ConfigError(f"this is another arm: {other}")
+                source.open(self._settings)
+            except Exception as error:  # of a library too: an arm that is away for a night must be found in the morning
+                if source is not None:
+                    with suppress(Exception):
+                        source.close()
+                if (text := f"{error}" or type(error).__name__) != self.away:
+                    self.away = text
+                    self._notes.append(f"{self.name} is away: {text}")
+                wait_s = min(2 * wait_s, LONGEST_RETRY_S)
+                continue
+            if self._closed.is_set():
+                source.close()
+                return
+            self._next = source
+            self._ready.set()
+            return

@@ -1,0 +1,380 @@
+"""Sources describe themselves before a bundle exists, each on its stand-in; a lost one is replaced by a new object."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_bundles import pushed
+from made_live import ScriptedSource, samples_of
+from made_robot_libraries import Arm, franka_library, rtde_library
+from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, patient, sts3215, x_series
+
+from tauext import _core
+from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts
+from tauext.data.servo_types import SERVO_TYPES
+from tauext.errors import ConfigError, RobotError
+from tauext.monitor.source import Describes, SourceFacts, SourceSettings
+from tauext.robot.write import write_placeholder
+from tauext.sources import lasting
+from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
+from tauext.sources.franka import FrankaSource
+from tauext.sources.lasting import LastingSource
+from tauext.sources.open import SourceOptions, open_source
+from tauext.sources.replay import ReplaySource
+from tauext.sources.servo_bus_file import ServoJoint
+from tauext.sources.ur import JOINTS as UR_JOINTS
+from tauext.sources.ur import UrSource
+
+WAIT_S = 20.0
+"""For what must come, however busy the machine is."""
+
+
+@pytest.fixture
+def ur(monkeypatch):
+    arm = Arm(6, 0.002)
+    monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
+    return arm
+
+
+@pytest.fixture
+def franka(monkeypatch):
+    arm = Arm(7, 0.001)
+    monkeypatch.setitem(sys.modules, "pylibfranka", franka_library(arm))
+    return arm
+
+
+# --- Robots of known makers.
+
+
+@pytest.mark.parametrize(("period_s", "rate_hz"), [(0.002, 500), (0.008, 125)])
+def test_a_ur_has_six_known_joints_currents_and_its_controllers_rate(ur, period_s, rate_hz):
+    ur.period_s = period_s
+    source = UrSource("10.0.0.2")
+    assert isinstance(source, Describes)
+    facts = source.describe(WAIT_S)
+    assert facts.settings == SourceSettings(UR_JOINTS, round(1e9 / rate_hz), ("A",) * 6, "held")
+    assert facts.signal == "current" and facts.temperature and not facts.notes
+    assert ur.asked["frequency"] == -1.0  # the controller's own
+    source.open(facts.settings)
+    assert source.next_sample(WAIT_S).q.shape == (6,) and ur.asked["frequency"] == rate_hz
+    source.close()
+
+
+def test_a_ur_with_torque_constants_gives_newton_metres_and_they_must_fit_its_names(ur, tmp_path):
+    constants = tmp_path / "constants.toml"
+    constants.write_text("[nm_per_ampere]\n" + "".join(f"{name} = 10\n" for name in UR_JOINTS))
+    facts = UrSource("h", constants).describe(WAIT_S)
+    assert set(facts.settings.torque_units) == {"N m"} and facts.signal == "current"
+    with pytest.raises(ConfigError, match="unknown key"):
+        UrSource("h", constants).describe(WAIT_S, write_placeholder([f"cell_{name}" for name in UR_JOINTS], tmp_path))
+
+
+def test_an_arm_that_is_off_or_silent_is_refused_in_words_and_can_be_tried_again(ur):
+    ur.reachable = False
+    with pytest.raises(ConfigError, match="ur h: Timeout connecting to UR"):
+        UrSource("h").describe(0.5)
+    ur.reachable, ur.period_s = True, 0.0
+    with pytest.raises(ConfigError, match="0 samples came; 21 are needed"):
+        UrSource("h").describe(0.05)
+    ur.period_s = 0.002
+    assert UrSource("h").describe(WAIT_S).settings.period_ns == 2_000_000
+
+
+def test_a_franka_is_known_and_takes_the_prefix_of_its_robot_file(franka, tmp_path):
+    names = [f"fr3_joint{k}" for k in range(1, 8)]
+    facts = FrankaSource("h").describe(WAIT_S, write_placeholder([*names, "fr3_finger_joint1"], tmp_path))
+    assert facts.settings == SourceSettings(tuple(names), 1_000_000, ("N m",) * 7, "instant")
+    assert FrankaSource("h").describe(WAIT_S).settings.joints == tuple(f"joint{k}" for k in range(1, 8))
+    franka.reachable = False
+    with pytest.raises(ConfigError, match="Connection timeout"):
+        FrankaSource("h").describe(WAIT_S)
+
+
+def test_names_come_from_the_robot_file_and_another_arms_file_is_refused(tmp_path):
+    def file(*names: str):
+        return write_placeholder(names, tmp_path)
+
+    assert joint_names(("a", "b"), None, "arm") == (("a", "b"), ())
+    assert joint_names(("a", "b"), file("left_a", "left_b", "right_a"), "arm")[0] == ("left_a", "left_b")
+    names, notes = joint_names(("a", "b"), file("hip", "knee", "gripper_joint"), "arm")
+    assert names == ("hip", "knee") and "in the order of robot.urdf: hip, knee" in notes[0]
+    with pytest.raises(ConfigError, match="arm has 2 joints, robot.urdf has 3: x, y, z"):
+        joint_names(("a", "b"), file("x", "y", "z"), "arm")
+    with pytest.raises(RobotError):
+        joint_names(("a", "b"), tmp_path / "missing.urdf", "arm")
+    assert chosen_joints(["b", "gripper", "a"], None, "arm") == (("b", "a"), ("left out: gripper",))
+    assert chosen_joints(["b", "gripper", "a"], file("a", "b", "gripper"), "arm")[0] == ("a", "b")
+    assert chosen_joints(["gripper"], None, "arm") == (("gripper",), ())
+    with pytest.raises(ConfigError, match="none of which robot.urdf has"):
+        chosen_joints(["b"], file("x"), "arm")
+
+
+def test_rates_are_learnt_in_spite_of_gaps_and_jitter():
+    stamps = [round(k * 2e6 + (k % 3) * 2e5) for k in range(40) if k % 7]
+    assert learnt_period_ns(stamps, "arm") == 2_000_000
+    assert nominal_period_ns(1e9 / 83) == round(1e9 / 83) and nominal_period_ns(1e9 / 499) == 2_000_000
+    with pytest.raises(ConfigError, match="3 samples came"):
+        learnt_period_ns([0, 1, 2, 1], "arm")
+
+
+# --- Recordings.
+
+
+def test_a_recording_describes_itself_by_its_file():
+    recording = pushed(seconds=0.2)
+    facts = ReplaySource(recording).describe(0.0)
+    period_ns = round(1e9 / recording.rate_hz)
+    assert facts.settings == SourceSettings(recording.joints, period_ns, ("N m",) * 2, recording.torque_timing)
+    assert facts.signal == "torque"
+    ReplaySource(recording).open(facts.settings)
+    for torque, unit in ((AMPERES, "A"), (FROM_AMPERES, "N m")):
+        facts = ReplaySource(replace(recording, provenance={"torque": torque})).describe(0.0)
+        assert facts.signal == "current" and set(facts.settings.torque_units) == {unit}
+    servo = _core.ServoSettings(_core.TorqueFrom.duty, [_core.ServoConstants()] * 2, 0, period_ns)
+    facts = ReplaySource(replace(recording, provenance={"servo": servo_facts(servo)})).describe(0.0)
+    assert facts.signal == "duty" and servo_facts(facts.settings.servo) == servo_facts(servo)
+
+
+# --- Buses.
+
+
+def servo_source(bus: MadeServoBus, kind: str, joints: list[ServoJoint], monkeypatch):
+    from tauext.sources import open as opening
+
+    monkeypatch.setattr("tauext.sources.servo_bus_file.load_servo_bus", lambda path: bus_file(*joints))
+    source, _ = opening.open_source(f"{kind}:{bus.port}", SourceOptions(bus=bus_file().path))
+    return patient(source)
+
+
+def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
+    pytest.importorskip("scservo_sdk")
+    with MadeServoBus(Feetech(), [1, 2, 6]) as bus:
+        for id_ in (1, 2, 6):
+            sts3215(bus, id_)
+        joints = [ServoJoint(name, id_) for name, id_ in (("pan", 1), ("lift", 2), ("gripper", 6))]
+        source = servo_source(bus, "feetech", joints, monkeypatch)
+        facts = source.describe(WAIT_S)
+        assert facts.settings.joints == ("pan", "lift") and facts.notes == ("left out: gripper",)
+        assert facts.signal == "duty" and facts.temperature and facts.settings.torque_units == ("N m", "N m")
+        servo = facts.settings.servo
+        assert servo.on and servo.torque_from == _core.TorqueFrom.duty and servo.velocity_steps > 1
+        assert servo.joints[0].nm_per_ampere == SERVO_TYPES["sts3215-7.4v"].nm_per_ampere
+        source.open(facts.settings)
+        assert source.next_sample(WAIT_S) is not None
+        source.close()
+        bus.put(1, "B", 62, 120)  # 12 V
+        bus.put(2, "B", 62, 118)
+        again = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
+        assert again.settings.servo.joints[1].nm_per_ampere == SERVO_TYPES["sts3215-12v"].nm_per_ampere
+        assert "servos are of another type" in why_another(
+            facts, replace(again, settings=replace(again.settings, period_ns=facts.settings.period_ns))
+        )
+        bus.put(1, "H", 3, 2825)  # sts3250, of which no constant is known
+        unknown = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
+        assert unknown.settings.torque_units == ("A", "A") and "no constants are known" in unknown.notes[-1]
+        assert unknown.settings.servo.joints[0].count_rad == pytest.approx(2 * np.pi / 4096)
+        bus.registers.pop(2)
+        silent = servo_source(bus, "feetech", joints, monkeypatch)
+        silent.bus.port.answer_s = 0.05
+        with pytest.raises(ConfigError, match=r"servo 2 \(lift\) does not answer; 1 do"):
+            silent.describe(WAIT_S)
+
+
+def test_dynamixel_servos_give_their_phase_current_or_else_their_duty(monkeypatch):
+    pytest.importorskip("dynamixel_sdk")
+    with MadeServoBus(Dynamixel(), [1, 2]) as bus:
+        for id_ in (1, 2):
+            x_series(bus, id_)
+        joints = [ServoJoint(NAMES[k], k + 1) for k in range(2)]
+        facts = servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S)
+        assert facts.signal == "current" and facts.settings.servo.torque_from == _core.TorqueFrom.phase_current
+        x_series(bus, 2, model=1060)  # XL430 measures no current
+        assert servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S).signal == "duty"
+
+
+@pytest.mark.parametrize("ask", [True, False])
+def test_damiao_motors_are_timed_or_overheard(ask):
+    pytest.importorskip("can")
+    from test_damiao_source import Motors, source_of, state_of
+
+    motors = Motors()
+    try:
+        if ask:
+            facts = source_of(motors).describe(WAIT_S)
+            assert facts.settings.period_ns in (1_000_000, 2_000_000, 5_000_000, 10_000_000, 20_000_000)
+            motors.silent.add(2)
+            silent = source_of(motors)
+            silent.answer_s = 0.05
+            with pytest.raises(ConfigError, match="motor 0x02 .* does not answer"):
+                silent.describe(0.5)
+        else:
+            from tauext.sources.damiao import CanMotor
+
+            ended = threading.Event()
+
+            def other_program() -> None:
+                while not ended.wait(0.01):
+                    for id_ in (1, 2):
+                        motors.say(id_, state_of(id_))
+
+            threading.Thread(target=other_program, daemon=True).start()
+            ranges = (12.5, 30.0, 10.0)
+            known = (CanMotor("pan", 1, 0x11, ranges=ranges), CanMotor("lift", 2, 0x12, ranges=ranges))
+            facts = source_of(motors, *known, ask=False).describe(WAIT_S)
+            ended.set()
+            assert 5_000_000 < facts.settings.period_ns < 50_000_000
+            assert not motors.asked
+        assert facts.settings.joints == ("pan", "lift") and facts.settings.torque_units == ("N m", "N m")
+        assert facts.signal == "torque" and facts.temperature
+    finally:
+        motors.close()
+
+
+# --- ROS 2.
+
+
+def test_ros2_joints_rate_and_publisher_are_found_out(request, tmp_path):
+    pytest.importorskip("cyclonedds")
+    from made_ros2 import DOMAIN, Robot, own_space
+
+    from tauext.sources.ros2_settings import Ros2Settings
+
+    settings = Ros2Settings(topic=own_space(request) + "/joint_states", domain=DOMAIN)
+
+    def described(wait_s: float, robot=None, **changed) -> SourceFacts:
+        source, _ = open_source("ros2", SourceOptions(ros2=replace(settings, **changed)))
+        return source.describe(wait_s, robot)
+
+    with pytest.raises(ConfigError, match="no publisher of sensor_msgs/JointState in domain"):
+        described(0.3)
+    arm, gripper = Robot(settings, ("b", "a"), 4_000_000), Robot(settings, ("finger_joint",), 1_000_000)
+    ended = threading.Event()
+    fields: dict = {}
+
+    def drive() -> None:
+        while not ended.wait(0.004):
+            arm.send(**fields)
+            gripper.send(4)
+
+    thread = threading.Thread(target=drive, daemon=True)
+    thread.start()
+    try:
+        facts = described(WAIT_S)
+        assert facts.settings == SourceSettings(("b", "a"), 4_000_000, ("N m", "N m"), "instant")
+        assert facts.signal == "unknown" and "until the arm's motion shows another kind" in facts.notes[-1]
+        ordered = described(WAIT_S, write_placeholder(["a", "b", "c"], tmp_path))
+        assert ordered.settings.joints == ("a", "b")
+        fields["effort"] = []
+        time.sleep(0.05)
+        with pytest.raises(ConfigError, match="effort is empty"):
+            described(1.5, names=("a", "b"))
+        fields["effort"] = [float("nan"), 1.0]
+        with pytest.raises(ConfigError, match="no finite position, velocity and effort of b"):
+            described(1.5, names=("a", "b"))
+    finally:
+        ended.set()
+        thread.join()
+
+
+# --- What lasts.
+
+
+FACTS = SourceFacts(SourceSettings(("a", "b"), 1_000_000, ("N m", "N m"), "held"), "torque", False)
+
+
+class Describing(ScriptedSource):
+    """A script that says what it is."""
+
+    def __init__(self, script, facts=FACTS, opens=True):
+        super().__init__(script)
+        self.facts, self.opens = facts, opens
+
+    def describe(self, wait_s, robot=None):
+        return self.facts
+
+    def open(self, settings):
+        if not self.opens:
+            raise ConfigError("the cable is out")
+        super().open(settings)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(lasting, "RETRY_S", 0.01)
+    monkeypatch.setattr(lasting, "LONGEST_RETRY_S", 0.02)
+
+
+def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
+    samples = samples_of(pushed(seconds=0.2))
+    first, second = Describing(samples[:3]), Describing(samples[3:6])
+    first.counts.lost, second.counts.lost = 2, 3
+    others = [ConfigError("still booting"), RuntimeError("of a library"), second]
+    other_arm = replace(FACTS, settings=replace(FACTS.settings, joints=("a", "c")))
+
+    def again():
+        if isinstance(one := others.pop(0) if others else Describing([], other_arm), Exception):
+            raise one
+        return one
+
+    source = LastingSource(first, again, FACTS)
+    source.open(FACTS.settings)
+    came, notes, until = [], [], time.monotonic() + WAIT_S
+    while "another arm" not in source.away and time.monotonic() < until:
+        if (sample := source.next_sample(0.01)) is not None:
+            came.append(sample.t_ns)
+        notes += source.notes()
+    assert came == [one.t_ns for one in samples[:6]] and not source.ended and source.counts.lost == 5
+    assert [note.partition("script ")[2] for note in notes[:4]] == [
+        "is away: it has ended; it is tried again",
+        "is away: still booting",
+        "is away: of a library",
+        "is back",
+    ]
+    assert source.away == "this is another arm: it has joints a, c, not a, b" and source.next_sample(0.01) is None
+    with pytest.raises(RuntimeError, match="is away"):
+        source.stop()
+    source.close()
+    assert source.ended and first.closed and second.closed
+
+
+def test_a_source_that_cannot_be_opened_is_tried_again_and_its_replacement_closed_with_it(quick):
+    second = Describing(samples_of(pushed(seconds=0.2)))
+    source = LastingSource(Describing([], opens=False), lambda: second, FACTS)
+    source.open(FACTS.settings)
+    assert source.away == "the cable is out"
+    until = time.monotonic() + WAIT_S
+    while source.next_sample(0.01) is None:
+        assert time.monotonic() < until
+    assert source.away == ""
+    with pytest.raises(ConfigError, match="takes no commands"):
+        source.command("push")
+    with pytest.raises(ConfigError, match="cannot stop its robot"):
+        source.check_stop()
+    source.close()
+    source.close()
+    assert second.closed == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"joints": ("a",)}, "it has joints a, not a, b"),
+        ({"period_ns": 1_020_000}, ""),
+        ({"period_ns": 2_000_000}, "500 samples a second, not 1000"),
+        ({"torque_units": ("A", "A")}, "its torque is in A, A, not N m, N m"),
+        ({"torque_timing": "instant"}, "its torque is instant, not held"),
+        (
+            {"servo": _core.ServoSettings(_core.TorqueFrom.duty, [_core.ServoConstants()] * 2, 0, 1_000_000)},
+            "servos are",
+        ),
+        ({"servo": _core.ServoSettings()}, ""),
+    ],
+)
+def test_another_arm_is_named_by_what_differs(changed, words):
+    why = why_another(FACTS, replace(FACTS, settings=replace(FACTS.settings, **changed)))
+    assert words in why and bool(why) == bool(words)

@@ -21,7 +21,7 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import TEMPLATE, load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
-from tauext.monitor.source import SourceCounts, Stoppable
+from tauext.monitor.source import SourceCounts, Stoppable, settings_of
 from tauext.sources.reader import SampleQueue
 from tauext.sources.replay import ReplaySource
 
@@ -384,7 +384,7 @@ def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp
     samples = samples_of(recording)
     bad = recording.q[700] * np.nan
     script = [*samples[:700], samples[700].__class__(samples[700].t_ns, bad, bad, bad, 0), samples[650], *samples[701:]]
-    sink = RecordSink(tmp_path / "kept", bundle, "script", segment_s=2.5)
+    sink = RecordSink(tmp_path / "kept", settings_of(bundle), "script", 2.5, lambda: bundle.name)
     _, keeper = looped(bundle, ScriptedSource(script), sink)
     assert (sink.count.files, sink.count.samples, sink.count.unfit, sink.count.lost) == (3, 5999, 2, 0)
     parts = [load_recording(path) for path in sorted((tmp_path / "kept").iterdir())]
@@ -404,7 +404,7 @@ def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp
 def test_recordings_of_currents_stay_currents(tmp_path):
     recording = pushed(seconds=1.0, pushes=((0.5, 0, 3.0),))
     bundle = taking_amperes(watching_bundle(), np.array([2.0, -0.5]))
-    sink = RecordSink(tmp_path, bundle, "script")
+    sink = RecordSink(tmp_path, settings_of(bundle), "script")
     looped(bundle, ScriptedSource(samples_of(recording)), sink)
     kept = load_recording(next(tmp_path.iterdir()))
     np.testing.assert_array_equal(kept.tau, recording.tau)

@@ -23,6 +23,7 @@ from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
 from tauext.data.importers.raw import short_list
+from tauext.data.labels import labels_key
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
 from tauext.files.atomic_write import atomic_write
@@ -416,6 +417,7 @@ def check_calibration(
     workers = _workers(threads)
     with ThreadPoolExecutor(workers) as pool:
         digests = [f"{file.name} {digest}" for file, digest in zip(files, pool.map(file_digest, files), strict=True)]
+    digests += sorted({key for folder in {file.parent for file in files} if (key := labels_key(folder))})
 
     def find() -> list[Finding]:
         def checked(load: Callable[[], Recording]) -> list[Finding]:

@@ -285,6 +285,7 @@ def watch(
     from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
     from tauext.monitor.record_sink import FlightSink, RecordSink
+    from tauext.monitor.source import settings_of
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
@@ -296,7 +297,7 @@ def watch(
         flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source.name)
     record = None
     if extras.record is not None:
-        record = RecordSink(extras.record, bundle, source.name, extras.segment_s)
+        record = RecordSink(extras.record, settings_of(bundle), source.name, extras.segment_s, lambda: bundle.name)
     sinks = [*publishers, *(sink for sink in (flights, record) if sink is not None)]
     reactions = start_reactions(rules, source, publishers)
     recorder = flights.recorder if flights else None

@@ -7,12 +7,13 @@ import json
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tauext.data.labels import epoch_of, has_labels, overlay, read_labels
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError, StoreError
 from tauext.files.atomic_write import atomic_write
@@ -127,6 +128,8 @@ def load_recording(
 ) -> Recording:
     """Read a recording; its name is the stem of `path`. The file is never changed.
 
+    Labels beside a recording of `tauext commission` become its `contact`.
+
     Args:
         signals: optional signals to read if present; None: all.
         rows: first sample and the one after the last; None: all.
@@ -148,6 +151,9 @@ def load_recording(
                 values[:, j] = to_numpy(path, columns, f"{signal}_{joint}")
             values.flags.writeable = False
             arrays[signal] = values
+    if (signals is None or "contact" in signals) and (epoch := epoch_of(head.provenance)) is not None:
+        if has_labels(path.parent):
+            arrays["contact"] = overlay(read_labels(path.parent), epoch, arrays["t_ns"], arrays.get("contact"))
     keep = ("name", "joints", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
     facts: dict[str, Any] = {name: getattr(head, name) for name in keep}
     try:
@@ -186,7 +192,9 @@ def describe(path: Place | str) -> Description:
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
+    if "contact" in head.signals or epoch_of(head.provenance) is None or not has_labels(path.parent):
         return head
+    return replace(head, signals=(*head.signals, "contact"))
 
 
 def fingerprint(path: Place | str) -> str:

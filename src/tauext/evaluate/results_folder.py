@@ -17,6 +17,7 @@ from tauext.bundle.loss_history import read_loss_history
 from tauext.check.preflight import WORTH_A_WARNING
 from tauext.config import EventsConfig
 from tauext.data.dataset import Dataset
+from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.results import EvaluatedBundle, to_json
@@ -130,4 +131,6 @@ def work_key(dataset: Dataset, bundles: Mapping[str, Bundle], settings: dict) ->
             files.append([set_name, name, status.st_size, status.st_mtime_ns])
     digests = [[name, hashlib.sha256(bundle.to_bytes()).hexdigest()] for name, bundle in bundles.items()]
     work = {"version": VERSION, "bundles": digests, "recordings": files, "settings": settings}
+    if labels := labels_key(dataset.folder):
+        work["labels"] = labels
     return hashlib.sha256(json.dumps(work, default=str).encode()).hexdigest()

@@ -23,6 +23,7 @@ from tauext.files.provenance import VERSION
 from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.source import SourceSettings
 
 # --- Recordings of a live arm, for retraining.
 
@@ -48,12 +49,19 @@ class RecordSink:
     """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; never overwrites files.
 
     `contact` follows the monitor: 1 during an alarm, 0 while healthy without one, else -1 (unknown). Training uses
-    samples with 0, with margins around 1. Torques are in the bundle's input unit. The loop copies each sample; a thread
-    writes.
+    samples with 0, with margins around 1. Torques are in the unit of the source. The loop copies each sample; a thread
+    writes. A new segment begins after a gap, and where the clock of the source starts again.
     """
 
-    def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 25.0):
-        """source: name of the source, for file names and provenance."""
+    def __init__(
+        self,
+        folder: Path,
+        arm: SourceSettings,
+        source: str,
+        segment_s: float = 25.0,
+        bundle_name: Callable[[], str] = lambda: "",
+    ):
+        """source: name of the source, for file names and provenance. bundle_name: name of the bundle that monitors."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -62,18 +70,20 @@ class RecordSink:
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
         self._reported = 0
-        self._folder, self._bundle, self._source = folder, bundle, source
+        self._folder, self._arm, self._source, self._bundle_name = folder, arm, source, bundle_name
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
-        self._period_ns = bundle.observer.sample_period_ns
         self._names: tuple[str, ...] = ()
         self._row: int
+        self._warm: np.ndarray | None = None
         self._t_ns: np.ndarray
         self._contact: np.ndarray
         self._signals: list[np.ndarray]
-        self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
+        self._rows = max(2, round(segment_s * 1e9 / arm.period_ns))
         self._number = 0
+        self._late_ns: int | None = None
+        """Stamp of a sample older than the one before; the clock started again if the next one follows it."""
         self.count = RecordCount()
-        self._waiting: queue.SimpleQueue[dict[str, np.ndarray] | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         """Segments to write; None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
 
@@ -86,17 +96,28 @@ class RecordSink:
         sample, estimates, k = verdict.sample, verdict.estimates, self._row
         if sample is None:
             return
-        if not self._names:  # the other signals of a servo arm, taken from its first sample
+        if not self._names:  # the other signals of the source, taken from its first sample
             measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
+            self._warm = sample.temperature
+            if self._warm is not None and np.isfinite(self._warm).all():
+                measured.append("temperature")
             self._names = ("q", "dq", "tau", *measured)
             self._begin()
         signals = [getattr(sample, name) for name in self._names]
-        if any(values is None for values in signals):
+        if self._names[-1] == "temperature" and signals[-1] is not None:  # measured seldom: the last value holds
+            self._warm = signals[-1] = np.where(np.isfinite(signals[-1]), signals[-1], self._warm)
+        if any(values is None for values in signals) or not all(np.isfinite(values).all() for values in signals):
             self.count.unfit += 1
             return
-        if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
-            self.count.unfit += 1
-            return
+        if k and sample.t_ns <= self._t_ns[k - 1]:
+            if self._late_ns is None or sample.t_ns <= self._late_ns:
+                self._late_ns = sample.t_ns
+                self.count.unfit += 1
+                return
+            self._hand_over()
+            self._clock_restarted()
+            k = 0
+        self._late_ns = None
         if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
             self._hand_over()
             k = 0
@@ -119,6 +140,9 @@ class RecordSink:
         self._waiting.put(None)
         self._thread.join()
 
+    def _clock_restarted(self) -> None:
+        """Called in the loop's thread before the first sample of the new clock."""
+
     def _begin(self) -> None:
         self._row, shape = 0, (self._rows, len(self._joints))
         self._t_ns, self._contact = np.zeros(self._rows, dtype=np.int64), np.zeros(self._rows, dtype=np.int8)
@@ -138,8 +162,8 @@ class RecordSink:
             self._begin()
 
     def _work(self) -> None:
-        while (segment := self._waiting.get()) is not None:
-            self._write(segment)
+        while (work := self._waiting.get()) is not None:
+            self._write(work)
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         while True:
@@ -147,23 +171,22 @@ class RecordSink:
             path = self._folder / f"{self._stem}-{self._number:04d}.parquet"
             if not path.exists():
                 break
-        provenance: dict[str, Any] = {
-            "command": "tauext monitor",
-            "version": VERSION,
-            "bundle": self._bundle.name,
-            "source": self._source,
-            "contact": "the monitor's own word",
-        }
-        if "A" in self._bundle.torque_units:
+        self._save(segment, path, {"command": "tauext monitor", "contact": "the monitor's own word"})
+
+    def _save(self, segment: dict[str, np.ndarray], path: Path, facts: dict[str, Any]) -> Recording | None:
+        """Write a segment; None where that failed, which is counted."""
+        arm = self._arm
+        provenance = {"version": VERSION, "bundle": self._bundle_name(), "source": self._source} | facts
+        if "A" in arm.torque_units:
             provenance["torque"] = AMPERES
-        if self._bundle.servo.on:
-            provenance["servo"] = servo_facts(self._bundle.servo)
+        if arm.servo is not None and arm.servo.on:
+            provenance["servo"] = servo_facts(arm.servo)
         try:
             recording = Recording(
                 name=path.stem,
                 joints=self._joints,
-                rate_hz=1e9 / self._period_ns,
-                torque_timing=cast(TorqueTiming, self._bundle.observer.timing.name),
+                rate_hz=1e9 / arm.period_ns,
+                torque_timing=cast(TorqueTiming, arm.torque_timing),
                 source=self._source,
                 robot_sha256="",
                 provenance=provenance,
@@ -173,9 +196,10 @@ class RecordSink:
         except Exception as error:  # continue with the next segment
             self.count.lost += len(segment["t_ns"])
             self.count.error = self.count.error or str(error)
-        else:
-            self.count.files += 1
-            self.count.samples += recording.samples
+            return None
+        self.count.files += 1
+        self.count.samples += recording.samples
+        return recording
 
 
 def file_name(text: str) -> str:

@@ -20,6 +20,7 @@ from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
+from tauext.data.labels import labels_key
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
@@ -206,8 +207,9 @@ def kept_peaks(
     if out is None or not all(isinstance(load, partial) for load in loaders):
         return None
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
+    labels = sorted({labels_key(file_of(load).parent) for load in loaders} - {""})
     out.parent.mkdir(parents=True, exist_ok=True)
-    work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings])
+    work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings, *labels])
     return KeptPeaks(Checkpoint(checkpoint_file(out), hashlib.sha256(work.encode()).hexdigest()))
 
 

@@ -1,0 +1,132 @@
+"""Labels of touches beside the recordings of `tauext commission`, and how they become `contact`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from tauext.config import FreeMotionConfig
+from tauext.files.append_file import append_line, read_lines
+from tauext.files.copies import version_of
+from tauext.files.places import Place, is_stored
+from tauext.files.plain_file import FORMAT
+
+LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
+FILE_NAME = "labels.jsonl"
+MARGINS = FreeMotionConfig()
+EPOCH = "epoch"
+"""Key of a recording's provenance: number of its clock, which changes whenever the source's stamps go back."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """One interval of motion and what a person, or nobody, answered about it."""
+
+    id: int
+    """Number of the alarm; negative: the interval belongs to no alarm. A later label of one id replaces the earlier."""
+    epoch: int
+    from_ns: int
+    """First stamp, by the source's clock in this epoch, [ns]."""
+    to_ns: int
+    """Last stamp, [ns]."""
+    answer: LabelAnswer
+    """touched, nothing: a person's answer. unanswered: an alarm without an answer. suspect: a touch that nobody
+    reported, found by a bundle. withdrawn: no label any more."""
+    by: str
+    """Origin of the answer: page, stdin, trainer."""
+    wall: str
+    """Date and time, for people."""
+    bundle: str = ""
+    """Bundle that raised the alarm or found the touch."""
+
+
+def append_label(folder: Path, label: Label) -> None:
+    """Add a label and wait until the disk holds it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    append_line(folder / FILE_NAME, {"format": FORMAT} | asdict(label))
+
+
+def read_labels(folder: Place) -> tuple[Label, ...]:
+    """The newest label of each id; lines that a killed process left incomplete count as none."""
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return ()
+    return _read(path, "" if is_stored(path) else version_of(path))
+
+
+@lru_cache(maxsize=8)
+def _read(path: Place, version: str) -> tuple[Label, ...]:
+    newest: dict[int, Label] = {}
+    for content in read_lines(path):
+        with suppress(KeyError, TypeError, ValueError):
+            label = label_of(content)
+            newest[label.id] = label
+    return tuple(label for label in newest.values() if label.answer != "withdrawn")
+
+
+def label_of(content: Mapping[str, Any]) -> Label:
+    """The label in one line; KeyError or ValueError where it is none."""
+    label = Label(**{field.name: type_of(field.type)(content[field.name]) for field in fields(Label)})
+    if label.answer not in get_args(LabelAnswer):
+        raise ValueError(label.answer)
+    return label
+
+
+def type_of(name: object) -> type:
+    return int if name == "int" else str
+
+
+def has_labels(folder: Place) -> bool:
+    """Whether labels lie beside the folder's recordings."""
+    return (folder / FILE_NAME).is_file()
+
+
+def labels_key(folder: Place) -> str:
+    """Digest of the labels that count, for keys of cached results; empty in a folder without labels."""
+    labels = read_labels(folder)
+    return hashlib.sha256(repr(sorted(labels, key=lambda one: one.id)).encode()).hexdigest() if labels else ""
+
+
+def overlay(labels: Iterable[Label], epoch: int, t_ns: np.ndarray, contact: np.ndarray | None = None) -> np.ndarray:
+    """`contact` of these samples, (samples,) int8: 1 touched, 0 free, -1 unknown.
+
+    A touch has the margins of training around it, as unknown: it may lie in the next recording. Alarms without an
+    answer and suspects are unknown with the same margins. Where labels overlap, `touched` counts first, then
+    `unanswered`, `nothing`, `suspect`. If no sample of a recording is known, all are touched, since recordings without
+    any known label count as free.
+
+    Args:
+        contact: of the recording itself; None: free throughout.
+    """
+    out = np.zeros(len(t_ns), dtype=np.int8) if contact is None else np.array(contact, dtype=np.int8)
+    before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
+    order = ("suspect", "nothing", "unanswered", "touched")
+    for label in sorted((one for one in labels if one.epoch == epoch), key=lambda one: order.index(one.answer)):
+        around = slice(*np.searchsorted(t_ns, [label.from_ns - before, label.to_ns + after + 1]))
+        if label.answer == "nothing":
+            out[around] = 0
+            continue
+        out[around] = np.where(out[around] == 1, 1, -1)
+        if label.answer == "touched":
+            out[slice(*np.searchsorted(t_ns, [label.from_ns, label.to_ns + 1]))] = 1
+    if len(out) and (out == -1).all():
+        out[:] = 1
+    out.flags.writeable = False
+    return out
+
+
+def epoch_of(provenance: Mapping[str, Any]) -> int | None:
+    """Epoch of a recording of `tauext commission`; None: another recording, which labels do not concern."""
+    epoch = provenance.get(EPOCH)
+    return epoch if isinstance(epoch, int) else None
+

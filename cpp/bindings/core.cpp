@@ -573,9 +573,15 @@ void bind_bundle(nb::module_& m) {
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
           "Stores this section of free motion with the chain's estimate at its last sample; loading a bundle replays it.")
+      .def_prop_ro("model_digest", &model_digest,
+                   "Checksum of all that tau_ext is made of, drift excluded; bundles that differ in limits alone have the same.")
       .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"),
            "Writes the file to a temporary name and renames it. Raises CoreError with the invalid field or the write error.")
-      .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"),
+      .def_static("load", [](const std::string& path) {
+                    const nb::gil_scoped_release released;
+                    return load_bundle(path);
+                  },
+                  nb::arg("path"),
                   "Reads and checks the file and replays its reference. Raises CoreError with the reason of a refusal.")
       .def(
           "to_bytes",

@@ -3,6 +3,7 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -21,6 +22,14 @@ std::vector<std::string> cause_names(std::uint32_t causes) {
   for (std::uint32_t k = 0; k < kCauseCount; ++k)
     if (causes >> k & 1) names.emplace_back(name(static_cast<Cause>(1u << k)));
   return names;
+}
+
+nb::bytes bytes_of(const std::vector<std::byte>& state) {
+  return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
+}
+
+std::span<const std::byte> as_bytes(const nb::bytes& state) {
+  return {reinterpret_cast<const std::byte*>(state.c_str()), state.size()};
 }
 
 using Temperature = std::optional<Array<double, 1>>;
@@ -354,6 +363,7 @@ void bind_monitor(nb::module_& m) {
       .def(
           "__init__",
           [](Monitor* monitor, const Bundle& bundle, bool own_rate) {
+            const nb::gil_scoped_release released;
             new (monitor) Monitor(bundle, own_rate ? NetworkRate::network_period : NetworkRate::every_sample);
           },
           nb::arg("bundle"), nb::arg("own_rate") = false)
@@ -393,6 +403,14 @@ void bind_monitor(nb::module_& m) {
                "Multiplies the bundle's limits by one factor per joint, 0.1 to 10, from the next sample on. Raises "
                "CoreError, and\n"
           "changes nothing, for other values.")
+      .def_prop_ro(
+          "limit_factors",
+          [](const Monitor& self) {
+            const LimitFactors& factors = self.limit_factors();
+            const auto listed = [&](const JointVector& all) { return std::vector(all.begin(), all.begin() + self.joints()); };
+            return std::pair(listed(factors.collision), listed(factors.contact));
+          },
+          "Factors in effect on the limits, of collision and contact, one per joint.")
       .def(
           "set_load",
           [](Monitor& self, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
@@ -539,17 +557,40 @@ void bind_monitor(nb::module_& m) {
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());
              self.save_state(state);
-             return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
+             return bytes_of(state);
            },
            "The whole state as bytes, for restore_state() of a monitor of the same bundle, network rate and build.")
       .def(
           "restore_state",
-          [](Monitor& self, nb::bytes state) {
-            if (!self.restore_state({reinterpret_cast<const std::byte*>(state.c_str()), state.size()}))
+          [](Monitor& self, const nb::bytes& state) {
+            if (!self.restore_state(as_bytes(state)))
               throw Error("the state is damaged, or of another bundle, network rate or build");
           },
           nb::arg("state"),
-          "Restores a state of save_state(). Raises CoreError if it is damaged, or of another bundle, network rate or build.");
+          "Restores a state of save_state(). Raises CoreError if it is damaged, or of another bundle, network rate or build.")
+      .def("carried",
+           [](const Monitor& self) {
+             std::vector<std::byte> carried(Monitor::carried_bytes());
+             self.save_carried(carried);
+             return bytes_of(carried);
+           },
+           "What another bundle's monitor can continue from, as bytes for carry() and carry_alarm().")
+      .def(
+          "carry",
+          [](Monitor& self, const nb::bytes& carried) {
+            if (!self.carry(as_bytes(carried))) throw Error("what was carried is damaged, of another build or arm, or holds a load that is refused");
+          },
+          nb::arg("carried"),
+          "Continues from limit factors, load and, if both bundles have the same model_digest, learned drift. Call it\n"
+          "before the first sample. Raises CoreError, and changes nothing, if it does not fit.")
+      .def(
+          "carry_alarm",
+          [](Monitor& self, const nb::bytes& carried) {
+            if (!self.carry_alarm(as_bytes(carried))) throw Error("what was carried is damaged, or of another build or arm");
+          },
+          nb::arg("carried"),
+          "Continues the alarm, its kind of touch and the joints pushed while stuck. Raises CoreError, and changes nothing,\n"
+          "if it does not fit.");
 }
 
 }  // namespace tauext::bindings

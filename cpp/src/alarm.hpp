@@ -47,6 +47,14 @@ class AlarmStage {
     state_.joint = joint;
     state_.raised_t_ns = state_.contact_seen_ns = t_ns;
   }
+  // Continues another stage's alarm, with the hold times of this one.
+  void take_over(const State& other) noexcept {
+    const State own = state_;
+    state_ = other;
+    state_.held_alarm = own.held_alarm;
+    state_.collision_since_ns = own.collision_since_ns;
+    state_.contact_since_ns = own.contact_since_ns;
+  }
   // Resets the limits of joints that were pushed while stuck: the prior's doubt covers them now.
   void forget_pushes() noexcept { state_.pushed = 0; }
 

@@ -174,6 +174,25 @@ std::vector<char> to_bytes(const Bundle& bundle) {
   return std::move(file.bytes);
 }
 
+std::uint32_t model_digest(const Bundle& bundle) {
+  Bundle model;
+  model.links = bundle.links;
+  model.gravity = bundle.gravity;
+  model.observer = bundle.observer;
+  model.units = bundle.units;
+  model.window_steps = bundle.window_steps;
+  model.inputs = bundle.inputs;
+  model.input_factors = bundle.input_factors;
+  model.shape = bundle.shape;
+  model.parameters = bundle.parameters;
+  model.output_scale_nm = bundle.output_scale_nm;
+  model.prior = bundle.prior;
+  model.servo = bundle.servo;
+  Writer payload;
+  field(payload, model);
+  return crc32(payload.bytes);
+}
+
 Bundle from_bytes(std::span<const char> bytes) {
   simd_in_use();  // a wrong TAUEXT_SIMD is refused here for every bundle, and never in a control loop
   if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)

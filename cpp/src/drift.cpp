@@ -117,7 +117,9 @@ FrictionFactors::Learned FrictionFactors::learned() const noexcept {
 
 void FrictionFactors::put_learned(const Learned& factors) noexcept {
   forget_strokes();
-  for (std::size_t j = 0; j < factors.size(); ++j) state_.joints[j].factors = state_.joints[j].wanted = factors[j];
+  for (std::size_t j = 0; j < factors.size(); ++j)
+    for (std::size_t m = 0; m < kParts; ++m)
+      state_.joints[j].factors[m] = state_.joints[j].wanted[m] = std::clamp(factors[j][m], -2 * share_, 2 * share_);
 }
 
 void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, std::span<const double> viscous,

@@ -54,8 +54,12 @@ class DriftTracker {
   void learn(std::span<const double> tau_ext, std::span<const double> scale, std::span<const double> doubt,
              std::uint32_t near_stiction, bool trusted) noexcept;
 
-  // Replaces the learned coefficients.
-  void put_coefficients(const Terms& coefficients) noexcept { state_.coefficients = coefficients; }
+  // Replaces the learned coefficients, within the bounds.
+  void put_coefficients(const Terms& coefficients) noexcept {
+    for (std::size_t m = 0; on() && m < coefficients.size(); ++m)
+      for (std::size_t j = 0; j < settings_.size_nm.size(); ++j)
+        state_.coefficients[m][j] = std::clamp(coefficients[m][j], -settings_.size_nm[j], settings_.size_nm[j]);
+  }
 
   bool on() const noexcept { return settings_.on(); }
   // One bit per joint: a coefficient is at its bound. Retraining is due.
@@ -144,7 +148,7 @@ class FrictionFactors {
   // Friction factors of each joint, less 1.
   using Learned = std::array<Parts, kMaxJoints>;
   Learned learned() const noexcept;
-  // Applies these factors at once and discards all strokes.
+  // Applies these factors at once, within the bounds, and discards all strokes.
   void put_learned(const Learned& factors) noexcept;
 
   // Processes one sample with the prior's friction before the observer's filter. Adds the correction by the learned

@@ -73,6 +73,27 @@ class JudgeStage {
   // Back to the state after construction.
   void reset() noexcept;
 
+  // What a stage of another bundle for the same arm can continue from; see Monitor::carry().
+  struct Carried {
+    DriftTracker::Terms drift;
+    FrictionFactors::Learned factors_of_friction;
+    LimitFactors factors;
+    AlarmStage::State alarm;
+    TouchKind::State touch;
+  };
+  Carried carried() const noexcept {
+    return {drift_.state().coefficients, factors_.learned(), alarm_.factors(), alarm_.state(), touch_.state()};
+  }
+  void carry_drift(const Carried& carried) noexcept {
+    drift_.put_coefficients(carried.drift);
+    factors_.put_learned(carried.factors_of_friction);
+  }
+  void carry_alarm(const Carried& carried) noexcept {
+    alarm_.take_over(carried.alarm);
+    touch_.restore(carried.touch);
+    report_alarm();
+  }
+
   struct State {
     AlarmStage::State alarm;
     LimitFactors factors;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <limits>
 #include <optional>
@@ -18,7 +19,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 1;
+constexpr std::uint32_t kStateVersion = 1, kCarriedVersion = 1;
 
 // Header of a saved state.
 struct StateHead {
@@ -27,8 +28,27 @@ struct StateHead {
   std::uint32_t crc, unused;
 };
 
+// What one bundle's monitor leaves to another's.
+struct Handover {
+  std::uint32_t version, crc;  // crc: of all that follows
+  std::uint32_t joints, model;
+  JudgeStage::Carried judge;
+  Load load;
+};
+
 std::span<const char> as_chars(std::span<const std::byte> bytes) noexcept {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+std::uint32_t crc_of(std::span<const std::byte> carried) noexcept {
+  return crc32(as_chars(carried.subspan(offsetof(Handover, joints))));
+}
+
+// Reads what was carried; false: damaged, or of another build or number of joints.
+bool read(std::span<const std::byte> bytes, int joints, Handover& carried) noexcept {
+  if (bytes.size() != sizeof carried) return false;
+  std::memcpy(&carried, bytes.data(), sizeof carried);
+  return carried.version == kCarriedVersion && carried.joints == static_cast<std::uint32_t>(joints) && carried.crc == crc_of(bytes);
 }
 
 // Also validates the bundle before anything is built from it.
@@ -87,6 +107,7 @@ struct Monitor::Chain {
   std::int64_t sample_period_ns;
   LoadSettings load_settings;
   std::uint32_t fingerprint;  // CRC-32 of the bundle and of all else that determines a state's layout
+  std::uint32_t model;        // model_digest()
   ObserveStage observe;
   std::optional<SlidingLstm> network;
   std::vector<float> network_out;
@@ -121,6 +142,7 @@ Monitor::Chain::Chain(const Bundle& bundle, NetworkRate rate)
     : sample_period_ns(bundle.observer.sample_period_ns),
       load_settings(bundle.load),
       fingerprint(fingerprint_of(bundle, rate)),
+      model(model_digest(bundle)),
       observe(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
       judge(bundle),
       wrench(bundle) {
@@ -384,6 +406,45 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (chain_->network) chain_->network->restore(left);
   finish_refit();
   chain_->end_weighing();
+  return true;
+}
+
+std::size_t Monitor::carried_bytes() noexcept { return sizeof(Handover); }
+
+bool Monitor::save_carried(std::span<std::byte> bytes) const noexcept {
+  static_assert(std::is_trivially_copyable_v<Handover>);
+  if (bytes.size() != sizeof(Handover)) return false;
+  Handover carried;
+  std::memset(static_cast<void*>(&carried), 0, sizeof carried);
+  carried.version = kCarriedVersion;
+  carried.joints = static_cast<std::uint32_t>(joints());
+  carried.model = chain_->model;
+  carried.judge = chain_->judge.carried();
+  carried.load = load();
+  std::memcpy(bytes.data(), &carried, sizeof carried);
+  const std::uint32_t crc = crc_of(bytes);
+  std::memcpy(bytes.data() + offsetof(Handover, crc), &crc, sizeof crc);
+  return true;
+}
+
+bool Monitor::carry(std::span<const std::byte> bytes) noexcept {
+  Handover carried;
+  if (!read(bytes, joints(), carried)) return false;
+  const bool loaded = carried.load.mass > 0;
+  if (loaded && load_fault(carried.load) != LoadFault::none) return false;
+  const auto n = static_cast<std::size_t>(joints());
+  const LimitFactors& factors = carried.judge.factors;
+  if (!set_limit_factors(std::span(factors.collision).first(n), std::span(factors.contact).first(n))) return false;
+  if (loaded) set_load(carried.load);
+  if (carried.model == chain_->model) chain_->judge.carry_drift(carried.judge);
+  return true;
+}
+
+bool Monitor::carry_alarm(std::span<const std::byte> bytes) noexcept {
+  Handover carried;
+  if (!read(bytes, joints(), carried)) return false;
+  advance();
+  chain_->judge.carry_alarm(carried.judge);
   return true;
 }
 

@@ -667,6 +667,69 @@ void resume_of_joints_that_slide_is_an_acknowledgement() {
   }
 }
 
+std::vector<std::byte> carried_by(const Monitor& monitor) {
+  std::vector<std::byte> carried(Monitor::carried_bytes());
+  CHECK(monitor.save_carried(carried) && !monitor.save_carried(std::span(carried).first(9)));
+  return carried;
+}
+
+// Another bundle of the same model goes on with the drift, one of another model with none; factors go to both.
+void what_was_learned_is_carried_to_a_bundle_of_the_same_model() {
+  const Bundle bundle = tracking(made::bundle(2, 20, kSteps, kStride, 3));
+  Bundle limits = bundle, bounds = bundle, model = tracking(made::bundle(2, 20, kSteps, kStride, 4));
+  limit(limits, {7, 8});
+  limits.name = "other limits";
+  bounds.drift.size_nm = {1e-3, 1e-3};
+  CHECK(model_digest(bundle) == model_digest(limits) && model_digest(bundle) == model_digest(bounds));
+  CHECK(model_digest(bundle) != model_digest(model));
+  const Signals s = regular(2, 4000);
+  Monitor one(bundle), fresh(bundle), same_model(limits), bounded(bounds), other(model), alone(model);
+  feed(one, s, 0, 2000);
+  CHECK(one.set_limit_factors(std::vector<double>{2, 0.5}, std::vector<double>{3, 1}));
+  const std::vector<std::byte> carried = carried_by(one);
+  for (Monitor* each : {&same_model, &bounded, &other}) {
+    CHECK(each->carry(carried) && each->limit_factors().collision[0] == 2 && each->limit_factors().contact[0] == 3);
+    feed(*each, s, 2000, 3000);
+  }
+  CHECK(alone.set_limit_factors(std::vector<double>{2, 0.5}, std::vector<double>{3, 1}));
+  feed(alone, s, 2000, 3000);
+  CHECK(same(alone.last(), other.last()));
+  feed(one, s, 2000, 3000);
+  feed(fresh, s, 2000, 3000);
+  const auto apart = [&](const Monitor& from) { return std::fabs(from.last().drift[0] - one.last().drift[0]); };
+  CHECK(apart(fresh) > 0.01 && apart(same_model) < 0.1 * apart(fresh));
+  CHECK(std::fabs(bounded.last().drift[0]) < 3e-3);
+  // Damaged, or of another arm: refused without a change.
+  Monitor three(made::bundle(3, 0, kSteps, kStride, 3)), untouched(bundle), reference(bundle);
+  CHECK(!three.carry(carried) && !three.carry_alarm(carried));
+  for (std::size_t at = 0; at < carried.size(); at += 97) {
+    std::vector<std::byte> damaged = carried;
+    damaged[at] ^= std::byte{4};
+    CHECK(!untouched.carry(damaged) && !untouched.carry_alarm(damaged));
+  }
+  CHECK(!untouched.carry(std::span(carried).first(carried.size() - 1)));
+  feed(untouched, s, 0, 2000);
+  feed(reference, s, 0, 2000);
+  CHECK(same(untouched.last(), reference.last()));
+}
+
+// An alarm is the old monitor's: what the new one raised in the samples that it was told of ends.
+void an_alarm_is_carried_and_one_of_the_new_monitor_ends() {
+  Bundle high = StickyArm::bundle();
+  limit(high, {20, 20});
+  StickyArm pushed{Monitor(StickyArm::bundle())}, quiet{Monitor(high)};
+  for (StickyArm* arm : {&pushed, &quiet}) arm->go(1000, 0.02, 5), arm->go(500, 0, 5), arm->go(500, 0, 1);
+  const Estimate alarm = pushed.monitor.last(), none = quiet.monitor.last();
+  CHECK(alarm.alarm == Alarm::collision && none.alarm == Alarm::none);
+  const std::vector<std::byte> of_pushed = carried_by(pushed.monitor), of_quiet = carried_by(quiet.monitor);
+  CHECK(quiet.monitor.carry_alarm(of_pushed) && pushed.monitor.carry_alarm(of_quiet));
+  const Estimate& now = quiet.monitor.last();
+  CHECK(now.alarm == Alarm::collision && now.alarm_joint == 0 && now.alarm_t_ns == alarm.alarm_t_ns && now.touch == alarm.touch);
+  CHECK(same(now.tau_ext[0], none.tau_ext[0]) && pushed.monitor.last().alarm == Alarm::none);
+  CHECK(quiet.go(1, 0, 5) == Alarm::collision);
+  CHECK(pushed.go(1, 0, 1) == Alarm::collision);  // the hold time of a cause that lasts is over
+}
+
 void names_are_reported() {
   for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
   CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
@@ -710,6 +773,8 @@ int main() {
   drift_is_not_learned_from_motion_that_training_never_saw();
   resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();
+  what_was_learned_is_carried_to_a_bundle_of_the_same_model();
+  an_alarm_is_carried_and_one_of_the_new_monitor_ends();
   names_are_reported();
   a_bundle_that_does_not_hold_together_makes_no_monitor();
   return check::result();

@@ -93,7 +93,7 @@ struct Everything {
   FlightRecorder recorder;
   double weighed = 0;
   int touched = 0, placed = 0;
-  std::vector<std::byte> state;
+  std::vector<std::byte> state, carried;
   PlaceModel places;
   TouchPlaces told;
   ServoInput servo;
@@ -105,6 +105,7 @@ struct Everything {
         velocity(compared(joints)),
         recorder(joints, 1'000'000, {0.5, 0.1, true}),
         state(every.state_bytes()),
+        carried(Monitor::carried_bytes()),
         places(tracking(joints)),
         servo({TorqueFrom::supply_current, 16, 1'000'000, 30'000'000,
                std::vector<ServoConstants>(static_cast<std::size_t>(joints), {7.4, 2.7, 1.3, 1.3, 3, 0.97, 0.0015})}) {
@@ -145,6 +146,7 @@ struct Everything {
       if (k % 1750 == 0) every.clear_load(), plain.clear_load(t_ns - 30'000'000);
       if (k % 300 == 0) every.set_temperature(sample.dq);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
+      if (k % 1400 == 0) CHECK(every.save_carried(carried) && every.carry(carried) && every.carry_alarm(carried));
       if (k % 2100 == 0) CHECK(every.start_refit());
       if (k % 2200 == 0) CHECK(every.start_weighing() && own.start_weighing(0.4) && !velocity.start_weighing());
       if (k % 3 == 0)

@@ -101,6 +101,9 @@ void save_bundle(const Bundle& bundle, const std::string& path);
 Bundle load_bundle(const std::string& path);
 std::vector<char> to_bytes(const Bundle& bundle);
 Bundle from_bytes(std::span<const char> bytes);
+// Checksum of all that tau_ext is made of, drift excluded: model, observer, units, prior, network. Bundles that differ in
+// limits, drift settings, coverage or names alone have the same.
+std::uint32_t model_digest(const Bundle& bundle);
 // CRC-32 as in zlib and Ethernet, continued from `crc`.
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;
 

@@ -155,6 +155,21 @@ class Monitor {
   bool save_state(std::span<std::byte> state) const noexcept;
   bool restore_state(std::span<const std::byte> state) noexcept;
 
+  // Carry to a monitor of another bundle for the same arm, in a loop that exchanges its bundle without a gap: make the
+  // new monitor, carry(), pass it the samples since then, then carry_alarm() what the old one holds by now. Size of what
+  // is carried: the same for all bundles of a build.
+  static std::size_t carried_bytes() noexcept;
+  // Copies what can be carried; call it between advance() and the next sample. Returns false if the size is wrong.
+  bool save_carried(std::span<std::byte> carried) const noexcept;
+  // Continues from limit factors, load and, if both bundles have the same model_digest(), learned drift: a new prior has
+  // learned what the old drift made up for. Call it before the first sample. Returns false and changes nothing if the
+  // bytes are damaged or of another build or number of joints, or the bundle refuses the load.
+  bool carry(std::span<const std::byte> carried) noexcept;
+  // Continues the alarm: its level, joint, time and kind of touch, and the joints pushed while stuck. An alarm that this
+  // monitor raised itself ends. Returns false and changes nothing if the bytes are damaged or of another build or number
+  // of joints.
+  bool carry_alarm(std::span<const std::byte> carried) noexcept;
+
   // --- Properties and counters.
 
   int joints() const noexcept { return last().joints; }  // number of joints

@@ -1,0 +1,455 @@
+"""A live stream checked before and while it is recorded: what is known of the arm, and findings in words."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from tauext.check.effort import HIGH, LOW, SEARCH_S
+from tauext.check.examine import Diagnosis, examine
+from tauext.check.finding import CODES, Finding
+from tauext.check.motion import MOVING_RAD_S
+from tauext.data.description import Arm, load_arm, parse_arm
+from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
+from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, servo_facts, servo_of
+from tauext.errors import ConfigError, TauextError
+from tauext.files.atomic_write import atomic_write
+from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
+from tauext.robot.capsules import write_shapes
+from tauext.robot.load import load_tree
+from tauext.robot.write import is_placeholder, write_placeholder, write_robot
+from tauext.sources.describing import why_another
+
+# --- Findings about a live stream.
+
+
+@dataclass(frozen=True)
+class Live:
+    """One line about the stream, for a person; a plain dict of it is an entry of findings.json."""
+
+    code: str
+    """Key of check.finding.CODES, or of TOPICS."""
+    severity: Literal["fault", "warning", "note", "good"]
+    """fault: what is learned from this stream is wrong. good: checked, and as it should be."""
+    joint: str | None
+    words: str
+    remedy: str
+    """What a person can do; empty: nothing is to be done."""
+    waits: bool = False
+    """Whether this cannot be judged until the arm has moved more."""
+
+
+TOPICS = {
+    "joints": ("joint-names", "joint-order", "joint-axis", "stuck", "model-unusable", "not-measured"),
+    "rate": ("wrong-rate", "clock-gaps", "repeated-rows"),
+    "clock": ("clock-irregular", "time-unit", "spike"),
+    "units": ("degrees", "velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay", "position-limit"),
+    "sign": ("effort-sign", "unsigned-torque", "load-sign-bit"),
+    "signal": (
+        "effort-duty", "effort-external", "effort-gravity-compensated", "effort-limit", "effort-motor-side",
+        "effort-scale", "supply-current", "current-signed", "saturated", "quantised", "smoothed", "torque-delay",
+    ),
+    "robot-file": (
+        "gravity-direction", "inertia-impossible", "mass-missing", "payload-absent", "payload-missing",
+        "position-offset", "joint-names", "model-unusable",
+    ),
+}  # fmt: skip
+"""What is checked, and the codes that speak against it. A topic without a finding is good, or waits for motion."""
+WAITING = {"too-short": "", "never-moves": "", "excitation-low": ""}
+"""Codes that mean too little motion so far, which is no fault of a stream."""
+HARMLESS = {
+    "contact-in-free-motion": "no action is needed: such motion is left out of training; if nothing touched the arm, "
+    "its torque jumps",
+    "temperature-drift": "no action is needed: the monitor follows friction that changes slowly",
+}
+"""Remedies of what commissioning handles by itself: such findings are notes."""
+REMEDIES = {
+    "effort-sign": "reverse this joint's effort in the driver: it must be positive where the motor drives the joint in "
+    "its positive direction",
+    "time-unit": "let the driver send stamps in seconds and nanoseconds",
+    "repeated-rows": "let the driver send each measurement once, or lower its rate to that of the robot's state",
+    "joint-names": "give the robot file of this arm (--robot), or name the joints in the driver as the file does",
+    "effort-scale": "a current is used as it comes, and training finds the torque constants; for another unit, let the "
+    "driver send N m; or a payload is missing in the robot file",
+}
+"""Remedies that differ from those of `tauext check`, which are about an import."""
+MOVE = "let the arm run its program"
+
+
+def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFacts) -> list[Live]:
+    """All checks of `tauext check` on what was received so far, in words for a live stream; worst first.
+
+    Args:
+        recordings: of the same joints, in order of time; may be empty.
+        robot: robot file; None or a placeholder: there is no model.
+    """
+    robot = None if robot is None or is_placeholder(robot) else robot
+    if not recordings:
+        return [_waiting(topic, f"{name}: no sample yet", "") for topic, name in NAMES.items()]
+    try:
+        diagnosis = examine(recordings, robot)
+    except TauextError as error:
+        return [Live("joints", "fault", None, str(error), "")]
+    lives = [_live(finding) for finding in diagnosis.findings if finding.code not in WAITING]
+    lives += _rates(recordings, facts.settings)
+    against = {live.code for live in lives if live.severity in ("fault", "warning")}
+    lives += [_topic(topic, diagnosis, recordings, robot, facts) for topic in TOPICS if not against & {*TOPICS[topic]}]
+    lives += _still(diagnosis, recordings)
+    order = ("fault", "warning", "note", "good")
+    return sorted(lives, key=lambda live: (order.index(live.severity), live.waits))
+
+
+def _live(finding: Finding) -> Live:
+    if finding.code in HARMLESS:
+        return Live(finding.code, "note", finding.joint, _words(finding), HARMLESS[finding.code])
+    remedy = REMEDIES.get(finding.code) or re.sub(
+        r",? at import( and in the monitor)?", " in the driver", finding.advice
+    )
+    return Live(finding.code, finding.severity, finding.joint, _words(finding), remedy)
+
+
+def _words(finding: Finding) -> str:
+    return f"{CODES[finding.code]}: {finding.evidence}"
+
+
+def _still(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> list[Live]:
+    """What cannot be judged yet of single joints."""
+    if any(finding.code == "never-moves" for finding in diagnosis.findings):
+        return []  # the topics say so
+    low = [finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"]
+    words = "it moves too little so far: its friction and weight cannot be judged"
+    remedy = "let it move by at least 0.2 rad, both ways, slowly and fast"
+    return [Live("excitation-low", "note", joint, words, remedy, waits=True) for joint in low]
+
+
+NAMES = {
+    "joints": "joints",
+    "rate": "sample rate",
+    "clock": "clock",
+    "units": "position and velocity",
+    "sign": "sign of the torque",
+    "signal": "kind of the torque signal",
+    "robot-file": "match with the robot file",
+}
+
+
+def _topic(
+    topic: str, diagnosis: Diagnosis, recordings: Sequence[Recording], robot: Path | None, facts: SourceFacts
+) -> Live:
+    """What is good about a topic, or that it must wait for motion."""
+    moved_s = sum(_moved_s(recording) for recording in recordings)
+    joints, settings, name = ", ".join(diagnosis.joints), facts.settings, NAMES[topic]
+    judged = [fact for fact in diagnosis.facts if "gravity_factor" in fact]
+    if topic == "joints":
+        return _good(topic, f"{len(diagnosis.joints)} joints: {joints}")
+    if topic == "rate":
+        return _good(topic, f"{1e9 / settings.period_ns:g} samples a second")
+    if topic == "clock":
+        return _good(topic, "the stamps are even")
+    if topic == "units" and any("velocity_factor" in fact for fact in diagnosis.facts):
+        return _good(topic, f"{name}: the velocity is the derivative of the position")
+    if topic == "sign" and diagnosis.fits:
+        witness = "friction and inertia" if robot is None else "friction, inertia and gravity"
+        return _good(topic, f"{name}: agrees with {witness} after {moved_s:.0f} s of motion")
+    if topic == "signal" and diagnosis.fits:
+        return _signal(judged, diagnosis, robot, facts)
+    if topic == "robot-file" and robot is None:
+        words = "no robot file: the order of joints, the direction of gravity and a payload cannot be checked"
+        return Live(topic, "note", None, words, "--robot FILE (URDF or MJCF) makes the limits narrower")
+    if topic == "robot-file" and judged and moved_s >= SEARCH_S:
+        return _good(topic, f"{robot.name if robot else ''} fits the measured torques")
+    needs = f" (needs {SEARCH_S:g} s of motion, {moved_s:.0f} s so far)" if topic == "robot-file" else ""
+    return _waiting(topic, f"{name}: cannot be judged until the arm moves{needs}", MOVE)
+
+
+def _signal(judged: Sequence[Mapping[str, Any]], diagnosis: Diagnosis, robot: Path | None, facts: SourceFacts) -> Live:
+    unit, name = facts.settings.torque_units[0], NAMES["signal"]
+    if "A" in facts.settings.torque_units:
+        return _good("signal", f"{name}: a motor current or duty; training finds the torque constants")
+    factors = sorted(float(fact["gravity_factor"]) for fact in judged)
+    inside = [factor for factor in factors if LOW <= factor <= HIGH]
+    if robot is not None and inside:
+        return _good("signal", f"{name}: a torque in {unit}, {inside[0]:.2f} to {inside[-1]:.2f} times the model's")
+    if facts.signal == "unknown" and robot is not None:
+        return _waiting("signal", f"{name}: taken as a torque in N m; gravity has shown too little of it so far", MOVE)
+    if facts.signal == "unknown":
+        words = f"{name}: taken as a torque in N m, which only a robot file can confirm"
+        return Live("signal", "note", None, words, "--robot FILE; or make sure that the driver sends N m")
+    return _good(
+        "signal", f"{name}: {'a torque' if facts.signal == 'torque' else f'made of the {facts.signal}'} in {unit}"
+    )
+
+
+def _good(topic: str, words: str) -> Live:
+    return Live(topic, "good", None, words, "")
+
+
+def _waiting(topic: str, words: str, remedy: str) -> Live:
+    return Live(topic, "note", None, words, remedy, waits=True)
+
+
+def _moved_s(recording: Recording) -> float:
+    return float((np.abs(recording.dq) > MOVING_RAD_S).any(axis=1).sum()) / recording.rate_hz
+
+
+LOST_SHARE = 0.005
+"""Share of lost samples from which it is a fault: the monitor restarts its observer at each longer gap."""
+
+
+def _rates(recordings: Sequence[Recording], settings: SourceSettings) -> list[Live]:
+    """Another rate than the one described, and lost samples."""
+    long = [recording for recording in recordings if recording.samples > 20]
+    if not long:
+        return []
+    period_ns = float(np.median([fitted_period_ns(recording.t_ns) for recording in long]))
+    if abs(period_ns / settings.period_ns - 1) > settings.rate_tolerance:
+        words = f"{1e9 / period_ns:.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
+        return [Live("wrong-rate", "fault", None, words, "set the driver's rate, or use another --out for this rate")]
+    lost, came = sum(float(lost_samples(one.t_ns).sum()) for one in long), sum(one.samples for one in long)
+    if lost <= LOST_SHARE * (lost + came):
+        return []
+    words = f"{lost / (lost + came):.1%} of the samples are lost on their way"
+    return [Live("clock-gaps", "warning", None, words, "use a cable instead of radio, or a less busy computer")]
+
+
+# --- The first look at a source, before anything is recorded.
+
+
+LOOK_S = 3.0
+WAIT_S = 10.0
+
+
+@dataclass(frozen=True)
+class Connected:
+    """What a source said of itself, and what its first samples show."""
+
+    facts: SourceFacts
+    lives: list[Live]
+
+
+def connect(make: Callable[[], Source], robot: Path | None = None, wait_s: float = WAIT_S) -> Connected:
+    """Describe a source, take samples for LOOK_S, judge them, and close it.
+
+    Args:
+        make: makes a source that is not open; the loop then opens another one.
+
+    Raises:
+        TauextError: the arm cannot be reached, or does not fit the robot file; the caller tries again later.
+    """
+    source = make()
+    try:
+        if not isinstance(source, Describes):
+            raise ConfigError(f"{source.name} cannot describe itself")
+        facts = source.describe(wait_s, robot)
+        source.open(facts.settings)
+        samples, until = list[Sample](), time.monotonic() + wait_s
+        while time.monotonic() < until and not source.ended:
+            if (sample := source.next_sample(0.1)) is None:
+                continue
+            if not samples:
+                until = min(until, time.monotonic() + LOOK_S)
+            samples.append(sample)
+            if sample.t_ns - samples[0].t_ns >= LOOK_S * 1e9:
+                break
+        if not samples:
+            raise ConfigError(
+                f"{source.name}: no sample within {wait_s:g} s: {'; '.join(source.notes()) or 'it is silent'}"
+            )
+    finally:
+        source.close()
+    recording, lives = recording_of(samples, facts)
+    notes = [Live("assumed", "note", None, note, "") for note in facts.notes]
+    return Connected(facts, [*lives, *judge([recording] if recording is not None else [], robot, facts), *notes])
+
+
+def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Live]]:
+    """Samples of a source as a recording, without those that are not usable, and what is missing in those.
+
+    Returns: the recording, None without two usable samples in a row; what was left out, in words.
+    """
+    settings = facts.settings
+    stage = ServoStage(settings.servo) if settings.servo is not None and settings.servo.on else None
+    made = [sample if stage is None else stage.made(sample) for sample in samples]
+    names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if made and getattr(made[0], name) is not None)]
+    signals = {name: np.array([getattr(one, name) for one in made]) for name in names}
+    first = 1 if stage is not None else 0  # a derived velocity begins with the second sample
+    missing = [
+        Live(
+            "not-measured", "fault", joint, f"its {what} is not a number in {share:.0%} of the samples", _measure(what)
+        )
+        for what, name in (("position", "q"), ("velocity", "dq"), ("torque", "tau"))
+        if len(made) > first
+        for joint, share in zip(settings.joints, np.mean(~np.isfinite(signals[name][first:]), axis=0), strict=True)
+        if share > 0.05
+    ]
+    finite = np.all([np.isfinite(values).all(axis=1) for values in signals.values()], axis=0)
+    rows, newest = [], None
+    for row in np.flatnonzero(finite).tolist():
+        if newest is None or made[row].t_ns > newest:
+            rows.append(row)
+            newest = made[row].t_ns
+    if len(rows) < 2:
+        return None, missing
+    try:
+        recording = Recording(
+            name="live",
+            joints=settings.joints,
+            t_ns=np.array([made[row].t_ns for row in rows]),
+            rate_hz=1e9 / settings.period_ns,
+            torque_timing=cast(TorqueTiming, settings.torque_timing),
+            source="live",
+            robot_sha256="",
+            provenance=provenance_of(facts),
+            **{name: values[rows] for name, values in signals.items()},
+        )
+    except TauextError:  # another rate by a fifth or more
+        steps = [b.t_ns - a.t_ns for a, b in pairwise(made) if b.t_ns > a.t_ns]
+        words = (
+            f"{1e9 / float(np.median(steps)):.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
+        )
+        return None, [*missing, Live("wrong-rate", "fault", None, words, "set the driver's rate")]
+    return recording, missing
+
+
+def _measure(what: str) -> str:
+    return f"let the driver send the {what} of this joint, or give a robot file without the joint"
+
+
+# --- Facts: as JSON, as provenance of recordings, as an arm.toml, and what contradicts them later.
+
+
+def as_data(facts: SourceFacts) -> dict[str, Any]:
+    """The facts as plain JSON."""
+    servo = facts.settings.servo
+    settings = {key: value for key, value in vars(facts.settings).items() if key != "servo"}
+    return {
+        **settings,
+        "servo": servo_facts(servo) if servo is not None and servo.on else None,
+        "signal": facts.signal,
+        "temperature": facts.temperature,
+        "notes": list(facts.notes),
+    }
+
+
+def facts_of_data(data: Mapping[str, Any]) -> SourceFacts:
+    """The facts from as_data(), also after JSON.
+
+    Raises:
+        ConfigError: something is missing, or of the wrong type.
+    """
+    try:
+        settings = SourceSettings(
+            tuple(map(str, data["joints"])),
+            int(data["period_ns"]),
+            tuple(map(str, data["torque_units"])),
+            str(data["torque_timing"]),
+            None if data["servo"] is None else servo_of(data["servo"]),
+            float(data["rate_tolerance"]),
+        )
+        return SourceFacts(settings, data["signal"], bool(data["temperature"]), tuple(map(str, data["notes"])))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(f"the description of the arm is damaged ({type(error).__name__}: {error})") from error
+
+
+def provenance_of(facts: SourceFacts) -> dict[str, Any]:
+    """Entries of a recording's provenance that training needs: unit of the torque, and servo settings."""
+    servo = facts.settings.servo
+    torque = AMPERES if "A" in facts.settings.torque_units else FROM_AMPERES
+    made = {"torque": torque} if facts.signal in ("current", "duty", "goal") or torque == AMPERES else {}
+    return made | ({"servo": servo_facts(servo)} if servo is not None and servo.on else {})
+
+
+def another_arm(known: SourceFacts, now: SourceFacts) -> Live | None:
+    """The fault of a source that is not the arm of this folder; None: it is."""
+    why = why_another(known, now)
+    return Live("another-arm", "fault", None, f"this is another arm: {why}", "use another --out") if why else None
+
+
+def settled(facts: SourceFacts, lives: Collection[Live]) -> SourceFacts:
+    """The facts after motion has shown that an unknown effort is a current or has another unit: training then fits
+    a constant for each joint. Recordings made before and after may be used together."""
+    if facts.signal != "unknown" or not any(live.code == "effort-scale" for live in lives):
+        return facts
+    settings = replace(facts.settings, torque_units=("A",) * len(facts.settings.joints))
+    return replace(facts, settings=settings, signal="current")
+
+
+def write_arm(facts: SourceFacts, robot: Path | None, folder: Path) -> Arm:
+    """Write arm.toml, and before it the robot file with its shapes, or a placeholder; an existing arm.toml stays.
+
+    Raises:
+        TauextError: the robot file is missing, cannot be read, or lacks a joint.
+    """
+    path, joints = folder / "arm.toml", facts.settings.joints
+    if path.exists():
+        return load_arm(path)
+    if robot is None:
+        write_placeholder(joints, folder)
+    else:
+        load_tree(robot, joints=joints)
+        written = write_robot(robot, folder, {})
+        load_tree(written, joints=joints)
+        write_shapes(robot, folder)
+    content = description(facts, "" if robot is None else written.name)
+    arm = parse_arm(content, path)
+    with atomic_write(path) as part:
+        part.write_text(content, encoding="utf-8")
+    return arm
+
+
+def description(facts: SourceFacts, model: str) -> str:
+    """Text of an arm.toml about the recordings of a live source, which hold every signal as its column."""
+    settings, servo = facts.settings, facts.settings.servo
+    lines = ["# Written by `tauext commission` from what the source said of itself.", "", "[robot]"]
+    lines += [f"model = {json.dumps(model)}", f"joints = {json.dumps(list(settings.joints))}", ""]
+    lines += ["[time]", 'column = "t_ns"', 'unit = "ns"', f"rate_hz = {1e9 / settings.period_ns!r}"]
+    made = servo is not None and servo.on and servo.torque_from.name != "torque"
+    columns = ["q"] if servo is not None and made and servo.velocity_steps else ["q", "dq"]
+    columns += RAW_SIGNALS if made else ["tau"]
+    for name in columns:
+        lines += ["", f"[signals.{name}]", f'columns = "{name}_{{joint}}"']
+        if name == "tau":
+            amperes = "A" in settings.torque_units
+            lines += [f'unit = "{"A" if amperes else "Nm"}"', f'timing = "{settings.torque_timing}"']
+            lines += ['torque_constant = "unknown"'] if amperes else []
+    if made:
+        lines += ["", *_servo_table(settings)]
+    return "\n".join(lines) + "\n"
+
+
+def _servo_table(settings: SourceSettings) -> list[str]:
+    servo = settings.servo
+    assert servo is not None
+    unknown = "A" in settings.torque_units
+
+    def each(name: str, scale: Callable[[float], float] = float) -> str:
+        return json.dumps([scale(getattr(joint, name)) for joint in servo.joints])
+
+    rate_hz = 1e9 / settings.period_ns
+    return [
+        "[servo]",
+        f'torque_from = "{servo.torque_from.name.replace("_", "-")}"',
+        f'timing = "{settings.torque_timing}"',
+        f"voltage_v = {each('volts')}",
+        f"ohm = {each('ohm')}",
+        f"back_emf_v_s = {each('back_emf_v_s')}",
+        f"most_duty = {each('most_duty')}",
+        *([f"duty_per_rad = {each('duty_per_rad')}"] if all(joint.duty_per_rad > 0 for joint in servo.joints) else []),
+        f"counts_a_turn = {each('count_rad', lambda step: 2 * np.pi / step)}",
+        f"torque_constant = {json.dumps('unknown') if unknown else each('nm_per_ampere')}",
+        f"velocity_window_s = {servo.velocity_steps / rate_hz!r}",
+        f"goal_delay_s = {servo.goal_delay_ns * 1e-9!r}",
+    ]
+
+
+def as_entries(lives: Iterable[Live]) -> list[dict[str, Any]]:
+    """Entries of findings.json."""
+    return [asdict(live) for live in lives]

@@ -142,8 +142,9 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     events = [
         {"id": 15, "wall": now(5000), "level": "contact", "joint": joints[0], "answer": "nothing", "by": "page",
          "sentence": "contact on the link of joint1 (80 %): 6 N", "t_ns": 0, "flight": None},
-        {"id": 16, "wall": now(90), "level": "collision", "joint": joints[1], "t_ns": 3_000_000_000, "sentence": SENTENCE,
-         "answer": None if state == "unanswered" else "touched", "flight": "sim-3.000s-collision.parquet"},
+        {"id": 16, "wall": now(90), "level": "collision", "joint": joints[1], "t_ns": 3_000_000_000,
+         "sentence": SENTENCE, "answer": None if state == "unanswered" else "touched",
+         "flight": "sim-3.000s-collision.parquet"},
     ]  # fmt: skip
     if state == "alarm":
         events.append(events[1] | {"id": 17, "wall": now(2), "answer": None})
@@ -165,8 +166,9 @@ def write_trace(path: Path, joints: tuple[str, ...]) -> None:
     path.parent.mkdir(exist_ok=True)
     save_estimates(
         Estimates(
-            joints, (t * 1e9).astype(np.int64), tau, ones * 0, tau, ones * 6, ones < 0, flat + 1, flat.astype(np.uint32),
-            flat > 0, flat, flat, sigma_nm=ones * 0.3, contact_sigma_nm=ones * 0.4, contact_limit_nm=ones * 3, alarm=flat,
+            joints, (t * 1e9).astype(np.int64), tau, ones * 0, tau, ones * 6, ones < 0, flat + 1,
+            flat.astype(np.uint32), flat > 0, flat, flat, sigma_nm=ones * 0.3, contact_sigma_nm=ones * 0.4,
+            contact_limit_nm=ones * 3, alarm=flat,
         ),
         path,
     )  # fmt: skip
@@ -177,7 +179,7 @@ def write(folder: Path, name: str, content: dict) -> None:
 
 
 class FakeLoop:
-    """Both sockets in a folder: sends a line of the state ten times a second, and keeps the control lines it receives."""
+    """Both sockets in a folder: sends lines of the state, and keeps the control lines that it receives."""
 
     def __init__(self, folder: Path, state: str, arm: str = "rig", period_s: float = 0.1):
         self.state, self.arm, self.received = state, arm, []

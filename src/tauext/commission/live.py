@@ -21,9 +21,9 @@ from tauext import _core
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES
 from tauext.bundle.units import short
 from tauext.files.plain_file import FORMAT
-from tauext.monitor.changes import AlarmChange, HiddenCollision, PlaceChange, TouchChange
+from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
-from tauext.monitor.places import INCONSISTENT, links_words, newtons
+from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
 PERIOD_S = 0.1

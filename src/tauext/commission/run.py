@@ -2,6 +2,7 @@
 
 Loop, page and training are separate processes. The training and the loop exchange files of the folder; the page reads
 the same files and the loop's socket, and sends lines to the control socket.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +21,15 @@ from pathlib import Path
 from typing import Any
 
 from tauext import _core
+from tauext.bundle.history_file import ACTIVE
 from tauext.commission.answers import EventKeeper, Steering
-from tauext.commission.connect import another_arm, as_data, facts_of_data, write_arm
+from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, write_arm
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink, wall
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import ConfigError, TauextError
-from tauext.bundle.history_file import ACTIVE
 from tauext.files.append_file import write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import json_of
@@ -39,8 +40,8 @@ from tauext.monitor.reactions import start_reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
 from tauext.monitor.source import Describes, Source, SourceFacts
-from tauext.sources.lasting import LastingSource
 from tauext.robot.write import is_placeholder
+from tauext.sources.lasting import LastingSource
 from tauext.sources.open import KINDS, SourceOptions, open_source
 
 Echo = Callable[[str], None]
@@ -77,15 +78,23 @@ class Options:
     priority: int | None = None
 
 
-def run(path: Path, text: str, options: Options, echo: Echo) -> None:
+def run(
+    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[Steering], None] = lambda steering: None
+) -> None:
     """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
+
+    Args:
+        echo: prints a line.
+        listen: called once with the control, for keys of a terminal.
 
     Raises:
         ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
     """
     folder = CommissionFolder.open(path, create=True)
     with folder.locked(), ExitStack() as stack:
-        Commission(folder, text, options, echo, stack).run()
+        commission = Commission(folder, text, options, echo, stack)
+        listen(commission.steering)
+        commission.run()
 
 
 # --- Sockets beside the folder's files.
@@ -147,47 +156,53 @@ class Commission:
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
             try:
-                source, facts, publishers = self._connect()
-                if source is not None:
-                    self._monitor(source, facts, publishers)
+                if connected := self._connect():
+                    self._monitor(*connected)
             finally:
                 self._stopping.set()
                 tending.join()
 
     # Connect.
 
-    def _connect(self) -> tuple[Source | None, SourceFacts | None, tuple[Sink, ...]]:
-        """The source, what it delivers and its publishers; no source if the run ends before the arm answers."""
+    def _connect(self) -> tuple[Source, SourceFacts, tuple[Sink, ...]] | None:
+        """The source, not open yet, what it delivers and its publishers; None if the run ends before the arm answers.
+
+        A new arm is looked at for some seconds, and its description written. An arm that the folder knows need not
+        answer at once: the loop waits for it.
+        """
         known = self._folder.facts.get("arm")
         facts = facts_of_data(known) if known else None
-        wait_s, said = RETRY_S, ""
-        while not self._stopping.is_set():
-            source, publishers = self._open()  # refuses an option before anything else
+        source, publishers = self._open()  # refuses a wrong option at once
+        wait_s = RETRY_S
+        while facts is None:
             try:
-                found = source.describe(DESCRIBE_S, self._robot()) if isinstance(source, Describes) else facts
-                if found is None:
-                    raise ConfigError(f"{source.name} cannot describe itself; use `tauext monitor`")
-            except (ConfigError, TauextError) as error:
-                source.close()
-                if facts is not None:  # known from before: the loop waits for the arm, and the page shows it
-                    return self._lasting(self._open()[0], facts), facts, publishers
-                self._live.says = str(error)
-                if str(error) != said:
-                    said = str(error)
-                    self._note(f"{source.name}: {error}; it is tried again")
-                self._stopping.wait(wait_s)
+                found = connect(lambda: self._open()[0], self._robot())
+                write_arm(found.facts, self._robot(), self._folder.path)
+            except TauextError as error:
+                if str(error) != self._live.says:
+                    self._live.says = str(error)
+                    self._note(f"{error}; it is tried again")
+                if self._stopping.wait(wait_s):
+                    source.close()
+                    return None
                 wait_s = min(2 * wait_s, LONGEST_RETRY_S)
                 continue
-            if facts is not None and (other := another_arm(facts, found)) is not None:
+            facts = found.facts
+            write_synced(self._folder.findings_file, json.dumps({"findings": as_entries(found.lives)}) + "\n")
+            for live in found.lives:
+                if live.severity in ("fault", "warning"):
+                    self._note(f"{live.severity}: {live.joint or source.name}: {live.words}; {live.remedy}")
+            self._folder.save(arm=as_data(facts))
+        if known and isinstance(source, Describes):
+            now = facts
+            with suppress(TauextError):  # away: the lasting source checks the arm when it is back
+                now = source.describe(DESCRIBE_S, self._robot())
+            if (other := another_arm(facts, now)) is not None:
                 source.close()
-                raise ConfigError(f"{other.words}: {other.remedy}")
-            if facts is None:
-                write_arm(found, self._robot(), self._folder.path)
-                self._folder.save(arm=as_data(found))
-                for note in found.notes:
-                    self._note(note)
-            return self._lasting(source, facts or found), facts or found, publishers
-        return None, facts, ()
+                raise ConfigError(f"{self._folder.path}: {other.words}; {other.remedy}")
+        if not self._text.startswith("replay:"):
+            source = LastingSource(source, lambda: self._open()[0], facts, self._robot())
+        return source, facts, publishers
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
         kind, _, target = self._text.partition(":")
@@ -211,11 +226,6 @@ class Commission:
 
             return write_robot_file(target, Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
         return self._options.robot
-
-    def _lasting(self, source: Source, facts: SourceFacts) -> Source:
-        if self._text.startswith("replay:"):
-            return source
-        return LastingSource(source, lambda: self._open()[0], facts, self._robot())
 
     # Monitor.
 

@@ -11,7 +11,6 @@ from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from tauext.errors import ConfigError, TauextError
 from tauext.page.bundles import Lesson, train_bundles

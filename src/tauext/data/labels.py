@@ -129,4 +129,3 @@ def epoch_of(provenance: Mapping[str, Any]) -> int | None:
     """Epoch of a recording of `tauext commission`; None: another recording, which labels do not concern."""
     epoch = provenance.get(EPOCH)
     return epoch if isinstance(epoch, int) else None
-

@@ -1,4 +1,4 @@
-"""Files of JSON lines that several processes append to: a confirmed line survives `kill -9`, a reboot and a full disk."""
+"""Files of JSON lines that several processes append to; a line survives `kill -9`, a reboot and a full disk."""
 
 from __future__ import annotations
 

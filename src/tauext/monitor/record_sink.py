@@ -83,6 +83,8 @@ class RecordSink:
         self._late_ns: int | None = None
         """Stamp of a sample older than the one before; the clock started again if the next one follows it."""
         self.count = RecordCount()
+        self.patient = False
+        """Whether the loop waits for the disk instead of losing samples: for a source faster than real time."""
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         """Segments to write; None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
@@ -105,7 +107,7 @@ class RecordSink:
             self._begin()
         signals = [getattr(sample, name) for name in self._names]
         if self._names[-1] == "temperature" and signals[-1] is not None:  # measured seldom: the last value holds
-            self._warm = signals[-1] = np.where(np.isfinite(signals[-1]), signals[-1], self._warm)
+            signals[-1] = self._warm = np.array(np.where(np.isfinite(signals[-1]), signals[-1], self._warm))
         if any(values is None for values in signals) or not all(np.isfinite(values).all() for values in signals):
             self.count.unfit += 1
             return
@@ -150,6 +152,8 @@ class RecordSink:
 
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
+        while self.patient and self._waiting.qsize() >= MOST_WAITING and self._thread.is_alive():
+            time.sleep(1e-3)
         if k < 2:
             self.count.unfit += k
         elif self._waiting.qsize() >= MOST_WAITING and not last:
@@ -225,8 +229,8 @@ class Origin:
 class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
-    def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
-        """folder: exists. source: name of the source, for file names."""
+    def __init__(self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str):
+        """folder: exists. bundle: None: none monitors yet, and flights are lost. source: its name, for file names."""
         super().__init__(recorder, self._write_here)
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
@@ -235,8 +239,12 @@ class FlightSink(FlightWriter):
         self._joints = joints
         self.__enter__()
 
+    def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
+        """The next flights are this bundle's."""
+        self._bundle, self._source = bundle, None
+
     def verdict(self, verdict: Verdict) -> None:
-        if self._source is None:
+        if self._source is None and self._bundle is not None:
             timing = cast(TorqueTiming, self._bundle.observer.timing.name)
             rate_hz = 1e9 / self._bundle.observer.sample_period_ns
             first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
@@ -250,5 +258,7 @@ class FlightSink(FlightWriter):
         self.__exit__(None, None, None)
 
     def _write_here(self, flight: Flight) -> Path:
-        assert self._source is not None  # flights follow a verdict
-        return write_flight(flight, self._folder, self._source)
+        source = self._source
+        if source is None:
+            raise ConfigError("no bundle monitored yet, so this flight has no estimates")
+        return write_flight(flight, self._folder, source)

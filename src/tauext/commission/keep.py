@@ -1,0 +1,551 @@
+"""The recorder of a commissioned arm: recordings, labels and coverage within a bound of disk space."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tauext.commission.folder import CommissionFolder, Segment, wall
+from tauext.data.labels import Label, LabelAnswer
+from tauext.data.recording_file import load_recording
+from tauext.errors import TauextError
+from tauext.files.append_file import RESERVE, reserve, write_synced
+from tauext.files.plain_file import json_of, read_text
+from tauext.monitor.flight_files import ENDINGS
+from tauext.monitor.record_sink import RecordSink
+from tauext.monitor.sink import Answer, Control, Verdict
+from tauext.monitor.source import SourceSettings
+
+# --- Coverage: what each joint has done so far, and what is missing in words.
+
+
+CELLS, CELL_RAD, CELL_M = 128, 2 * np.pi / 64, 0.01
+"""Position cells of a joint, clipped at the ends: two turns, or 1.28 m of a sliding joint."""
+SPEEDS_RAD_S = (0.02, 0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
+"""Edges of the speed cells, one set for each direction; below the first one a joint is at rest."""
+OFTEN = 12
+"""Recordings that visit a cell until it counts as known."""
+NEWS = 0.05
+"""Least share of a recording's samples in cells that are not known yet, so that it is new motion."""
+LOOK_HZ = 50.0
+SLOW_RAD_S, FAST_RAD_S = 0.1, 0.3
+LEAST_REVERSALS, LEAST_REST_S, LEAST_SLOW_S, LEAST_SHARE = 10, 5.0, 5.0, 0.6
+
+
+@dataclass
+class Coverage:
+    """Sums over all received motion, by joint."""
+
+    joints: tuple[str, ...]
+    width: np.ndarray
+    """Width of a position cell of each joint, [rad or m]."""
+    cells: np.ndarray
+    """Number of kept recordings that visited each cell, (joints, CELLS, speeds), at most OFTEN."""
+    visited: np.ndarray
+    """Whether any recording visited a position, (joints, CELLS)."""
+    rest_s: np.ndarray
+    slow_s: np.ndarray
+    fastest: np.ndarray
+    reversals: np.ndarray
+    """(joints, 2): from forward to backward, from backward to forward."""
+    seconds: float = 0.0
+    kept_s: float = 0.0
+    """Training and test motion."""
+    dropped_s: float = 0.0
+
+    @classmethod
+    def new(cls, arm: SourceSettings) -> Coverage:
+        n = len(arm.joints)
+        slides = np.array([unit == "N" for unit in arm.torque_units] or [False] * n)
+        return cls(
+            arm.joints,
+            np.where(slides, CELL_M, CELL_RAD),
+            np.zeros((n, CELLS, 1 + 2 * len(SPEEDS_RAD_S)), dtype=np.uint8),
+            np.zeros((n, CELLS), dtype=bool),
+            rest_s=np.zeros(n),
+            slow_s=np.zeros(n),
+            fastest=np.zeros(n),
+            reversals=np.zeros((n, 2), dtype=np.int64),
+        )
+
+    @classmethod
+    def load(cls, path: Path, arm: SourceSettings) -> Coverage:
+        """As it was saved; new where nothing usable is there."""
+        made = cls.new(arm)
+        try:
+            with np.load(path) as file:
+                kept = {name: file[name] for name in ARRAYS}
+                sums = file["sums"].tolist()
+        except (OSError, ValueError, KeyError, EOFError):
+            return made
+        if any(kept[name].shape != getattr(made, name).shape for name in ARRAYS) or len(sums) != 3:
+            return made
+        return replace(made, **kept, seconds=sums[0], kept_s=sums[1], dropped_s=sums[2])
+
+    def save(self, path: Path) -> None:
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            sums = np.array([self.seconds, self.kept_s, self.dropped_s])
+            np.savez(file, sums=sums, **{name: getattr(self, name) for name in ARRAYS})
+        part.replace(path)
+
+    def see(self, q: np.ndarray, dq: np.ndarray, period_s: float) -> tuple[np.ndarray, float]:
+        """Add received motion (samples, joints); returns its cells and the share of it that is new."""
+        stride = max(1, round(1 / (LOOK_HZ * period_s)))
+        lasting = np.minimum(np.abs(dq[:-1]), np.abs(dq[1:])) if len(dq) > 1 else np.abs(dq)
+        self.fastest = np.maximum(self.fastest, lasting.max(axis=0))
+        q, dq = q[::stride], dq[::stride]
+        step_s = stride * period_s
+        place = np.clip(np.floor(q / self.width).astype(int) + CELLS // 2, 0, CELLS - 1)
+        speed = np.searchsorted(SPEEDS_RAD_S, np.abs(dq), side="right")
+        speed = np.where(dq < 0, speed + len(SPEEDS_RAD_S) * (speed > 0), speed)
+        joint = np.arange(q.shape[1])
+        self.visited[joint, place] = True
+        still = np.abs(dq) < SPEEDS_RAD_S[0]
+        self.rest_s += step_s * still.sum(axis=0)
+        self.slow_s += step_s * (~still & (np.abs(dq) < SLOW_RAD_S)).sum(axis=0)
+        for j in joint:
+            ways = np.sign(dq[~still[:, j], j])
+            turns = np.diff(ways)
+            self.reversals[j] += [int((turns < 0).sum()), int((turns > 0).sum())]
+        flat = np.ravel_multi_index((np.broadcast_to(joint, place.shape), place, speed), self.cells.shape)
+        new = self.cells.ravel()[flat] < OFTEN
+        return flat, float(new.any(axis=1).mean())
+
+    def keep(self, flat: np.ndarray) -> None:
+        """Count a kept recording's cells."""
+        cells, at = self.cells.reshape(-1), np.unique(flat)
+        cells[at] = np.minimum(cells[at] + 1, OFTEN)
+
+    def facts(self, kept_bytes: int, bytes_most: int, needs_s: float | None) -> dict[str, Any]:
+        """Content of coverage.json."""
+        joints = []
+        for j, name in enumerate(self.joints):
+            at = np.flatnonzero(self.visited[j])
+            share = len(at) / (at[-1] - at[0] + 1) if len(at) else 0.0
+            joints.append(
+                {
+                    "joint": name,
+                    "speed": round(float(self._speeds(j).mean()), 3),
+                    "reversals": self.reversals[j].tolist(),
+                    "positions": round(float(share), 3),
+                    "rest_s": round(float(self.rest_s[j]), 1),
+                    "fastest": round(float(self.fastest[j]), 4),
+                    "missing": self.missing(j, share),
+                }
+            )
+        return {
+            "seconds": round(self.seconds, 3),
+            "kept_s": round(self.kept_s, 3),
+            "dropped_s": round(self.dropped_s, 3),
+            "bytes": kept_bytes,
+            "bytes_most": bytes_most,
+            "needs_s": needs_s,
+            "joints": joints,
+            "missing": [],
+        }
+
+    def _speeds(self, j: int) -> np.ndarray:
+        """Which speed cells up to the fastest seen were visited, in each direction."""
+        most = max(1, int(np.searchsorted(SPEEDS_RAD_S, self.fastest[j], side="right")))
+        seen = self.cells[j].any(axis=0)[1:].reshape(2, -1)[:, :most]
+        return seen.ravel()
+
+    def missing(self, j: int, share: float) -> list[str]:
+        """What training still lacks of a joint, in terms of what a person can do."""
+        slides = self.width[j] == CELL_M
+        unit, fastest = ("m/s", self.fastest[j]) if slides else ("rad/s", self.fastest[j])
+        if fastest < SPEEDS_RAD_S[0]:
+            return ["never moved; let it move through its working range"]
+        words = []
+        if not slides and fastest < FAST_RAD_S:
+            words.append(f"never moved faster than {fastest:.2g} {unit}; let it make a long fast move")
+        for count, way in zip(self.reversals[j].tolist(), ("forward to backward", "backward to forward"), strict=True):
+            if count < LEAST_REVERSALS:
+                times = f"only {count} times" if count else "never"
+                words.append(f"{times} reversed from {way}; let it move to and fro ({LEAST_REVERSALS} reversals)")
+        if self.slow_s[j] < LEAST_SLOW_S:
+            words.append(f"hardly moved slowly (below {SLOW_RAD_S:g} {unit}); let it make a slow move")
+        if self.rest_s[j] < LEAST_REST_S:
+            words.append(f"stood still for only {self.rest_s[j]:.0f} s; let it pause for {LEAST_REST_S:g} s")
+        if share < LEAST_SHARE:
+            words.append(f"saw {share:.0%} of the positions between its extremes; let it stop or turn elsewhere, too")
+        return words
+
+
+ARRAYS = ("cells", "visited", "rest_s", "slow_s", "fastest", "reversals")
+
+
+# --- Which recordings are kept: sets, and what is dropped when the disk space is used up.
+
+
+SEGMENT_S = 10.0
+TRAIN_S = 64 * 60.0
+"""Training motion that is enough; further motion is for the limits."""
+SCHEDULE_MIN = (1, 2, 4, 8, 16, 32, 64)
+"""Kept motion, [min], after which a training begins."""
+EVERY, TEST = 5, 4
+"""Of EVERY recordings the one with this remainder is for tests, and never trained on."""
+TEST_SHARE = 0.2
+"""Largest share of the recordings' space that test motion after the training takes."""
+FRESH_S = 600.0
+"""Newest motion, which is never dropped, [s]: answers may still come."""
+NEAR_NS = 30_000_000_000
+"""Distance of a label within which a recording is dropped last."""
+RECORDINGS_SHARE, FLIGHTS_SHARE = 0.8, 0.15
+LOWERED = 0.98
+"""Share of the bound to which recordings are dropped, so that this is seldom."""
+
+
+def set_of(number: int, is_news: bool, train_s: float) -> str:
+    """Set of a kept recording; it never changes."""
+    if number % EVERY == TEST:
+        return "test"
+    return "train" if is_news and train_s < TRAIN_S else "calibration"
+
+
+def to_drop(
+    segments: Sequence[Segment], labels: Iterable[Label], most_bytes: int, learned: int, first_test: int
+) -> list[Segment]:
+    """Recordings to drop so that the others fit: oldest first within each group.
+
+    The groups in order: test motion beyond its share; calibration whose peaks are kept; other calibration; training
+    motion; motion near labels. The newest FRESH_S are never dropped.
+
+    Args:
+        segments: in order of their numbers.
+        learned: number of the last recording whose peaks are kept.
+        first_test: number of recordings from which on test motion may be dropped.
+    """
+    total = sum(one.bytes for one in segments)
+    if total <= most_bytes:
+        return []
+    fresh, seconds = set(), 0.0
+    for one in reversed(segments):
+        if seconds < FRESH_S:
+            fresh.add(one.number)
+        seconds += one.seconds
+    told = {(one.epoch, one.from_ns - NEAR_NS, one.to_ns + NEAR_NS) for one in labels if one.answer != "suspect"}
+    near = {epoch: np.array([span[1:] for span in told if span[0] == epoch]) for epoch in {span[0] for span in told}}
+    test_bytes, spare = sum(one.bytes for one in segments if one.set == "test"), set()
+    for one in segments:
+        if one.set == "test" and one.number > first_test and test_bytes > TEST_SHARE * most_bytes:
+            spare.add(one.number)
+            test_bytes -= one.bytes
+
+    def rank(one: Segment) -> int:
+        if one.epoch in near and ((near[one.epoch][:, 0] <= one.to_ns) & (near[one.epoch][:, 1] >= one.from_ns)).any():
+            return 4
+        if one.set == "calibration":
+            return 1 if one.number <= learned else 2
+        return 0 if one.number in spare else 3
+
+    dropped = []
+    for one in sorted((one for one in segments if one.number not in fresh), key=lambda one: (rank(one), one.number)):
+        if total <= LOWERED * most_bytes:
+            break
+        dropped.append(one)
+        total -= one.bytes
+    return dropped
+
+
+# --- The sink.
+
+
+ANSWER_S = 600.0
+"""Time after an alarm within which an answer without a number belongs to it, [s]."""
+NOTICED_S = 3.0
+"""An answer `touched` without any alarm is about the last 3 s."""
+MOST_OWED = 100
+
+
+class KeepSink(RecordSink):
+    """Keeps recordings without contact column, labels of alarms, coverage, and the bound of disk space.
+
+    Every run, and every restart of the source's clock, is another epoch. An alarm is labelled `unanswered` when it
+    rises, so that its motion is never trained on even if the process is killed; an answer replaces that label.
+    """
+
+    def __init__(
+        self,
+        folder: CommissionFolder,
+        arm: SourceSettings,
+        source: str,
+        budget_bytes: float,
+        bundle_name: Callable[[], str] = lambda: "",
+    ):
+        super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name)
+        self.on_label: Callable[[Label], None] = lambda label: None
+        """Called in the recorder's thread when the disk holds a label; set before open()."""
+        self._kept = folder
+        self._budget = budget_bytes
+        self.epoch = 0
+        self._alarm: Label | None = None
+        """Label of the alarm that stands, as written last."""
+        self._over_ns = 0
+        self._labels: dict[int, Label] = {}
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        folder = self._kept
+        self.epoch = self._writing = int(folder.facts.get("epoch") or 0) + 1
+        folder.save(epoch=self.epoch)
+        self._segments = repaired(folder)
+        self._number = int(folder.next_segment().stem[4:]) - 1
+        self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
+        self._labels = {one.id: one for one in folder.labels()}
+        self._owed: list[Label] = []
+        self._tidy()
+        super().open(joints, control)
+
+    # The loop's thread.
+
+    def verdict(self, verdict: Verdict) -> None:
+        super().verdict(verdict)
+        if verdict.alarm_id or self._alarm is not None:
+            self._watch(verdict)
+
+    def _watch(self, verdict: Verdict) -> None:
+        """Follow the alarm that stands: its label begins with it and ends with the last sample over a limit."""
+        if self._alarm is None or verdict.alarm_id != self._alarm.id:
+            self._close_alarm()
+            known = self._labels.get(verdict.alarm_id)
+            if known is not None and known.epoch != self.epoch:  # it stands since another clock
+                self._alarm = known
+            elif verdict.alarm_id:
+                self._over_ns = verdict.t_ns
+                self._alarm = self._label(verdict.alarm_id, verdict.t_ns, verdict.t_ns, "unanswered", "nobody")
+            return
+        if self._alarm.epoch != self.epoch:
+            return
+        tau, limit = np.abs(verdict.estimates["tau_ext"]), verdict.estimates["contact_limit_nm"]
+        if (tau > limit).any():
+            self._over_ns = verdict.t_ns
+            if self._over_ns - self._alarm.to_ns > 1_000_000_000 * SEGMENT_S / 2:
+                self._close_alarm(ends=False)
+
+    def _close_alarm(self, ends: bool = True) -> None:
+        """Write the alarm's label again if it lasted longer than written."""
+        if self._alarm is not None and self._alarm.epoch == self.epoch and self._over_ns > self._alarm.to_ns:
+            known = self._labels.get(self._alarm.id, self._alarm)
+            self._alarm = self._put(replace(known, to_ns=self._over_ns))
+        if ends:
+            self._alarm = None
+
+    def answered(self, answer: Answer) -> None:
+        """Label the motion of an alarm, or the last seconds."""
+        if answer.what not in ("touched", "nothing"):
+            return
+        what: LabelAnswer = "touched" if answer.what == "touched" else "nothing"
+        known = self._labels.get(answer.alarm) if answer.alarm else self._newest(answer.t_ns)
+        if known is not None:
+            self._close_alarm(ends=False)
+            known = self._labels[known.id]
+            new = self._put(replace(known, answer=what, by=answer.by, wall=wall()))
+            if self._alarm is not None and self._alarm.id == new.id:
+                self._alarm = new
+        elif what == "touched" and not answer.alarm:
+            number = min([-1, *(one - 2 for one in self._labels if one < 0 and one % 2)])
+            self._label(number, answer.t_ns - round(NOTICED_S * 1e9), answer.t_ns, what, answer.by)
+
+    def _newest(self, t_ns: int) -> Label | None:
+        """The newest alarm of this epoch without an answer, if it is recent."""
+        recent = t_ns - round(ANSWER_S * 1e9)
+        found = [
+            one
+            for one in self._labels.values()
+            if one.id > 0 and one.answer == "unanswered" and one.epoch == self.epoch and one.to_ns >= recent
+        ]
+        return max(found, key=lambda one: one.id, default=None)
+
+    def _label(self, id: int, from_ns: int, to_ns: int, answer: LabelAnswer, by: str) -> Label:
+        return self._put(Label(id, self.epoch, from_ns, to_ns, answer, by, wall(), self._bundle_name()))
+
+    def _put(self, label: Label) -> Label:
+        self._labels[label.id] = label
+        self._waiting.put(label)
+        return label
+
+    def _clock_restarted(self) -> None:
+        self._alarm = None  # its label cannot grow any more
+        self.epoch += 1
+        self._waiting.put(self.epoch)
+
+    def close(self) -> None:
+        self._close_alarm()
+        super().close()
+
+    # The recorder's thread.
+
+    def _work(self) -> None:
+        while (work := self._waiting.get()) is not None:
+            try:
+                if isinstance(work, Label):
+                    self._owed.append(work)
+                    self._pay()
+                elif isinstance(work, int):
+                    self._writing = work
+                    self._kept.save(epoch=work)
+                else:
+                    self._write(work)
+            except Exception as error:  # a full disk, for example: the next recording is tried again
+                self.count.error = self.count.error or f"{type(error).__name__}: {error}"
+        self._pay()
+
+    def _pay(self) -> None:
+        """Write the labels that the disk does not hold yet."""
+        while self._owed:
+            try:
+                self._kept.append_label(self._owed[0])
+            except OSError as error:
+                self.count.error = f"labels are not written: {error.strerror or error}"
+                del self._owed[:-MOST_OWED]
+                return
+            self.on_label(self._owed.pop(0))
+
+    def _write(self, segment: dict[str, np.ndarray]) -> None:
+        self._pay()
+        t_ns, period_s = segment["t_ns"], 1e-9 * self._arm.period_ns
+        seconds = len(t_ns) * period_s
+        flat, news = self._coverage.see(segment["q"], segment["dq"], period_s)
+        self._coverage.seconds += seconds
+        is_news = news >= NEWS
+        stands = bool((np.abs(segment["dq"]) < SPEEDS_RAD_S[0]).mean() > 0.99)
+        if stands and not is_news and not self._is_told(t_ns):
+            self._coverage.dropped_s += seconds
+        else:
+            self._keep(segment, seconds, is_news, flat)
+        self._tidy()
+
+    def _keep(self, segment: dict[str, np.ndarray], seconds: float, is_news: bool, flat: np.ndarray) -> None:
+        self._number += 1
+        path = self._folder / f"seg-{self._number:06d}.parquet"
+        facts = {"command": "tauext commission", "epoch": self._writing, "seq": self._number}
+        columns = {name: values for name, values in segment.items() if name != "contact"}
+        if self._save(columns, path, facts) is None:
+            self._number -= 1
+            return
+        train_s = sum(one.seconds for one in self._segments if one.set == "train")
+        kept = Segment(
+            path.name,
+            self._number,
+            set_of(self._number, is_news, train_s),
+            self._writing,
+            int(segment["t_ns"][0]),
+            int(segment["t_ns"][-1]),
+            seconds,
+            path.stat().st_size,
+        )
+        self._segments.append(kept)
+        self._coverage.keep(flat)
+        if kept.set != "calibration":
+            self._coverage.kept_s += seconds
+        self._kept.add_segment(kept)
+
+    def _is_told(self, t_ns: np.ndarray) -> bool:
+        """Whether a label is near."""
+        return any(
+            one.epoch == self._writing and one.from_ns - NEAR_NS <= t_ns[-1] and one.to_ns + NEAR_NS >= t_ns[0]
+            for one in list(self._labels.values())
+        )
+
+    def _tidy(self) -> None:
+        """Drop recordings and flights beyond the bound; write the index, the split and the coverage."""
+        folder, most = self._kept, int(RECORDINGS_SHARE * self._budget)
+        first_test = next((one.number for one in self._segments if one.set == "calibration"), self._number)
+        dropped = to_drop(self._segments, list(self._labels.values()), most, learned_up_to(folder), first_test)
+        if dropped:
+            names = {one.name for one in dropped}
+            self._segments = [one for one in self._segments if one.name not in names]
+            folder.put_split(self._segments)
+            folder.put_index(self._segments)
+            for one in dropped:
+                (folder.path / one.name).unlink(missing_ok=True)
+                self._coverage.dropped_s += one.seconds
+        else:
+            folder.put_split(self._segments)
+        trim_flights(folder.flights, int(FLIGHTS_SHARE * self._budget))
+        kept_s = self._coverage.kept_s
+        needs = next((60 * minutes - kept_s for minutes in SCHEDULE_MIN if 60 * minutes > kept_s), None)
+        size = sum(one.bytes for one in self._segments)
+        content = self._coverage.facts(size, int(self._budget), None if needs is None else round(needs, 1))
+        self._coverage.save(folder.path / "coverage.npz")
+        write_synced(folder.coverage_file, json.dumps(content) + "\n")
+        if not (folder.path / RESERVE).exists():
+            reserve(folder.path)
+
+
+LEARNED = "learned.json"
+"""Number of the last recording whose peaks the trainer has kept."""
+
+
+def learned_up_to(folder: CommissionFolder) -> int:
+    try:
+        return int(json_of(read_text(folder.path / LEARNED))["number"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0
+
+
+CHECKED = 6
+"""Newest recordings that are read at the start: a power failure may have damaged them."""
+
+
+def repaired(folder: CommissionFolder) -> list[Segment]:
+    """The recordings of a folder whose last process was killed or lost its power.
+
+    A complete recording that is missing in the index is added; one that cannot be read is removed.
+    """
+    segments = folder.segments()
+    known, last = {one.name for one in segments}, max((one.number for one in segments), default=0)
+    for path in sorted(folder.path.glob("seg-*.parquet")):
+        if path.name not in known and path.stem[4:].isdecimal() and int(path.stem[4:]) > last:
+            segments.append(Segment(path.name, int(path.stem[4:]), "", 0, 0, 0, 0.0, 0))
+        elif path.name not in known:
+            path.unlink()
+    good = segments[:-CHECKED]
+    for one in segments[-CHECKED:]:
+        path = folder.path / one.name
+        try:
+            recording = load_recording(path)
+            if not one.set:
+                train_s = sum(other.seconds for other in good if other.set == "train")
+                one = Segment(
+                    one.name,
+                    one.number,
+                    set_of(one.number, True, train_s),
+                    int(recording.provenance["epoch"]),
+                    int(recording.t_ns[0]),
+                    int(recording.t_ns[-1]),
+                    recording.samples / recording.rate_hz,
+                    path.stat().st_size,
+                )
+            good.append(one)
+        except (TauextError, KeyError, TypeError, ValueError):
+            folder.log(f"{one.name} cannot be read and is removed")
+            path.unlink(missing_ok=True)
+    folder.put_split(good)
+    folder.put_index(good)
+    return good
+
+
+def trim_flights(folder: Path, most_bytes: int) -> None:
+    """Remove the oldest flights beyond the bound; the files of one flight go together."""
+    flights: dict[str, list[Path]] = {}
+    for path in folder.glob("*"):
+        if path.is_file():
+            ending = next((one for one in ENDINGS if path.name.endswith(one)), path.suffix)
+            flights.setdefault(path.name.removesuffix(ending), []).append(path)
+    if not flights:
+        return
+    sizes = {name: sum(path.stat().st_size for path in files) for name, files in flights.items()}
+    total = sum(sizes.values())
+    for name in sorted(flights, key=lambda name: max(path.stat().st_mtime for path in flights[name]))[:-1]:
+        if total <= most_bytes:
+            return
+        for path in flights[name]:
+            path.unlink(missing_ok=True)
+        total -= sizes[name]

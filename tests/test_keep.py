@@ -1,0 +1,292 @@
+"""The recorder of a commissioned arm: sets, labels of alarms, clocks, coverage, the bound, kills, full disks."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tauext.commission import folder as folder_module
+from tauext.commission import keep
+from tauext.commission.folder import CommissionFolder, Segment, split_of
+from tauext.commission.keep import KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+from tauext.data.dataset import load_dataset
+from tauext.data.free_motion import free_pieces
+from tauext.data.labels import Label
+from tauext.data.recording_file import load_recording
+from tauext.errors import ConfigError
+from tauext.monitor.sink import Answer, Verdict
+from tauext.monitor.source import Sample, SourceSettings
+
+PERIOD_NS = 20_000_000
+ARM = SourceSettings(("shoulder", "elbow"), PERIOD_NS, ("N m", "N m"), "held")
+ROWS = round(10e9 / PERIOD_NS)
+ESTIMATES = {"alarm": np.zeros(1, int), "health": np.ones(1, int), "contact_limit_nm": np.ones((1, 2))}
+
+
+class Script:
+    """Sends verdicts of a swinging arm to a sink."""
+
+    def __init__(self, folder: Path, budget: float = 1e9, start_ns: int = 0):
+        self.folder = CommissionFolder.open(folder, create=True)
+        self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
+        self.sink.patient = True
+        self.sink.open(ARM.joints, None)
+        self.row, self.t_ns = 0, start_ns
+
+    def go(self, seconds: float, alarm: int = 0, push: float = 0.0, still: bool = False) -> Script:
+        for _ in range(round(seconds * 1e9 / PERIOD_NS)):
+            time_s = 0.0 if still else 1e-9 * self.t_ns
+            q = np.array([np.sin(time_s), 0.1 * np.sin(0.1 * time_s)])
+            dq = np.array([np.cos(time_s), 0.01 * np.cos(0.1 * time_s)]) * (not still)
+            sample = Sample(self.t_ns, q, dq, dq + q, 0)
+            estimates = ESTIMATES | {"tau_ext": np.full((1, 2), push)}
+            self.sink.verdict(Verdict(self.row, self.t_ns, sample, estimates, (), alarm))
+            self.row, self.t_ns = self.row + 1, self.t_ns + PERIOD_NS
+        return self
+
+    def answer(self, what: str, alarm: int = 0) -> None:
+        self.sink.answered(Answer(what, "page", alarm, self.row, self.t_ns))
+
+    def end(self) -> CommissionFolder:
+        self.sink.close()
+        return self.folder
+
+
+def test_motion_becomes_a_dataset_whose_sets_never_change(tmp_path):
+    folder = Script(tmp_path / "cell").go(75).end()
+    dataset = load_dataset(folder.path)
+    assert [len(getattr(dataset.split, name)) for name in ("train", "test", "calibration")] == [7, 1, 0]
+    before = dataset.split
+    assert all(r.contact is not None and not r.contact.any() for r in dataset.training())
+    assert dataset.training()[0].provenance["epoch"] == 1
+    (long,) = folder.load([one for one in folder.segments() if one.number < 4])
+    assert long.samples == 3 * ROWS and long.name == "seg-000001"
+    again = Script(folder.path).go(20).end()
+    split = load_dataset(again.path).split
+    assert set(before.train) < set(split.train) and set(before.test) <= set(split.test)
+    assert [one.epoch for one in again.segments()] == [1] * 8 + [2] * 2
+
+
+def test_a_clock_that_starts_again_is_another_epoch(tmp_path):
+    script = Script(tmp_path / "cell", start_ns=10**15).go(12)
+    script.t_ns = 0
+    folder = script.go(12).end()
+    assert [(one.epoch, one.from_ns) for one in folder.segments()] == [
+        (1, 10**15), (1, 10**15 + 10**10), (2, PERIOD_NS), (2, PERIOD_NS + 10**10)
+    ]  # fmt: skip
+    assert folder.facts["epoch"] == 2 and script.sink.count.unfit == 1
+
+
+@pytest.mark.parametrize(("answer", "free_s"), [("touched", 27.2), ("nothing", 29.9), ("", 27.2)])
+def test_motion_of_an_alarm_is_trained_on_only_if_nothing_was_there(tmp_path, answer, free_s):
+    script = Script(tmp_path / "cell").go(15).go(0.5, 1, 5.0).go(1.5, 1, 0.0).go(3)
+    if answer:
+        script.answer(answer, 1)
+    folder = script.go(10).end()
+    (label,) = folder.labels()
+    assert label.answer == (answer or "unanswered") and label.bundle == "b0001" and label.epoch == 1
+    assert (label.from_ns, label.to_ns) == (15_000_000_000, 15_480_000_000)
+    pieces = free_pieces(load_dataset(folder.path).training())
+    assert abs(sum(1e-9 * (one.t_ns[-1] - one.t_ns[0]) for one in pieces) - free_s) < 1.2
+    inside = np.concatenate([one.t_ns for one in pieces])
+    assert ((inside > 14_800_000_000) & (inside < 16_480_000_000)).any() == (answer == "nothing")
+
+
+def test_a_long_touch_is_labelled_while_it_lasts_and_answers_find_their_alarm(tmp_path):
+    script = Script(tmp_path / "cell").go(5).go(20, 1, 5.0)
+    script.sink._waiting.put(None)
+    script.sink._thread.join()
+    assert script.folder.labels()[0].to_ns >= 20_000_000_000  # as if it had been killed here
+    script = Script(tmp_path / "cell").go(5).go(1, 2, 5.0).go(2)
+    script.answer("nothing")  # no number: the newest without an answer
+    script.go(1)
+    script.answer("touched")  # none is left
+    script.answer("nothing")
+    labels = {one.id: one for one in script.go(2).end().labels()}
+    assert {id: one.answer for id, one in labels.items()} == {1: "unanswered", 2: "nothing", -1: "touched"}
+    assert labels[-1].to_ns - labels[-1].from_ns == 3_000_000_000 and labels[2].epoch == 2
+
+
+def test_an_alarm_that_stands_since_another_clock_keeps_its_label(tmp_path):
+    folder = Script(tmp_path / "cell").go(5).go(1, 1, 5.0).end()
+    before = folder.labels()
+    assert Script(folder.path).go(2, 1, 5.0).end().labels() == before
+
+
+def test_long_standstill_is_dropped_and_reported(tmp_path):
+    folder = Script(tmp_path / "cell").go(200, still=True).end()
+    content = folder.coverage()
+    assert content["seconds"] == 200 and content["dropped_s"] == 80 and content["kept_s"] == 120
+    assert "elbow" in [one["joint"] for one in content["joints"] if "never moved" in one["missing"][0]]
+
+
+def test_what_is_missing_is_said_in_words(tmp_path):
+    content = Script(tmp_path / "cell").go(65).end().coverage()
+    shoulder, elbow = content["joints"]
+    assert elbow["missing"] == ["never moved; let it move through its working range"]
+    assert shoulder["reversals"] == [11, 10] and "never moved faster" not in str(shoulder["missing"])
+    assert shoulder["positions"] == 1.0
+    assert any("hardly moved slowly" in words for words in shoulder["missing"])
+    assert content["needs_s"] == 55.0 and content["bytes"] > 0
+
+
+def week(budget: int, labels: tuple[Label, ...] = ()) -> tuple[list[Segment], int]:
+    """What a week of recordings leaves within the budget, and the most that was ever there."""
+    kept: list[Segment] = []
+    most, train_s = 0, 0.0
+    for number in range(1, 7 * 8640 + 1):
+        of = set_of(number, True, train_s)
+        train_s += 10.0 * (of == "train")
+        start = number * 10_000_000_000
+        kept.append(Segment(f"seg-{number:06d}.parquet", number, of, 1, start, start + 10**10 - 1, 10.0, 500_000))
+        if number % 400 == 0:
+            gone = {one.number for one in to_drop(kept, labels, budget, number - 100, 480)}
+            kept = [one for one in kept if one.number not in gone]
+            most = max(most, sum(one.bytes for one in kept))
+    return kept, most
+
+
+def test_a_week_stays_within_its_bound():
+    touch = Label(1, 1, 10_000 * 10**10, 10_000 * 10**10 + 10**9, "touched", "page", "")
+    kept, most = week(1_000_000_000, (touch,))
+    assert most <= 1_000_000_000 and len(kept) > 1800
+    sets = {name: [one for one in kept if one.set == name] for name in ("train", "test", "calibration")}
+    assert sum(one.seconds for one in sets["train"]) == 3840  # all of it
+    assert {one.number for one in kept} >= set(range(9998, 10004)) | set(range(60420, 60480))
+    assert sum(one.bytes for one in sets["test"]) <= 0.21e9 and len(sets["test"]) > 300
+    assert len({name for names in vars(split_of(kept)).values() for name in names}) == len(kept)
+
+
+def test_labels_beyond_the_bound_do_not_break_it():
+    labels = tuple(Label(k, 1, k * 10**11, k * 10**11, "touched", "page", "") for k in range(6048))
+    assert week(500_000_000, labels)[1] <= 500_000_000
+
+
+def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
+    """Killed between any two writings: the folder is a dataset, and no set has changed."""
+    script = Script(tmp_path / "cell", budget=2e5)
+    monkeypatch.setattr(keep, "FRESH_S", 20.0)
+    real = {"unlink": Path.unlink, "write": keep.write_synced, "line": folder_module.append_line}
+
+    class Killed(BaseException):
+        pass
+
+    for left in range(1, 40):
+        steps = iter(range(left))
+
+        def counted(name, steps=steps):
+            def call(*args, **options):
+                if next(steps, None) is None:
+                    raise Killed
+                return real[name](*args, **options)
+
+            return call
+
+        sink = script.sink
+        sink._waiting.put(None)
+        sink._thread.join()
+        before = {one.name: one.set for one in script.folder.segments()}
+        monkeypatch.setattr(Path, "unlink", counted("unlink"))
+        monkeypatch.setattr(folder_module, "write_synced", counted("write"))
+        monkeypatch.setattr(folder_module, "append_line", counted("line"))
+        try:
+            sink._begin()
+            t_ns = np.arange(ROWS, dtype=np.int64) * PERIOD_NS
+            signal = np.random.default_rng(left).normal(size=(ROWS, 2))
+            sink._write({"t_ns": t_ns, "contact": t_ns.astype(np.int8), "q": signal, "dq": signal, "tau": signal})
+        except Killed:
+            pass
+        finally:
+            monkeypatch.setattr(Path, "unlink", real["unlink"])
+            monkeypatch.setattr(folder_module, "write_synced", real["write"])
+            monkeypatch.setattr(folder_module, "append_line", real["line"])
+        script = Script(tmp_path / "cell", budget=2e5)
+        after = {one.name: one.set for one in script.folder.segments()}
+        assert all(before[name] == of for name, of in after.items() if name in before)
+        split = load_dataset(script.folder.path).split
+        names = {path.name for path in script.folder.path.glob("seg-*.parquet")}
+        assert names == {*split.train, *split.test, *split.calibration} == set(after)
+    script.end()
+    assert 0 < sum(one.bytes for one in script.folder.segments()) <= 1.6e5
+
+
+def test_damage_by_a_power_failure_is_removed(tmp_path):
+    folder = Script(tmp_path / "cell").go(45).end()
+    (folder.path / "seg-000005.parquet").write_bytes(b"")
+    (folder.path / "seg-000004.parquet").write_bytes((folder.path / "seg-000004.parquet").read_bytes()[:-3])
+    (folder.path / "split.json").write_text("")
+    (folder.path / "coverage.npz").write_bytes(b"PK")
+    assert [one.number for one in repaired(folder)] == [1, 2, 3]
+    assert len(load_dataset(folder.path).split.train) == 3
+    assert [one.number for one in Script(folder.path).go(10).end().segments()] == [1, 2, 3, 6]
+
+
+def test_a_disk_that_is_full_loses_recordings_but_no_answer(tmp_path, monkeypatch):
+    script = Script(tmp_path / "cell")
+    told = []
+    script.sink.on_label = told.append
+    real = CommissionFolder.append_label
+
+    def full(*_) -> None:
+        raise OSError(28, "full")
+
+    monkeypatch.setattr("tauext.monitor.record_sink.save_recording", full)
+    monkeypatch.setattr(CommissionFolder, "append_label", full)
+    script.go(11).go(1, 1, 5.0).go(1)
+    script.answer("touched", 1)
+    script.go(10)
+    script.sink._waiting.put(None)
+    script.sink._thread.join()
+    assert not told and "labels are not written" in script.sink.count.error and script.sink.count.lost >= ROWS
+    monkeypatch.setattr(CommissionFolder, "append_label", real)
+    script.sink._pay()
+    assert [one.answer for one in told] == ["unanswered", "unanswered", "touched"]
+    assert script.folder.labels()[0].answer == "touched"
+
+
+def test_flights_are_bounded_the_oldest_go_first(tmp_path):
+    for k in range(5):
+        for end in (".parquet", ".txt"):
+            path = tmp_path / f"arm-1.{k}s-collision{end}"
+            path.write_bytes(bytes(500))
+            os.utime(path, (1000 + k, 1000 + k))
+    trim_flights(tmp_path, 2500)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        f"arm-1.{k}s-collision{end}" for k in (3, 4) for end in (".parquet", ".txt")
+    ]
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no folder of `tauext commission`"):
+        CommissionFolder.open(tmp_path / "none")
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ConfigError, match="not empty"):
+        CommissionFolder.open(tmp_path, create=True)
+    folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    with folder.locked(), pytest.raises(ConfigError, match="another"), folder.locked():
+        pass
+    (folder.path / "commission.json").write_text('{"format": 9}')
+    with pytest.raises(ConfigError, match="format 9"):
+        CommissionFolder.open(folder.path)
+
+
+def test_what_was_learned_is_dropped_first():
+    made = [Segment(f"s{k}", k, "calibration", 1, k, k, 100.0, 10) for k in range(10)]
+    made[2] = replace(made[2], set="train")
+    assert [one.number for one in to_drop(made, (), 60, 1, 0)][:2] == [0, 1]
+    assert [one.number for one in to_drop(made, (), 60, 0, 0)] == [0, 1, 3, 2]
+    assert learned_up_to(CommissionFolder(Path("/nowhere"))) == 0
+
+
+def test_the_index_survives_damage(tmp_path):
+    folder = Script(tmp_path / "cell").go(25).end()
+    lines = (folder.path / "segments.jsonl").read_text()
+    (folder.path / "segments.jsonl").write_text(lines[: lines.index("\n") + 1] + '{"name": "seg-0')
+    assert [(one.number, one.set) for one in repaired(folder)] == [(1, "train"), (2, "train"), (3, "train")]
+    assert json.loads((folder.path / "split.json").read_text())["test"] == []
+    assert load_recording(folder.path / "seg-000003.parquet").samples == 250

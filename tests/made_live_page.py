@@ -100,6 +100,8 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
         found = [
             {"severity": "fault", "code": "sign", "joint": "elbow_joint", "words": words, "waits": False,
              "remedy": 'set direction = -1 for it in arm.toml, or correct the driver'},
+            {"severity": "good", "code": "rate", "joint": None, "waits": False, "words": "500 samples a second",
+             "remedy": ""},
             {"severity": "note", "code": "scale", "joint": None, "waits": True, "remedy": "run the arm's program",
              "words": "whether the torque is in N m cannot be judged until the arm moves"},
         ]  # fmt: skip

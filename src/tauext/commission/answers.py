@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import calendar
+import math
 import queue
 import threading
 import time
@@ -17,12 +19,22 @@ from tauext.files.append_file import append_line
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.sink import Answer, AnswerKind, Control, LoopReport, Verdict
 
+ASKING_S = 600.0
+"""Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
 STORED_S = 10.0
 """Longest wait of an answer for the disk."""
 MOST_EVENTS = 1000
 """Events in memory."""
 KEPT = ("answer", "by", "flight")
 """Facts of an event that do not come from the monitor."""
+
+
+def age_s(at: Any) -> float:
+    """Age of a date and time of wall(), [s]."""
+    try:
+        return time.time() - calendar.timegm(time.strptime(str(at), "%Y-%m-%dT%H:%M:%SZ"))
+    except ValueError:
+        return math.inf
 
 
 class EventKeeper:
@@ -157,7 +169,8 @@ class EventKeeper:
     def _flown(self, news: FlightNews) -> None:
         """A flight belongs to the alarm that stood at its event."""
         for event in reversed(self._events.values()):
-            if news.path is not None and event["t_ns"] <= news.t_ns <= event["held_ns"] and not event.get("flight"):
+            is_its = (event["level"], event["epoch"]) == (news.what, self._epoch())
+            if news.path is not None and is_its and event["t_ns"] <= news.t_ns <= event["held_ns"]:
                 return self._put(event["id"], flight=str(news.path).rpartition("/")[2])
 
     def _put(self, number: int, **facts: str) -> None:
@@ -179,7 +192,9 @@ class Steering:
         loop, keeper = self._present, self._keeper
         if alarm is not None and alarm not in keeper:
             raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {keeper.newest}")
-        if what == "nothing" and alarm is None and keeper.unanswered is None:
+        if what in ("touched", "nothing") and alarm is None and (asked := keeper.unanswered) is not None:
+            alarm = asked["id"] if what == "nothing" or age_s(asked.get("wall")) < ASKING_S else None
+        if what == "nothing" and alarm is None:
             raise ConfigError("nothing: there is no alarm without an answer")
         with self._answering:
             since = keeper.done

@@ -226,7 +226,7 @@ class LiveSink:
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
         number, held_ns = self._held
-        return event | {"held_ns": held_ns} if number == event["id"] else event
+        return event | {"bundle": self.bundle} | ({"held_ns": held_ns} if number == event["id"] else {})
 
     def _follow_touch(self) -> None:
         """Report the end of a touch whose alarm still stands."""

@@ -6,9 +6,7 @@ the same files and the loop's socket, and sends lines to the control socket.
 
 from __future__ import annotations
 
-import calendar
 import json
-import math
 import os
 import signal
 import tempfile
@@ -22,7 +20,7 @@ from typing import Any
 
 from tauext import _core
 from tauext.bundle.history_file import ACTIVE
-from tauext.commission.answers import EventKeeper, Steering
+from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
 from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, write_arm
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
@@ -50,10 +48,9 @@ BEFORE_S, AFTER_S = 5.0, 2.0
 """Length of a flight around its event."""
 DESCRIBE_S = 10.0
 RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
-ASKING_S = 600.0
-"""Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
 CARRIED_S = 10.0
 """Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
+SETTLED_S = 3.5
 TEND_S = 1.0
 CARRIED = "carried.bin"
 LONGEST_SOCKET = 100
@@ -149,9 +146,10 @@ class Commission:
         self._active = 0
         """Time of active.json when the loop took its bundle."""
         self._exchanging = False
-        self._carried_s, self._carried_alarm = 0.0, 0
+        self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
 
     def run(self) -> None:
+        self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
         with self._until_signal():
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
@@ -242,12 +240,14 @@ class Commission:
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
-        loop.alarms, loop.note = self._keeper.newest, self._note
+        loop.note, loop.alarms = self._note, self._keeper.newest
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None:
             live.follow(bundle, loop.monitor)
-            with suppress(OSError):
-                loop.start_from((folder.path / CARRIED).read_bytes())
+            with suppress(FileNotFoundError):
+                carried = (folder.path / CARRIED).read_bytes()
+                if reason := loop.start_from(carried, self._keeper.newest):
+                    self._note(f"drift and alarm of the last run are not continued: {reason}")
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.steering.loop = loop
         if self._by:  # stopped meanwhile
@@ -304,10 +304,15 @@ class Commission:
             self._active, self._exchanging = now, True
             if (path := self._folder.active()) is not None:
                 loop.exchange(path, lambda why: self._exchanged(path, why))
-        if time.monotonic() > self._carried_s + CARRIED_S or self._live.alarm_id != self._carried_alarm:
-            self._carried_s, self._carried_alarm = time.monotonic(), self._live.alarm_id
-            if carried := loop.carried:
-                write_bytes(self._folder.path / CARRIED, carried)
+        self._keep_carried(loop, time.monotonic())
+
+    def _keep_carried(self, loop: Loop, now_s: float) -> None:
+        """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
+        if self._live.alarm_id != self._carried_alarm:
+            self._carried_alarm, self._alarm_s = self._live.alarm_id, now_s
+        if (now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S) and (carried := loop.carried):
+            self._carried_s = now_s
+            write_bytes(self._folder.path / CARRIED, carried)
 
     def _exchanged(self, path: Path, why: str) -> None:
         self._exchanging = False
@@ -394,14 +399,6 @@ class Commission:
             self._loop.stop(by)
         else:
             self._stopping.set()
-
-
-def age_s(at: Any) -> float:
-    """Age of a date and time of wall(), [s]."""
-    try:
-        return time.time() - calendar.timegm(time.strptime(str(at), "%Y-%m-%dT%H:%M:%SZ"))
-    except ValueError:
-        return math.inf
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -16,21 +16,22 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from unseen.recordings import Take
 from unseen.servo_recordings import TOUCHED_NM, description, write_take
 from unseen.servo_tables import Verdicts, at_as_many_false, estimators, judge
-from unseen.servos import (
-    COUNT_RAD,
-    OUTPUT_SHARE,
-    Touch,
-    backlash_model,
-    identified,
-    servo_arm,
-    simulate_servos,
-    so101,
-)
+from unseen.servos import Touch, servo_arm, simulate_servos, so101
 
 from tauext import _core
 from tauext.data.description import parse_arm
 from tauext.data.recording import Recording
 from tauext.robot.load import load_tree
+from tauext.sim.rig import encoder
+from tauext.sim.servo_arm import (
+    COMMAND_TICKS,
+    COUNT_RAD,
+    COUNTS,
+    OUTPUT_SHARE,
+    ServoPlant,
+    backlash_model,
+    identified,
+)
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the steps are compiled by g++")
 MAKER = so101()
@@ -87,6 +88,23 @@ def test_a_sliding_gear_resists_as_the_published_model_says(build_in, speed):
     left = motor + load - np.sign(speed) * resists - 0.02816 * dq
     # Half a count of the encoder is 0.008 N m of the motor.
     assert left.mean() == pytest.approx(speeds_up, abs=0.008)
+
+
+def test_the_arm_of_sim_so101_steps_as_the_compiled_one(build_in):
+    arm, rng = servo_arm(MAKER, 3), np.random.default_rng(0)
+    goals = POSE + 0.4 * np.sin(np.linspace(0, 6, 150))[:, None] * rng.uniform(-1, 1, 5)
+    run = simulate_servos(arm, goals, RATE_HZ, (), build_in)
+    plant, sent = ServoPlant(arm, goals[0]), encoder(goals, COUNTS)
+    for k in range(len(goals)):
+        for tick in range(10):
+            if tick == COMMAND_TICKS:
+                plant.goal = sent[k]
+            came = plant.tick()
+            if tick == 0:
+                for name in ("q", "goal", "duty", "supply_a", "speed"):
+                    tolerance = 50 * COUNT_RAD if name == "speed" else 1e-6  # a step of its register
+                    assert getattr(came, name) == pytest.approx(run.signals[name][k], abs=tolerance), (k, name)
+                assert came.volts == pytest.approx(run.volts[k], abs=1e-6)
 
 
 def test_a_link_has_a_degree_of_play_that_no_torque_resists():

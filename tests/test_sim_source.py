@@ -8,11 +8,13 @@ import time
 import numpy as np
 import pytest
 
+from tauext.commission.connect import judge, recording_of
 from tauext.errors import ConfigError
-from tauext.monitor.source import Commanded, Describes, Stoppable
+from tauext.monitor.source import Commanded, Describes, ServoStage, Stoppable
 from tauext.sim.arms import ARMS
 from tauext.sim.plant import Mover, Plant
-from tauext.sim.source import Clock, DrivenArm, SimSource, Stamps, command_of
+from tauext.sim.servo_arm import SO101_JOINTS
+from tauext.sim.source import KINDS, Clock, DrivenArm, SimSource, Stamps, command_of
 
 JOINTS = ("joint1", "joint2")
 
@@ -128,6 +130,40 @@ def test_in_real_time_a_second_takes_a_second_and_a_push_comes_at_once():
         source.command("move")
 
 
+def test_an_so101_reports_registers_of_which_the_loop_makes_torque():
+    source = SimSource("so101", 0, None, [(4.0, "push joint=elbow_flex force=0,0,-5 seconds=1"), (5.0, "stop")])
+    facts = source.describe(0.0)
+    assert facts.settings.period_ns == 20_000_000 and facts.signal == "duty" and facts.settings.servo.on
+    stage = ServoStage(facts.settings.servo)
+    source.open(facts.settings)
+    try:
+        came = taken(source, 350)
+    finally:
+        source.close()
+    made = [stage.made(sample) for sample, _ in came]
+    q, dq, tau = (np.array([getattr(one, name) for one in made[1:]]) for name in ("q", "dq", "tau"))
+    truth = np.array([torque for _, torque in came[1:]])
+    assert np.isfinite(tau).all() and np.isnan(came[0][0].tau).all()
+    np.testing.assert_allclose(q / (2 * np.pi / 4096), np.round(q / (2 * np.pi / 4096)), atol=1e-9)
+    assert np.abs(dq[:200]).max() > 0.3 and np.abs(dq[-40:]).max() < 0.01 and np.abs(tau).max() < 3
+    assert np.flatnonzero(truth.any(axis=1)).tolist() == list(range(200, 250))
+    recording, lives = recording_of([sample for sample, _ in came], facts)
+    assert recording.samples == 350 and not lives and recording.duty is not None
+    assert not any(live.severity == "fault" for live in judge([recording], None, facts))
+
+
+def test_an_so101_carries_warms_and_moves_on():
+    arm = KINDS["so101"].make(0)
+    free = np.array([arm.step() for _ in range(50)])
+    for line in ("load mass=0.1", "friction factor=1 from=2 minutes=1", "stop"):
+        arm.obey(command_of(line, SO101_JOINTS))
+    held = np.array([arm.step() for _ in range(100)])
+    assert np.isfinite(held[:, :2]).all() and np.ptp(held[50:, 3], axis=0).max() == 0
+    assert arm._plant._friction == pytest.approx(1 + np.exp(-50 / 3000), abs=0.02)
+    arm.obey(command_of("move", SO101_JOINTS))
+    assert np.ptp([arm.step()[3] for _ in range(200)], axis=0).max() > 0.05 and len(free) == 50
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -154,7 +190,7 @@ def test_a_wrong_command_is_refused_with_what_is_allowed(line, words):
 
 
 def test_an_unknown_arm_and_other_settings_are_refused():
-    with pytest.raises(ConfigError, match="must be one of sim:rig, sim:seven"):
+    with pytest.raises(ConfigError, match="must be one of sim:rig, sim:seven, sim:so101"):
         SimSource("elephant")
     with pytest.raises(ConfigError, match="has joints joint1, joint2, not joint1, joint2, joint3"):
         SimSource("rig").open(SimSource("seven").facts.settings)

@@ -12,9 +12,10 @@ import pyarrow.parquet as pq
 
 from tauext.sim.contacts import log_uniform
 from tauext.sim.rig import encoder
+from tauext.sim.servo_arm import COUNTS, TICKS_HZ, ServoArm
 from unseen.arms import Maker, direction
 from unseen.recordings import Take, split_text
-from unseen.servos import COUNTS, TICKS_HZ, ServoArm, ServoRun, Touch, simulate_servos
+from unseen.servos import ServoRun, Touch, simulate_servos
 from unseen.simulation import draw_motion
 
 SUPPLY_STEP_A, SUPPLY_NOISE_A = 0.0065, 0.004

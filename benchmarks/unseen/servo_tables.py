@@ -20,7 +20,7 @@ from tauext.evaluate.collisions import GRACE_S, Collision, find_collisions, firs
 from tauext.evaluate.errors import sensor_reference
 from tauext.evaluate.events import event_time
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
-from unseen.servos import COUNT_RAD
+from tauext.sim.servo_arm import COUNT_RAD
 
 # --- Alarms against what is true: one judge for every method.
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from tauext import _core
+from tauext.sim.servo_arm import specification
 from unseen.arms import Maker, TrueArm, direction
 
 # --- What an integrator would have the arm do: all joints together from pose to pose, pauses between, some of it slow.
@@ -210,25 +211,6 @@ def hinge(body: mujoco.MjsBody, link: _core.Link) -> None:
 def build(tree: _core.Tree) -> mujoco.MjModel:
     """The tree as a MuJoCo model: one body and one hinge about z a link."""
     return specification(tree, RATE_HZ, hinge).compile()
-
-
-def specification(
-    tree: _core.Tree, rate_hz: float, join: Callable[[mujoco.MjsBody, _core.Link], None]
-) -> mujoco.MjSpec:
-    """The tree's links as bodies, each moved by what `join` gives it."""
-    spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.gravity = 1 / rate_hz, list(tree.gravity)
-    spec.compiler.balanceinertia = True  # masses off by 20 % may leave an inertia that no body has
-    bodies: list = []
-    for link in tree.links:
-        parent = spec.worldbody if link.parent < 0 else bodies[link.parent]
-        turn = np.zeros(4)
-        mujoco.mju_mat2Quat(turn, np.array(link.rotation))
-        body = parent.add_body(pos=link.translation, quat=turn, mass=link.mass, ipos=link.com)
-        body.fullinertia, body.explicitinertial = link.inertia, True
-        join(body, link)
-        bodies.append(body)
-    return spec
 
 
 def simulate(

@@ -13,6 +13,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from tauext._core import ServoConstants
 from tauext.check.effort import HIGH, LOW, SEARCH_S
 from tauext.check.examine import Diagnosis, examine
 from tauext.check.finding import CODES, Finding
@@ -20,6 +21,7 @@ from tauext.check.motion import MOVING_RAD_S
 from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
 from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, servo_facts, servo_of
+from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
@@ -278,7 +280,9 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     settings = facts.settings
     stage = ServoStage(settings.servo) if settings.servo is not None and settings.servo.on else None
     made = [sample if stage is None else stage.made(sample) for sample in samples]
-    names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if made and getattr(made[0], name) is not None)]
+    if not made:
+        return None, []
+    names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if getattr(made[0], name) is not None)]
     signals = {name: np.array([getattr(one, name) for one in made]) for name in names}
     first = 1 if stage is not None else 0  # a derived velocity begins with the second sample
     missing = [
@@ -434,8 +438,10 @@ def _servo_table(settings: SourceSettings) -> list[str]:
         return json.dumps([scale(getattr(joint, name)) for joint in servo.joints])
 
     rate_hz = 1e9 / settings.period_ns
+    types = [servo_type(joint) for joint in servo.joints]
     return [
         "[servo]",
+        *([f"type = {json.dumps(types)}"] if all(types) else []),
         f'torque_from = "{servo.torque_from.name.replace("_", "-")}"',
         f'timing = "{settings.torque_timing}"',
         f"voltage_v = {each('volts')}",
@@ -448,6 +454,13 @@ def _servo_table(settings: SourceSettings) -> list[str]:
         f"velocity_window_s = {servo.velocity_steps / rate_hz!r}",
         f"goal_delay_s = {servo.goal_delay_ns * 1e-9!r}",
     ]
+
+
+def servo_type(joint: ServoConstants) -> str:
+    """Name in SERVO_TYPES of a servo with these constants; empty: there is none."""
+    constants = (joint.volts, joint.ohm, joint.back_emf_v_s)
+    fits = (name for name, one in SERVO_TYPES.items() if (one.volts, one.ohm, one.back_emf_v_s) == constants)
+    return next(fits, "")
 
 
 def as_entries(lives: Iterable[Live]) -> list[dict[str, Any]]:

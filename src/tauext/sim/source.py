@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -25,6 +25,20 @@ from tauext.files.toml_file import number, numbers, one_of, read_table
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.sim.arms import ARMS, DemoArm
 from tauext.sim.plant import Mover, Plant
+from tauext.sim.rig import encoder
+from tauext.sim.servo_arm import (
+    COMMAND_TICKS,
+    COUNTS,
+    HAND_M,
+    SO101_FILE,
+    SO101_JOINTS,
+    SO101_TYPE,
+    TICKS_HZ,
+    Poses,
+    ServoPlant,
+    so101_arm,
+)
+from tauext.sources.servo import settings_by_type
 
 # --- Commands, as lines: `push joint=joint2 force=0,0,-40 seconds=1`.
 
@@ -92,10 +106,6 @@ def _numbers(words: list[str]) -> Any:
 class SimulatedArm(Protocol):
     """What the simulating process steps."""
 
-    signals: tuple[str, ...]
-    """Fields of Sample that step() returns, in order."""
-    period_ns: int
-
     def step(self) -> np.ndarray:
         """Signals (signals, joints) of the next sample, and below them the true external torque, [N m]."""
         ...
@@ -110,29 +120,51 @@ SETTLE_S = 1.0
 WARM_EVERY_S = 1.0
 STEEL_KG_M3 = 7850.0
 RIG_HAND_M = 0.3
+SO101_HZ = 50
+SUPPLY_STEP_A, SUPPLY_NOISE_A, DUTY_STEP, VOLTAGE_STEP_V = 0.0065, 0.004, 0.001, 0.1
+"""Registers of a Feetech servo, and what its converter of the current adds."""
+
+
+class Friction:
+    """A factor on friction that goes from one value to another with a time constant."""
+
+    def __init__(self, rate_hz: float):
+        self._rate_hz = rate_hz
+        self._begin, self._end, self._constant, self._since = 1.0, 1.0, 1.0, 0
+
+    def change(self, values: dict[str, Any], tick: int) -> float:
+        """Follow the command `friction` from this tick on; returns the factor now."""
+        constant, begin = 60 * values["minutes"] * self._rate_hz, values["from"]
+        start = self.at(tick) if begin is None else begin
+        self._begin, self._end = start if constant else values["factor"], values["factor"]
+        self._constant, self._since = constant or 1.0, tick
+        return self._begin
+
+    def at(self, tick: int) -> float:
+        """The factor at a tick."""
+        return self._end + (self._begin - self._end) * math.exp(-(tick - self._since) / self._constant)
+
+    def is_due(self, tick: int) -> bool:
+        """Whether the factor has changed enough to be set again."""
+        return self._begin != self._end and tick % round(WARM_EVERY_S * self._rate_hz) == 0
 
 
 class DrivenArm:
     """An arm of tauext.sim.arms with geared drives that moves around its home for ever."""
 
-    signals: tuple[str, ...] = ("q", "dq", "tau")
-
     def __init__(self, arm: DemoArm, seed: int):
-        self.period_ns = round(1e9 / arm.rate_hz)
         self._arm, self._plant, self._mover = arm, Plant(arm, seed), Mover(arm, seed)
         self._push: tuple[int, np.ndarray, np.ndarray] | None = None
         self._push_until = 0
-        self._friction = (1.0, 1.0, 1.0)  # from, to, time constant [samples]
-        self._since = self._tick = 0
+        self._friction, self._tick = Friction(arm.rate_hz), 0
         self._measured = self._plant.data.qpos.copy(), self._plant.data.qvel.copy()
         for _ in range(round(SETTLE_S * arm.rate_hz)):
             self.step()
 
     def step(self) -> np.ndarray:
         plant, tick = self._plant, self._tick
-        if self._friction[0] != self._friction[1] and tick % round(WARM_EVERY_S * self._arm.rate_hz) == 0:
-            begin, end, constant = self._friction
-            plant.set_friction(end + (begin - end) * math.exp(-(tick - self._since) / constant))
+        if self._friction.is_due(tick):
+            plant.set_friction(self._friction.at(tick))
         if self._push is not None and tick >= self._push_until:
             self._push = None
         joint, force, point = self._force()
@@ -152,14 +184,9 @@ class DrivenArm:
             self._push = joint, np.array(values["force"]), rotation.T @ (given - origin)
             self._push_until = self._tick + round(values["seconds"] * self._arm.rate_hz)
         elif name == "friction":
-            end, begin = values["factor"], values["from"]
-            constant = 60 * values["minutes"] * self._arm.rate_hz
-            start = self._factor() if begin is None else begin
-            self._friction = (start, end, constant) if constant else (end, end, 1.0)
-            self._since = self._tick
-            self._plant.set_friction(self._friction[0])
+            self._plant.set_friction(self._friction.change(values, self._tick))
         elif name == "load":
-            self._plant.hold(weight(self._arm, values["mass"]) if values["mass"] else None)
+            self._plant.hold(weight(values["mass"], RIG_HAND_M if self._arm.hand_m is None else self._arm.hand_m))
         elif name == "stop":
             self._mover.react("stop")
         elif name == "move":
@@ -173,16 +200,111 @@ class DrivenArm:
         origin, rotation = self._plant.body_pose(joint)
         return joint, force, origin + rotation @ local
 
-    def _factor(self) -> float:
-        begin, end, constant = self._friction
-        return end + (begin - end) * math.exp(-(self._tick - self._since) / constant)
 
-
-def weight(arm: DemoArm, mass_kg: float) -> _core.Load:
-    """A steel ball in the hand, in the frame of the last link; the rig carries it at its tip."""
+def weight(mass_kg: float, along_m: float) -> _core.Load | None:
+    """A steel ball in the hand, so far along the last link; None: nothing."""
+    if mass_kg == 0:
+        return None
     radius = (3 * mass_kg / (4 * math.pi * STEEL_KG_M3)) ** (1 / 3)
-    along = RIG_HAND_M if arm.hand_m is None else arm.hand_m
-    return _core.Load(mass_kg, [0.0, 0.0, along], [0.4 * mass_kg * radius**2] * 3 + [0.0] * 3)
+    return _core.Load(mass_kg, [0.0, 0.0, along_m], [0.4 * mass_kg * radius**2] * 3 + [0.0] * 3)
+
+
+class BusArm:
+    """An SO-101 whose servos are read and get their next goal once a sample: registers, not torques."""
+
+    def __init__(self, rate_hz: int, seed: int):
+        rng, noise = (np.random.default_rng(stream) for stream in np.random.SeedSequence(seed).spawn(2))
+        self._rate_hz, self._noise, self._tick = rate_hz, noise, 0
+        self._poses, self._friction = Poses(rate_hz, rng), Friction(rate_hz)
+        self._plant = ServoPlant(so101_arm(), self._poses.goal)
+        self._push_until = 0
+
+    def step(self) -> np.ndarray:
+        plant, tick = self._plant, self._tick
+        if self._friction.is_due(tick):
+            plant.set_friction(self._friction.at(tick))
+        if tick == self._push_until:
+            plant.push(0, None)
+        came = plant.tick()
+        goal = encoder(self._poses.next(), COUNTS)
+        for passed in range(1, round(TICKS_HZ / self._rate_hz)):
+            if passed == COMMAND_TICKS:
+                plant.goal = goal
+            plant.tick()
+        self._tick += 1
+        ampere = np.abs(came.supply_a) + SUPPLY_NOISE_A * self._noise.standard_normal(len(goal))
+        return np.stack(
+            [
+                encoder(came.q, COUNTS),
+                came.speed,
+                np.full(len(goal), np.nan),
+                came.goal,
+                np.round(np.maximum(ampere, 0) / SUPPLY_STEP_A) * SUPPLY_STEP_A,
+                np.round(came.duty / DUTY_STEP) * DUTY_STEP,
+                np.full(len(goal), round(came.volts / VOLTAGE_STEP_V) * VOLTAGE_STEP_V),
+                came.tau_ext,
+            ]
+        )
+
+    def obey(self, command: Command) -> None:
+        name, values = command
+        if name == "push":
+            point = values["point"]
+            joint = SO101_JOINTS.index(values["joint"])
+            self._plant.push(joint, np.array(values["force"]), None if point is None else np.array(point))
+            self._push_until = self._tick + round(values["seconds"] * self._rate_hz)
+        elif name == "friction":
+            self._plant.set_friction(self._friction.change(values, self._tick))
+        elif name == "load":
+            self._plant.hold(weight(values["mass"], HAND_M))
+        elif name in ("stop", "move"):
+            self._poses.stopped = name == "stop"
+
+
+# --- The arms by name.
+
+
+class Kind(NamedTuple):
+    """A simulated arm."""
+
+    make: Callable[[int], SimulatedArm]
+    """Makes it from a seed of motion and noise."""
+    signals: tuple[str, ...]
+    """Fields of Sample that step() returns, in order."""
+    facts: Callable[[], SourceFacts]
+    robot_file: Callable[[], tuple[str, str]]
+    """Name and text of the robot file that an integrator has."""
+
+
+def driven(make: Callable[[], DemoArm]) -> Kind:
+    """An arm of tauext.sim.arms."""
+
+    def facts() -> SourceFacts:
+        arm = make()
+        units = ("N m",) * len(arm.joints)
+        return SourceFacts(SourceSettings(arm.joints, round(1e9 / arm.rate_hz), units, "held"), "torque", False)
+
+    def robot_file() -> tuple[str, str]:
+        arm = make()
+        return f"{arm.name}.xml", arm.xml
+
+    return Kind(lambda seed: DrivenArm(make(), seed), ("q", "dq", "tau"), facts, robot_file)
+
+
+def servo_facts_of_so101() -> SourceFacts:
+    servo, _ = settings_by_type([SO101_TYPE] * len(SO101_JOINTS), SO101_JOINTS, "duty", SO101_HZ)
+    units = ("N m",) * len(SO101_JOINTS)
+    return SourceFacts(SourceSettings(SO101_JOINTS, round(1e9 / SO101_HZ), units, "held", servo), "duty", False)
+
+
+KINDS = {name: driven(make) for name, make in ARMS.items()} | {
+    "so101": Kind(
+        lambda seed: BusArm(SO101_HZ, seed),
+        ("q", "dq", "tau", "q_des", "current", "duty", "voltage"),
+        servo_facts_of_so101,
+        lambda: (SO101_FILE.name, SO101_FILE.read_text(encoding="utf-8")),
+    )
+}
 
 
 # --- The simulating process: samples in blocks of bytes through a pipe, commands the other way.
@@ -199,12 +321,12 @@ def simulate(
 ) -> None:
     """Step an arm until the pipe closes. A row of a block: stamp [ns], time of sending [ns], signals, true torque."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the loop ends this process
-    arm = made_arm(name, seed)
+    arm, period_ns = KINDS[name].make(seed), KINDS[name].facts().settings.period_ns
     gc.freeze()
-    stamps = Stamps(arm.period_ns)
+    stamps = Stamps(period_ns)
     due = deque(sorted(script, key=lambda entry: entry[0]))
-    clock = None if speed is None else Clock(arm.period_ns * 1e-9 / speed)
-    block = max(1, round(BLOCK_S * 1e9 / arm.period_ns))
+    clock = None if speed is None else Clock(period_ns * 1e-9 / speed)
+    block = max(1, round(BLOCK_S * 1e9 / period_ns))
     with suppress(EOFError, OSError):
         while True:
             while pipe.poll(0 if clock is None else clock.left_s()):
@@ -217,10 +339,6 @@ def simulate(
                     rows.append((stamps.next_ns(), arm.step()))
             if rows:
                 pipe.send_bytes(_packed(rows))
-
-
-def made_arm(name: str, seed: int) -> SimulatedArm:
-    return DrivenArm(ARMS[name](), seed)
 
 
 def _obey(command: Command, arm: SimulatedArm, stamps: Stamps) -> None:
@@ -306,7 +424,7 @@ class SimSource:
         script: Sequence[tuple[float, str]] = (),
     ):
         """Args:
-            arm: a key of ARMS.
+            arm: a key of KINDS.
             seed: of motion and noise; None: another one at every start, so that a restart repeats no motion.
             speed: factor on real time; None: as fast as the loop takes the samples.
             script: commands with the simulated time since the start at which they are executed, [s].
@@ -314,17 +432,17 @@ class SimSource:
         Raises:
             ConfigError: there is no such arm, or a command of the script is wrong.
         """
-        if arm not in ARMS:
-            raise ConfigError(f"--source sim:{arm[:60]} must be one of {', '.join(f'sim:{name}' for name in ARMS)}")
+        if arm not in KINDS:
+            raise ConfigError(f"--source sim:{arm[:60]} must be one of {', '.join(f'sim:{name}' for name in KINDS)}")
         self.name, self.counts = f"sim {arm}", SourceCounts()
-        self.facts = facts_of(arm)
+        self.facts = KINDS[arm].facts()
         self.tau_ext = np.zeros(len(self.facts.settings.joints))
         """True external torque at the last sample, [N m]."""
         joints = self.facts.settings.joints
         entries = [(at_s, command_of(text, joints)) for at_s, text in script]
         seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
         self._arguments = (arm, seed, speed, entries)
-        self._signals, self._paced = made_signals(arm), speed is not None
+        self._signals, self._paced = KINDS[arm].signals, speed is not None
         self._samples: deque[tuple[int, int, np.ndarray]] = deque()
         """Stamp, time of sending, and signals with the true torque below them."""
         self._sending = threading.Lock()
@@ -406,19 +524,8 @@ class SimSource:
             self._pipe = None
 
 
-def facts_of(arm: str) -> SourceFacts:
-    """Description of a simulated arm."""
-    made = ARMS[arm]()
-    units = ("N m",) * len(made.joints)
-    return SourceFacts(SourceSettings(made.joints, round(1e9 / made.rate_hz), units, "held"), "torque", False)
-
-
-def made_signals(arm: str) -> tuple[str, ...]:
-    return DrivenArm.signals
-
-
 def write_robot_file(arm: str, folder: Path) -> Path:
     """Write the arm's robot file into a folder and return its path: what an integrator would have of a real arm."""
-    path = folder / f"{arm}.xml"
-    path.write_text(ARMS[arm]().xml, encoding="utf-8")
-    return path
+    name, content = KINDS[arm].robot_file()
+    (folder / name).write_text(content, encoding="utf-8")
+    return folder / name

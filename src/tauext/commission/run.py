@@ -145,7 +145,9 @@ class Commission:
         self._shown = len(folder.history())
         self._active = 0
         """Time of active.json when the loop took its bundle."""
-        self._exchanging = False
+        self._exchanging = self._again = False
+        self._arm: Any = None
+        """The description with which the loop runs."""
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
 
     def run(self) -> None:
@@ -154,8 +156,8 @@ class Commission:
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
             try:
-                if connected := self._connect():
-                    self._monitor(*connected)
+                while (connected := self._connect()) and self._monitor(*connected):
+                    self._note("the arm's description has changed: connecting again")
             finally:
                 self._stopping.set()
                 tending.join()
@@ -227,16 +229,16 @@ class Commission:
 
     # Monitor.
 
-    def _monitor(self, source: Source, facts: SourceFacts, publishers: tuple[Sink, ...]) -> None:
+    def _monitor(self, source: Source, facts: SourceFacts, publishers: tuple[Sink, ...]) -> bool:
+        """Run the loop to its end; whether the arm is to be connected again."""
         folder, options, live = self._folder, self._options, self._live
-        settings = facts.settings
+        settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
         record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
         record.note, record.on_label = self._note, self._keeper.labelled
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.reactions(settings.joints), source, publishers)
-        self._stack.callback(reactions.end)
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
@@ -254,10 +256,15 @@ class Commission:
             loop.stop(self._by)
         loop.run()
         self._news_of_flights()
+        if self._again:
+            self._loop = self._source = self.steering.loop = None
+            self._again = False
+            return True
         if not self._by:
             self._note(f"{source.name} has ended; the training goes on with what was recorded, and Ctrl-C ends it")
             live.lost = "the source has ended"
             self._stopping.wait()
+        return False
 
     def _first_bundle(self) -> _core.Bundle | None:
         """The bundle in charge, as the last process left it."""
@@ -300,6 +307,9 @@ class Commission:
         if (loop := self._loop) is None:
             return
         self._news_of_flights()
+        if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
+            self._again = True  # the training found that the torque has another unit
+            return loop.stop("the training: the torque has another unit")
         if (now := self._stamp()) != self._active and not self._exchanging:
             self._active, self._exchanging = now, True
             if (path := self._folder.active()) is not None:

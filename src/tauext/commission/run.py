@@ -38,6 +38,7 @@ from tauext.monitor.reactions import start_reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
 from tauext.monitor.source import Describes, Source, SourceFacts
+from tauext.robot.load import movable_joints
 from tauext.robot.write import is_placeholder
 from tauext.sources.lasting import LastingSource
 from tauext.sources.open import KINDS, SourceOptions, open_source
@@ -87,6 +88,9 @@ def run(
     Raises:
         ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
     """
+    open_arm(text, options.source)[0].close()  # refused before a folder is made
+    if options.robot is not None:
+        movable_joints(options.robot)
     folder = CommissionFolder.open(path, create=True)
     with folder.locked(), ExitStack() as stack:
         commission = Commission(folder, text, options, echo, stack)
@@ -94,7 +98,20 @@ def run(
         commission.run()
 
 
-# --- Sockets beside the folder's files.
+# --- Sources, and sockets beside the folder's files.
+
+
+def open_arm(text: str, options: SourceOptions) -> tuple[Source, tuple[Sink, ...]]:
+    """As open_source(), with simulated arms."""
+    kind, _, target = text.partition(":")
+    if kind == "sim":
+        from tauext.sim.source import SimSource
+
+        return SimSource(target), ()
+    if kind not in KINDS:
+        choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]
+        raise ConfigError(f"--source {text!r} must be one of {', '.join(choices)}")
+    return open_source(text, options)
 
 
 def socket_folder(folder: Path, stack: ExitStack) -> Path:
@@ -205,15 +222,7 @@ class Commission:
         return source, facts, publishers
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
-        kind, _, target = self._text.partition(":")
-        if kind == "sim":
-            from tauext.sim.source import SimSource
-
-            return SimSource(target), ()
-        if kind not in KINDS:
-            choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]
-            raise ConfigError(f"--source {self._text!r} must be one of {', '.join(choices)}")
-        return open_source(self._text, self._options.source)
+        return open_arm(self._text, self._options.source)
 
     def _robot(self) -> Path | None:
         """The robot file: the folder's once it has one, else the given one, or that of a simulated arm."""

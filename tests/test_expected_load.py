@@ -38,8 +38,11 @@ def drive_torque(tree: _core.Tree, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def arm(empty):
+    return knowing_bundle(empty)
+
+
+def knowing_bundle(tree: _core.Tree) -> tuple[_core.Bundle, Recording]:
     """A bundle that knows the empty arm exactly, and its motion as it picks up MASS."""
-    tree = empty
     rng = np.random.default_rng(4)
     t = np.arange(SAMPLES) * 1e-3
     size, speed, phase = rng.uniform(0.3, 0.9, (1, 6)), rng.uniform(0.8, 2.2, (1, 6)), rng.uniform(0, 6, (1, 6))

@@ -151,11 +151,16 @@ void field(File& file, Bundle& b) {
 }  // namespace
 
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
+  static constexpr auto table = [] {
+    std::array<std::uint32_t, 256> of_byte{};
+    for (std::uint32_t byte = 0; byte < 256; ++byte) {
+      std::uint32_t& value = of_byte[byte] = byte;
+      for (int bit = 0; bit < 8; ++bit) value = (value >> 1) ^ (0xEDB88320u & (0u - (value & 1u)));
+    }
+    return of_byte;
+  }();
   crc = ~crc;
-  for (char byte : bytes) {
-    crc ^= static_cast<unsigned char>(byte);
-    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
-  }
+  for (char byte : bytes) crc = (crc >> 8) ^ table[(crc ^ static_cast<unsigned char>(byte)) & 0xffu];
   return ~crc;
 }
 

@@ -306,7 +306,7 @@ def watch(
         loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
-        shown = OutputSink(output, aside, loop.monitor, reactions, flights)
+        shown = OutputSink(output, aside, loop, reactions, flights)
         loop.sinks.append(shown)
         if record is not None:
             record.note = shown.note

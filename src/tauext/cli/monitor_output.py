@@ -10,7 +10,7 @@ from functools import partial
 from tauext import _core
 from tauext.cli.json_lines import Output
 from tauext.monitor.flight_files import FlightCount
-from tauext.monitor.loop import ProfileSwitch, chunk_of
+from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.replay import PACED_CHUNK_S, Tally
@@ -81,15 +81,16 @@ class OutputSink:
         self,
         output: Output,
         aside: Aside,
-        monitor: _core.Monitor,
+        loop: Loop,
         reactions: Reactions,
         flights: FlightSink | None = None,
     ):
-        self.tally = Tally(tuple(monitor.joint_names), monitor.sample_period_ns, tuple(monitor.estimate_units))
+        period_ns = loop.monitor.sample_period_ns
+        self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
         self.flights = FlightCount()
-        self._output, self._aside, self._monitor = output, aside, monitor
+        self._output, self._aside, self._loop = output, aside, loop
         self._reactions, self._flight_sink = reactions, flights
-        self._most = max(1, round(PACED_CHUNK_S * 1e9 / monitor.sample_period_ns))
+        self._most = max(1, round(PACED_CHUNK_S * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
         self._seen, self._silent_s = False, 0
 
@@ -103,6 +104,11 @@ class OutputSink:
         self._verdicts.append(verdict)
         if verdict.changes or len(self._verdicts) >= self._most:
             self._print()
+
+    def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
+        """Print what belongs to the bundle before; totals from here on are in the units of this one."""
+        self._print()
+        self.tally.units = tuple(monitor.estimate_units)
 
     def every_second(self, report: LoopReport) -> None:
         if not self._seen:
@@ -137,5 +143,5 @@ class OutputSink:
         if not verdicts:
             return
         chunk = chunk_of(verdicts)
-        self.tally.add(chunk, self._monitor, [one.sample is not None for one in verdicts])
+        self.tally.add(chunk, self._loop.monitor, [one.sample is not None for one in verdicts])
         self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)

@@ -143,6 +143,14 @@ class ChangeFinder:
         was, self._last["alarm"] = self._last["alarm"], NONE
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
+    def stand(self, alarm: int) -> None:
+        """This alarm stands from before the first sample on."""
+        self._last["alarm"] = alarm
+
+    def forget_drift(self) -> None:
+        """Another monitor makes the estimates from here on: its drift is another."""
+        self._saturated.clear()
+
     def find(self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray]) -> list[Change]:
         """Changes at these samples in order; of one sample health, alarm, touch, drift, hidden collision.
 

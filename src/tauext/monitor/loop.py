@@ -6,17 +6,34 @@ import gc
 import math
 import queue
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, NONE
 from tauext.config import require
-from tauext.errors import ConfigError
+from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
+from tauext.monitor.exchange import (
+    MARK_S,
+    NO_BUNDLE,
+    AnyMonitor,
+    Exchanged,
+    NoMonitor,
+    Ring,
+    Successor,
+    exchange,
+    holds_back,
+    put_load,
+    why_not_exchange,
+)
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceFinder
@@ -28,12 +45,13 @@ from tauext.monitor.sink import (
     Answer,
     AnswerKind,
     EventFinder,
+    Follows,
     HearsAnswers,
     LoopReport,
     Sink,
     Verdict,
 )
-from tauext.monitor.source import Commanded, Sample, ServoStage, Source, settings_of
+from tauext.monitor.source import Commanded, Sample, ServoStage, Source, SourceSettings, settings_of
 
 # --- Verdicts of a live loop in the form of a replay, for output and statistics.
 
@@ -96,17 +114,32 @@ class Loop:
 
     def __init__(
         self,
-        bundle: _core.Bundle,
+        bundle: _core.Bundle | None,
         source: Source,
         sinks: Sequence[Sink] = (),
         reactions: Reactions | None = None,
         profiles: Profiles | None = None,
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
+        arm: SourceSettings | None = None,
     ):
-        """recorder: receives every sample, and NaN for a missing one; the caller takes its flights."""
-        self.monitor = _core.Monitor(bundle, settings.own_rate)
-        self.joints = tuple(self.monitor.joint_names)
+        """Raises ConfigError where the parts do not fit each other.
+
+        Args:
+            bundle: None with an arm: nothing is monitored until exchange() brings one.
+            recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
+            arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
+        """
+        if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
+            raise ConfigError(reason)
+        if bundle is not None:
+            self._arm = arm or settings_of(bundle)
+        elif arm is not None:
+            self._arm = arm
+        else:
+            raise ConfigError("a loop needs a bundle, or an arm that waits for one")
+        self.monitor: AnyMonitor = NoMonitor(self._arm) if bundle is None else _core.Monitor(bundle, settings.own_rate)
+        self.joints = self._arm.joints
         self.sinks = list(sinks)
         """Sinks in the order in which they receive verdicts; add before run()."""
         self.note: Callable[[str], None] = lambda text: None
@@ -118,29 +151,33 @@ class Loop:
         self.missing = self.samples = 0
         self.alarms = 0
         """Number of alarms so far, which is the newest one's number; set it before run() to continue a count."""
+        self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
+        """Called in the loop's thread with every exchange of the bundle."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
-        self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
+        servo = self._arm.servo
+        self._servo = ServoStage(servo) if servo is not None and servo.on else None
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """Requests that the loop's thread executes before the next sample."""
-        for profile in profiles.by_name.values() if profiles else ():
-            if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
-                raise ConfigError(f"profile {profile.name}: {reason}")
-            if profile.expect is not None and (reason := self._why_not(profile.expect)):
-                raise ConfigError(f"profile {profile.name}: {reason}")
-        places = PlaceFinder(bundle, settings.wrench)
-        for rule in [thread.reaction for thread in self._reactions.threads] if places.refused else []:
-            if rule.links is not None or rule.newtons_over is not None:
-                raise ConfigError(f"reaction {rule.name!r}: the place of a touch cannot be estimated: {places.refused}")
+        places = None if bundle is None else PlaceFinder(bundle, settings.wrench)
+        if reason := self._why_refused(self.monitor, places):
+            raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places)
-        self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
+        self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
+        self._events = EventFinder(self.joints, self._facts)
+        self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
+        self._model = 0 if bundle is None else bundle.model_digest
+        self._mark_ns: int | None = None
+        self._load_kg = 0.0
+        self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
         self._due_ns: int | None = None
         self._alarm_id = 0
         self._last: Sample | None = None
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
+        self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
 
@@ -156,7 +193,7 @@ class Loop:
         self._requests.put(lambda: self._end_alarm(self.monitor.acknowledge, f"acknowledged by {by}"))
 
     def resume(self, by: str) -> None:
-        self._requests.put(lambda: self._end_alarm(self.monitor.resume, f"resumed by {by}"))
+        self._requests.put(lambda: self._resume(by))
 
     def set_load(self, load: _core.Load, by: str, ago_s: float | None = None) -> None:
         if reason := self.monitor.why_no_load(load, None if ago_s is None else 0):
@@ -170,6 +207,21 @@ class Loop:
 
     def _why_not(self, expected: Expected) -> str:
         return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
+
+    def _why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
+        """Reason why profiles or reactions do not work with this monitor; empty: they do."""
+        for profile in self._profiles.by_name.values() if self._profiles else ():
+            load, expect = profile.load, profile.expect
+            reason = "" if load is None else monitor.why_no_load(load)
+            if expect is not None:
+                reason = reason or monitor.why_not_expected(expect.seconds, expect.at_most_kg)
+            if reason:
+                return f"profile {profile.name}: {reason}"
+        if places is not None and places.refused:
+            for rule in (thread.reaction for thread in self._reactions.threads):
+                if rule.links is not None or rule.newtons_over is not None:
+                    return f"reaction {rule.name!r}: the place of a touch cannot be estimated: {places.refused}"
+        return ""
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
         if reason := self.monitor.why_no_weighing():
@@ -194,6 +246,47 @@ class Loop:
     def stop(self, by: str) -> None:
         self._requests.put(lambda: self._stop(by))
 
+    def exchange(self, path: Path, done: Callable[[str], None]) -> None:
+        """Bring the bundle of this file into the loop, between two samples, once it has caught up and is quiet.
+
+        A newer request replaces one that still waits.
+
+        Args:
+            done: called in another thread with "" after the exchange, or with the reason why there is none.
+
+        Raises:
+            ConfigError: the loop was made without an arm.
+        """
+        if self._ring is None:
+            raise ConfigError("only a loop that was made with an arm can exchange its bundle")
+        self._exchanges.put((path, done))
+
+    @property
+    def carried(self) -> bytes:
+        """What the monitor carried at the newest second, for start_from(); empty: nothing yet."""
+        return b"" if self._ring is None else self._ring.carried
+
+    def start_from(self, carried: bytes, alarms: int) -> str:
+        """Before run(): continue what an earlier loop's `carried` holds; returns "" or the reason why it cannot.
+
+        Args:
+            alarms: number of the newest alarm, which is the one that stands if one does.
+        """
+        self.alarms = alarms
+        if not isinstance(self.monitor, _core.Monitor):
+            return NO_BUNDLE
+        try:
+            self.monitor.carry(carried)
+            self.monitor.carry_alarm(carried)
+        except _core.CoreError as error:
+            return str(error)
+        self._load_kg = self.monitor.load.mass
+        alarm = self.monitor.last.alarm
+        if alarm != _core.Alarm.none:
+            self.alarms = self._alarm_id = max(alarms, 1)
+            self._changes.stand(alarm.value)
+        return ""
+
     @property
     def profile(self) -> Profile | None:
         """The active profile."""
@@ -216,15 +309,19 @@ class Loop:
             for sink in self.sinks:
                 sink.open(self.joints, self)
                 opened.append(sink)
+            if self._ring is not None:  # before a core and a priority are taken, which threads inherit
+                threading.Thread(target=self._exchange_each, name="exchange", daemon=True).start()
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
                 self.note(text)
-            self._source.open(settings_of(self._bundle))
+            self._source.open(self._arm)
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()  # excludes present objects from collections during the loop
             self._run()
         finally:
             gc.unfreeze()
+            self._running = False
+            self._exchanges.put(None)
             sys.setswitchinterval(interval)
             self._source.close()
             self._forward_notes()
@@ -241,7 +338,7 @@ class Loop:
         before = 0
         while not self._source.ended:
             while not self._requests.empty():
-                self._requests.get()()
+                self._do(self._requests.get())
             if self._stopped:
                 return
             now = time.monotonic()
@@ -260,6 +357,13 @@ class Loop:
             if self._settings.duration_s is not None and now >= started + self._settings.duration_s:
                 return
 
+    def _do(self, request: Callable[[], None]) -> None:
+        """A bundle that came after a request was accepted may refuse it."""
+        try:
+            request()
+        except TauextError as error:
+            self.note(str(error))
+
     def _sample(self, sample: Sample) -> None:
         if self._servo is not None:
             sample = self._servo.made(sample)
@@ -270,6 +374,8 @@ class Loop:
             np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
         )
         self._last = sample
+        if self._ring is not None:
+            self._remember(self._ring, sample, estimates)
         self._publish(sample.t_ns, sample, estimates)
         self.samples += 1
         ns = time.monotonic_ns() - sample.received_ns
@@ -283,8 +389,81 @@ class Loop:
         silent_s = now - self._last.received_ns * 1e-9
         t_ns = self._last.t_ns + round(silent_s * 1e9)
         self._acknowledge_when_due(t_ns)
+        if self._ring is not None:
+            self._ring.miss(t_ns)
         self._publish(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
+
+    def _remember(self, ring: Ring, sample: Sample, estimates: dict[str, np.ndarray]) -> None:
+        """For the next bundle: this sample, what it did to the load, and what is carried once a second."""
+        if estimates["load_kg"][0] != self._load_kg:
+            self._load_kg = float(estimates["load_kg"][0])
+            load, since_ns = self.monitor.load, int(estimates["load_found_ns"][0])
+            ring.act(partial(put_load, load=load, since_ns=since_ns or None))
+        held = max(int(estimates["held_alarm"][0]), int(holds_back(int(estimates["load_phase"][0]))))
+        ring.add(sample.t_ns, sample.q, sample.dq, sample.tau, sample.temperature, held)
+        if isinstance(self.monitor, _core.Monitor):
+            if self._mark_ns is None or not 0 <= sample.t_ns - self._mark_ns < MARK_S * 1e9:
+                self._mark_ns = sample.t_ns
+                ring.mark(self.monitor.carried(), self._model)
+
+    # Exchange of the bundle.
+
+    def _exchange_each(self) -> None:
+        """In a thread of its own, which no real-time priority reaches."""
+        assert self._ring is not None
+
+        def why_not(successor: Successor) -> str:
+            return self._why_refused(successor.monitor, successor.places)
+
+        def stop() -> str:
+            return (
+                ""
+                if self._running and self._exchanges.empty()
+                else "a newer bundle, or the end of the loop, came first"
+            )
+
+        while (request := self._exchanges.get()) is not None:
+            path, done = request
+            own_rate, wrench = self._settings.own_rate, self._settings.wrench
+            try:
+                done(exchange(path, self._ring, self._arm, why_not, self._ask_to_take_over, stop, own_rate, wrench))
+            except Exception as error:  # of the caller's, or ours: the next bundle must still find this thread
+                text = f"the exchange for {path.name} failed: {type(error).__name__}: {error}"
+                self._requests.put(partial(self._note, text))
+
+    def _ask_to_take_over(self, successor: Successor) -> str:
+        """In the thread of exchanges: have the loop take over, and wait for what it says."""
+        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._requests.put(lambda: answers.put(self._take_over(successor)))
+        while self._running:
+            with suppress(queue.Empty):
+                return answers.get(timeout=IDLE_S)
+        return "the loop has ended"
+
+    def _take_over(self, successor: Successor) -> str:
+        """Between two samples: exchange the monitor; returns why not yet."""
+        assert self._ring is not None
+        started, first = time.monotonic_ns(), successor.first_row
+        try:
+            if reason := successor.finish(self.monitor):
+                return reason
+        except Exception as error:  # the loop goes on with what it has
+            return f"{type(error).__name__}: {error}"
+        successor.replaced = self.monitor, self._bundle
+        self._changes.exchange(successor.monitor, successor.places)
+        self.monitor, self._bundle = successor.monitor, successor.bundle
+        self._load_kg = successor.monitor.load.mass
+        self._model, self._mark_ns = successor.model, None
+        old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
+        self._each_sink(
+            lambda sink: sink.follow(successor.bundle, successor.monitor) if isinstance(sink, Follows) else None
+        )
+        took_us = (time.monotonic_ns() - started) * 1e-3
+        last_ns, replayed = (self._last.t_ns if self._last else None), successor.row - first
+        facts = (self.samples, last_ns, replayed, successor.carried, successor.alarms, took_us)
+        self.exchanged(Exchanged(successor.bundle.name, old, *facts))
+        return ""
 
     def _publish(self, t_ns: int, sample: Sample | None, estimates: dict[str, np.ndarray]) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
@@ -326,6 +505,9 @@ class Loop:
                 self.sinks.remove(sink)
                 self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
 
+    def _note(self, text: str) -> None:
+        self.note(text)
+
     def _forward_notes(self) -> None:
         for text in self._source.notes():
             self.note(text)
@@ -356,13 +538,23 @@ class Loop:
         last_ns = self._last.t_ns if self._last else None
         self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
 
+    @property
+    def _real(self) -> _core.Monitor:
+        """The monitor of a bundle; without one, the request before had been refused."""
+        if not isinstance(self.monitor, _core.Monitor):
+            raise ConfigError(NO_BUNDLE)
+        return self.monitor
+
     def _expect(self, expected: Expected, by: str) -> None:
-        self.monitor.expect_load(expected.seconds, expected.at_most_kg)
+        self._real.expect_load(expected.seconds, expected.at_most_kg)
         self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)
         self._changes.carry(load, self.samples, self._last_ns, by, since_ns)
+        if self._ring is not None:
+            self._load_kg = load.mass
+            self._ring.act(partial(put_load, load=load, since_ns=since_ns))
 
     @property
     def _last_ns(self) -> int:
@@ -370,12 +562,17 @@ class Loop:
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
-            self.monitor.start_weighing(reach_m)
+            self._real.start_weighing(reach_m)
         elif what == "stop":
-            self.monitor.stop_weighing()
-        found = None if what == "start" else self.monitor.estimate_load()
-        frame = self.monitor.load_settings.frame
+            self._real.stop_weighing()
+        found = None if what == "start" else self._real.estimate_load()
+        frame = self._real.load_settings.frame
         self._changes.note(WeighChange(self.samples, self._last_ns, what, by, frame, self.monitor.load, found))
+
+    def _resume(self, by: str) -> None:
+        self._end_alarm(self.monitor.resume, f"resumed by {by}")
+        if self._ring is not None:
+            self._ring.act(lambda monitor: monitor.resume())
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:

@@ -14,6 +14,7 @@ from tauext import _core
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES, torque_lists
 from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenCollision, LoadChange
+from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.places import PlaceFinder
@@ -99,12 +100,23 @@ class Chunk:
 class EventStream:
     """A monitor and the changes in its estimates: the stream of events of a replay or the live loop."""
 
-    def __init__(self, monitor: _core.Monitor, places: PlaceFinder | None = None):
+    def __init__(self, monitor: AnyMonitor, places: PlaceFinder | None = None):
         """places: estimates the touched link and place; None: not estimated."""
         self.monitor = monitor
         self._finder, self._places = ChangeFinder(), places
+        self._next_places: PlaceFinder | None = None
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._noted: list[Change] = []
+
+    def exchange(self, monitor: AnyMonitor, places: PlaceFinder) -> None:
+        """Another bundle's monitor makes the estimates from here on. An alarm that stands keeps its places."""
+        self.monitor, self._next_places = monitor, places
+        self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
+        self._finder.forget_drift()
+
+    def stand(self, alarm: int) -> None:
+        """This alarm stands from before the first sample on, and is not reported again."""
+        self._finder.stand(alarm)
 
     def note(self, change: Change) -> None:
         """Add a change made just before the next samples."""
@@ -125,6 +137,7 @@ class EventStream:
         Raises:
             CoreError: the bundle refuses the load.
         """
+        assert isinstance(self.monitor, _core.Monitor)  # a NoMonitor takes no loads
         self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
         self.note(LoadChange(row, t_ns, load, by, since_ns, self._left_out))
 
@@ -139,6 +152,8 @@ class EventStream:
         """Noted changes, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
         changes, self._noted = self._noted, []
         changes += self._finder.find(row, t_ns, estimates)
+        if self._next_places is not None and estimates["alarm"][0] == NONE:
+            self._places, self._next_places = self._next_places, None
         if self._places is not None and q is not None and dq is not None:
             changes += self._places.find(row, t_ns, q, dq, estimates)
         return changes
@@ -248,7 +263,7 @@ class Tally:
         self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
 
-    def add(self, chunk: Chunk, monitor: _core.Monitor, came: Sequence[bool] = ()) -> None:
+    def add(self, chunk: Chunk, monitor: AnyMonitor, came: Sequence[bool] = ()) -> None:
         """Count one more chunk; counters of the monitor are copied.
 
         Args:

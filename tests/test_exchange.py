@@ -1,0 +1,434 @@
+"""Another bundle in a running loop: no sample is lost, health stays, and its answers are those of a plain replay."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_arms import six_axis_tree
+from made_bundles import JOINTS, pushed, watching_bundle
+from made_live import Keeper, ScriptedSource, samples_of
+from test_expected_load import MASS, PICKED, knowing_bundle
+
+from tauext import _core
+from tauext.bundle.estimates import COLLISION, NONE, OK, STALE, WARMING_UP
+from tauext.errors import ConfigError
+from tauext.monitor import exchange
+from tauext.monitor.changes import AlarmChange, HealthChange
+from tauext.monitor.control_lines import obey
+from tauext.monitor.exchange import Exchanged, NoMonitor, Ring, why_not_exchange
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.profiles import load_profiles
+from tauext.monitor.source import Sample, settings_of
+
+QUIET_S = 1.0
+ARM = settings_of(watching_bundle())
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch):
+    """A new monitor is quiet after a second, not ten."""
+    monkeypatch.setattr(exchange, "QUIET_S", QUIET_S)
+
+
+def bundle_of(name: str, seed: int = 3, limit_nm: float = 2.0, **drift: float) -> _core.Bundle:
+    """Like watching_bundle(), with a tracker that learns within seconds; another seed is another model."""
+    made = watching_bundle(hold_s=0.005, contact_nm=limit_nm / 2)
+    made.name = name
+    if seed != 3:
+        rng = np.random.default_rng(seed)
+        made.parameters = rng.normal(0, 0.4, made.shape.parameter_count).astype(np.float32).tolist()
+        made.answer_reference()
+    made.sliding_limit_nm, made.near_stiction_limit_nm = [limit_nm] * 2, [1.5 * limit_nm] * 2
+    settings = made.drift
+    settings.time_constant_s, settings.size_nm, settings.rate_share_per_s = 2.0, [2.0] * 2, 0.5
+    settings.freeze_share, settings.freeze_s = 0.9, 0.1
+    made.drift = settings
+    return made
+
+
+@dataclass
+class Swap:
+    """Stands in a script: no sample comes until this bundle is in the loop, or stays out."""
+
+    path: Path
+    loop: Loop | None = None
+    answer: str | None = None
+    old: object = None
+    wait_s: float = 8.0
+    until: float = field(default=0.0, init=False)
+
+    def __call__(self) -> bool:
+        if self.old is None:
+            self.old, self.until = self.loop.monitor, time.monotonic() + self.wait_s
+            self.loop.exchange(self.path, self.done)
+        return self.answer is not None or time.monotonic() > self.until
+
+    def done(self, answer: str) -> None:
+        self.answer = answer
+
+
+def saved(bundle: _core.Bundle, folder: Path) -> Path:
+    path = folder / f"{bundle.name}.tauext"
+    bundle.save(str(path))
+    return path
+
+
+def looped(
+    bundle: _core.Bundle | None,
+    script: Sequence[Sample | Callable[[], bool]],
+    sinks: Sequence = (),
+    each: Callable = lambda verdict: None,
+    profiles=None,
+    **settings,
+) -> tuple[Loop, Keeper, list[Exchanged]]:
+    keeper = Keeper(each)
+    given = LoopSettings(**({"missing_after_s": 60.0} | settings))
+    loop = Loop(bundle, Warm(script), [keeper, *sinks], None, profiles, settings=given, arm=ARM)
+    for one in script:
+        if isinstance(one, Swap):
+            one.loop = loop
+    exchanged: list[Exchanged] = []
+    loop.exchanged = exchanged.append
+    loop.run()
+    return loop, keeper, exchanged
+
+
+class Warm(ScriptedSource):
+    """Gives the script's samples as they are, with their temperatures."""
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        first = self.script[0] if self.script else None
+        if isinstance(first, Sample) and first.temperature is not None:
+            return replace(self.script.pop(0), received_ns=time.monotonic_ns())
+        return super().next_sample(min(timeout_s, 0.005))
+
+
+def assert_same(verdicts: Sequence, estimates: dict[str, np.ndarray]) -> None:
+    for name, values in estimates.items():
+        found = np.concatenate([one.estimates[name] for one in verdicts])
+        np.testing.assert_array_equal(found, values, err_msg=name)
+
+
+# The answers.
+
+
+def still(samples: list[Sample], begin: int, end: int) -> list[Sample]:
+    """These samples, the arm at rest between two rows."""
+    rest = samples[begin].q
+    count = end - begin
+    q = [rest + 1e-6 * np.sin([k, k + 1.0]) for k in range(count)]
+    moved = [replace(one, q=q[k], dq=np.zeros(2)) for k, one in enumerate(samples[begin:end])]
+    return samples[:begin] + moved + samples[end:]
+
+
+def with_temperature(samples: list[Sample]) -> list[Sample]:
+    return [replace(one, temperature=np.array([30 + 1e-3 * k, np.nan])) for k, one in enumerate(samples)]
+
+
+PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
+    "motion": ({}, lambda samples: samples, {}),
+    "rest": ({}, lambda samples: still(samples, 2000, 3500), {}),
+    "a latched alarm": ({"pushes": ((2.0, 0, 12.0),)}, lambda samples: samples, {}),
+    "a contact": ({"pushes": ((2.95, 0, 1.6),)}, lambda samples: samples, {}),
+    "lost samples": ({}, lambda samples: samples[:1500] + samples[1504:2200] + samples[2300:], {}),
+    "temperatures": ({}, with_temperature, {}),
+    "the network's own rate": ({}, lambda samples: samples, {"own_rate": True}),
+}
+
+
+@pytest.mark.parametrize("model", [3, 5])
+@pytest.mark.parametrize("phase", PHASES)
+def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path):
+    pushes, changed, settings = PHASES[phase]
+    samples = changed(samples_of(pushed(seconds=5, **({"pushes": ()} | pushes))))
+    swap = Swap(saved(bundle_of("new", model, 2.5), tmp_path))
+    script = [*samples[:3000], swap, *samples[3000:]]
+    loop, keeper, (one,) = looped(bundle_of("old"), script, **settings)
+    assert swap.answer == "" and (one.bundle, one.replaced, one.row, one.alarms) == ("new", "old", 3000, 0)
+    assert loop.monitor is not swap.old and len(keeper.verdicts) == len(samples) == loop.samples
+    assert [change for change in keeper.changes if isinstance(change, HealthChange)][0].health == OK
+    healths = [one.estimates["health"][0] for one in keeper.verdicts]
+    swapped = healths[one.row - 1 : one.row + 1]
+    assert swapped == [OK, OK]
+    # from the same carried state over the same seconds, to the last bit
+    fresh = _core.Monitor(_core.Bundle.load(str(swap.path)), settings.get("own_rate", False))
+    fresh.carry(one.carried)
+    first = one.row - one.replayed
+
+    def repeat(begin: int, end: int) -> dict[str, np.ndarray]:
+        rows = samples[begin:end]
+        signals = [np.array([getattr(s, name) for s in rows]) for name in ("t_ns", "q", "dq", "tau")]
+        warm = np.array([s.temperature for s in rows]) if rows[0].temperature is not None else None
+        return fresh.run(*signals, None, warm)
+
+    repeat(first, one.row)
+    fresh.carry_alarm(swap.old.carried())
+    assert_same(keeper.verdicts[one.row :], repeat(one.row, len(samples)))
+    # the alarm goes on, and is told of once
+    alarms = [change for change in keeper.changes if isinstance(change, AlarmChange) and change.was == NONE]
+    assert len(alarms) == len(pushes) and loop.alarms == len(pushes)
+    if phase == "a latched alarm":
+        assert all(v.estimates["alarm"][0] == COLLISION and v.alarm_id == 1 for v in keeper.verdicts[one.row :])
+        assert loop.monitor.last.alarm_t_ns == swap.old.last.alarm_t_ns
+
+
+def test_the_same_bundle_changes_next_to_nothing(tmp_path):
+    old = bundle_of("old")
+    samples = samples_of(pushed(seconds=5, pushes=((2.0, 0, 12.0),)))
+    swap = Swap(saved(old, tmp_path))
+    _, keeper, _ = looped(old, [*samples[:4000], swap, *samples[4000:]])
+    signals = [np.array([getattr(s, name) for s in samples]) for name in ("t_ns", "q", "dq", "tau")]
+    plain = _core.Monitor(old).run(*signals)
+    assert swap.answer == ""
+    for name in ("health", "causes", "alarm", "alarm_joint", "touch", "limit_nm"):
+        np.testing.assert_array_equal(np.concatenate([v.estimates[name] for v in keeper.verdicts]), plain[name])
+    tau_ext = np.concatenate([v.estimates["tau_ext"] for v in keeper.verdicts])
+    assert np.nanmax(np.abs(tau_ext - plain["tau_ext"])) < 0.02
+
+
+def test_a_loop_that_never_stops_is_exchanged_again_and_again(tmp_path):
+    """Samples come as fast as they are taken; each bundle asks for the next."""
+    paths = [saved(bundle_of(name, seed), tmp_path) for name, seed in (("even", 3), ("odd", 5))]
+    answers: list[str] = []
+
+    def again(answer: str | None = None) -> None:
+        if answer is not None:
+            answers.append(answer)
+        if len(answers) < 8:
+            loop.exchange(paths[len(answers) % 2], again)
+        else:
+            loop.stop("the test")
+
+    samples = samples_of(pushed(seconds=120, pushes=()))
+    keeper = Keeper(lambda verdict: verdict.row == 2000 and again())
+    loop = Loop(
+        bundle_of("old"), ScriptedSource(samples), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM
+    )
+    loop.run()
+    assert answers == [""] * 8, answers
+    assert [verdict.row for verdict in keeper.verdicts] == list(range(loop.samples))
+    assert len([change for change in keeper.changes if isinstance(change, HealthChange)]) == 1  # warm at the start
+
+
+def test_a_bundle_that_is_not_quiet_stays_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(exchange, "GIVE_UP_S", 3.0)
+    low = bundle_of("low", limit_nm=0.05)
+    samples = samples_of(pushed(seconds=6, pushes=()))
+    swap = Swap(saved(low, tmp_path))
+    loop, keeper, exchanged = looped(bundle_of("old"), [*samples[:4000], swap, *samples[4000:]])
+    assert "stays out" in swap.answer and "alarms that the active bundle did not raise in 3 s" in swap.answer
+    assert not exchanged and loop.monitor is swap.old and not loop.alarms
+
+
+# What has no bundle yet, or another.
+
+
+def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp_path):
+    class Following:
+        def __init__(self):
+            self.followed = []
+
+        def open(self, joints, control):
+            self.control = control
+            load = "load mass=1 com=0,0,0"
+            self.refused = [obey(line, control, "x") for line in (load, "weigh", "expect seconds=1 at_most=1")]
+
+        def verdict(self, verdict):
+            pass
+
+        every_second = verdict
+
+        def close(self):
+            pass
+
+        def follow(self, bundle, monitor):
+            self.followed.append((bundle.name, monitor))
+
+    sink = Following()
+    (tmp_path / "profiles.toml").write_text("[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\n")
+    profiles = load_profiles(tmp_path / "profiles.toml", JOINTS)
+    samples = samples_of(pushed(seconds=4, pushes=((1.0, 0, 12.0), (3.0, 0, 12.0))))
+    swap = Swap(saved(bundle_of("first"), tmp_path))
+    script = [*samples[:2800], swap, *samples[2800:]]
+    loop, keeper, (one,) = looped(None, script, [sink], profiles=profiles)
+    assert all(answer == f"error: {exchange.NO_BUNDLE}" for answer in sink.refused) and len(sink.refused) == 3
+    assert swap.answer == "" and one.replaced == "" and one.carried == b"" and one.replayed == 2800 and one.alarms > 0
+    assert sink.followed == [("first", loop.monitor)]
+    before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
+    assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
+    assert all(v.estimates["health"][0] == OK for v in after)
+    assert before[-1].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
+
+
+def test_no_monitor_answers_with_the_same_columns():
+    recording, none = pushed(), NoMonitor(ARM)
+    real = _core.Monitor(watching_bundle()).run(*(signal[:1] for signal in signals_of(recording)))
+    for row in (none.run(), none.run_missing(0)):
+        assert {k: (v.dtype, v.shape) for k, v in row.items()} == {k: (v.dtype, v.shape) for k, v in real.items()}
+    assert none.run_missing(0)["health"][0] == STALE
+    assert {name for name in dir(none) if not name.startswith("_")} <= set(dir(_core.Monitor))
+
+
+def signals_of(recording) -> tuple[np.ndarray, ...]:
+    return recording.t_ns, recording.q, recording.dq, recording.tau
+
+
+def test_a_bundle_of_another_arm_is_refused(tmp_path):
+    other = bundle_of("other")
+    links = other.links
+    links[0].joint_name = "hip"
+    other.links = links
+    foreign = saved(other, tmp_path)
+    damaged = tmp_path / "damaged.tauext"
+    damaged.write_bytes(foreign.read_bytes()[:-9])
+    swaps = [Swap(foreign), Swap(damaged), Swap(tmp_path / "missing.tauext")]
+    samples = samples_of(pushed(seconds=2, pushes=()))
+    _, keeper, exchanged = looped(bundle_of("old"), [*samples[:1500], *swaps, *samples[1500:]])
+    assert not exchanged and len(keeper.verdicts) == 2000
+    assert swaps[0].answer.startswith("bundle other is for another arm: its joints ('hip', 'elbow') must be")
+    assert "truncated" in swaps[1].answer and "cannot be opened" in swaps[2].answer
+    with pytest.raises(ConfigError, match="for another arm"):
+        Loop(other, ScriptedSource([]), arm=ARM)
+    with pytest.raises(ConfigError, match="needs a bundle, or an arm"):
+        Loop(None, ScriptedSource([]))
+    with pytest.raises(ConfigError, match="made with an arm"):
+        Loop(other, ScriptedSource([])).exchange(foreign, print)
+    for change, why in (
+        ({"period_ns": 2_000_000}, "sample period in ns 1000000 must be 2000000"),
+        ({"torque_units": ("A", "A")}, "units of the torque"),
+        ({"torque_timing": "instant"}, "timing of the torque held must be instant"),
+        ({"servo": _core.ServoSettings(_core.TorqueFrom.duty, [_core.ServoConstants()] * 2)}, "settings of the servos"),
+    ):
+        assert why in why_not_exchange(bundle_of("old"), replace(ARM, **change))
+
+
+# A load meanwhile.
+
+
+def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
+    bundle, picks = knowing_bundle(six_axis_tree(tmp_path))
+    new = _core.Bundle.from_bytes(bundle.to_bytes())
+    new.name = "new"
+    samples = samples_of(picks)
+    early, swap = Swap(saved(new, tmp_path), wait_s=0.5), Swap(saved(new, tmp_path))
+    lines = {
+        PICKED - 200: "expect seconds=2 at_most=3",
+        5700: "weigh",
+        5750: "weigh stop",
+        5800: "load mass=0.4 com=0,0,0.05",
+    }
+    keeper = Keeper(lambda verdict: verdict.row in lines and obey(lines[verdict.row], keeper.control, "a line"))
+    script = [*samples[:PICKED], early, *samples[PICKED:5500], swap, *samples[5500:]]
+    settings = LoopSettings(missing_after_s=60.0)
+    loop = Loop(bundle, ScriptedSource(script), [keeper], settings=settings, arm=settings_of(bundle))
+    exchanged = []
+    loop.exchanged = exchanged.append
+    early.loop = swap.loop = loop
+    loop.run()
+    assert early.until and 2900 < exchanged[0].row <= 5500 and early.answer == swap.answer == ""
+    assert exchanged[1].row == 5500
+    assert swap.old.load.mass == pytest.approx(MASS, rel=0.05) and loop.monitor.load.mass == 0.4
+    assert all(v.estimates["alarm"][0] == NONE for v in keeper.verdicts[:5800])
+    assert np.abs(keeper.verdicts[5799].estimates["tau_ext"]).max() < 1.0
+    # as long as it is weighed, the loop says no
+    loop.monitor.start_weighing()
+    successor = exchange.Successor(new, loop._ring, False, None)
+    successor.row = loop._ring.count
+    assert successor.finish(loop.monitor) == "a load is expected or being weighed"
+
+
+# After a restart.
+
+
+def test_a_new_loop_goes_on_from_what_was_carried(tmp_path):
+    bundle = bundle_of("old")
+    samples = samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
+    first, _, _ = looped(bundle, samples)
+    carried = first.monitor.carried()
+    assert len(first.carried) == len(carried) and first.monitor.last.alarm == _core.Alarm.collision
+    keeper = Keeper()
+    loop = Loop(bundle, ScriptedSource(samples[:2000]), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM)
+    assert loop.start_from(carried, 17) == ""
+    loop.run()
+    assert loop.alarms == 17 and all(v.alarm_id == 17 for v in keeper.verdicts)
+    assert not [c for c in keeper.changes if isinstance(c, AlarmChange)]
+    fresh = _core.Monitor(bundle)
+    drift = fresh.run(*(np.array([getattr(s, n) for s in samples[:600]]) for n in ("t_ns", "q", "dq", "tau")))["drift"]
+    there = np.concatenate([v.estimates["drift"] for v in keeper.verdicts[:600]])
+    assert np.abs(there[599]).max() > 5 * np.abs(drift[599]).max() > 0  # what had been learned
+    assert "damaged" in loop.start_from(b"x" * len(carried), 0)
+    assert Loop(None, ScriptedSource([]), arm=ARM).start_from(carried, 3) == exchange.NO_BUNDLE
+
+
+# The ring.
+
+
+def test_a_ring_keeps_the_last_minute_and_no_long_silence():
+    ring = Ring(1, 100_000_000)  # 10 Hz: 600 rows and a second
+    one = np.ones(1)
+    for k in range(700):
+        if k % 10 == 0:
+            ring.mark(b"%d" % k, k // 400)
+        ring.add(k, k * one, one, one, one if k == 695 else None, k % 2)
+    assert ring.start(0) == ring.start(7) == (100, b"100") and ring.carried == b"690"
+    assert ring.start(1) == (400, b"400")  # of the same model
+    assert ring.since(5, 10) is None
+    piece = ring.since(690, 100)
+    assert piece.t_ns.tolist() == list(range(690, 700)) and piece.q[:, 0].tolist() == piece.t_ns.tolist()
+    assert np.isfinite(piece.temperature[:, 0]).tolist() == [k == 695 for k in range(690, 700)]
+    assert piece.held.tolist() == [k % 2 for k in range(690, 700)]
+    for k in range(1000):
+        ring.miss(700 + k)
+    assert ring.count == 700 + exchange.SILENT_ROWS and not ring.since(700, 100).came.any()
+    assert Ring(1, 1_000_000).start(0) == (0, b"")
+
+
+# Answers.
+
+
+class Heard(Keeper):
+    def __init__(self, each=lambda verdict: None):
+        super().__init__(each)
+        self.answers = []
+
+    def answered(self, answer) -> None:
+        self.answers.append((answer.what, answer.by, answer.alarm, answer.row))
+
+
+def test_answers_reach_the_sinks_that_keep_them_and_acknowledge_their_own_alarm():
+    said: dict[str, str] = {}
+    lines = {
+        100: ["nothing", "touched", "touched 1", "learn yes"],
+        2500: ["touched 2", "touched 0", "touched x", "learn maybe", "nothing 1"],
+        3000: ["nothing 1"],
+        4500: ["nothing 1", "touched"],
+    }
+
+    def ask(verdict):
+        for line in lines.get(verdict.row, ()):
+            said[f"{verdict.row} {line}"] = obey(line, heard.control, "a line")
+
+    heard = Heard(ask)
+    samples = samples_of(pushed(seconds=5, pushes=((2.0, 0, 12.0), (4.0, 1, 12.0))))
+    loop = Loop(bundle_of("b"), ScriptedSource(samples), [heard], settings=LoopSettings(missing_after_s=60.0))
+    loop.run()
+    row = "a line"
+    assert heard.answers == [
+        ("touched", row, 0, 101), ("learn", row, 0, 101),
+        ("nothing", row, 1, 2501), ("nothing", row, 1, 3001),
+        ("nothing", row, 1, 4501), ("touched", row, 2, 4501),
+    ]  # fmt: skip
+    ended = [c.row for c in heard.changes if isinstance(c, AlarmChange) and c.acknowledged]
+    assert ended == [2501, 4501] and loop.alarms == 2
+    assert said["100 nothing"] == "error: nothing: there was no alarm yet"
+    assert said["100 touched 1"] == "error: touched: there was no alarm 1 yet; the last was 0"
+    assert "must be the number of an alarm" in said["2500 touched x"] == said["2500 touched 0"].replace("'0'", "'x'")
+    assert said["2500 learn maybe"].startswith("error: 'learn maybe' must be")
+    plain = Loop(bundle_of("b"), ScriptedSource([]), [Keeper()])
+    assert obey("touched", plain, "x") == "error: touched: answers are kept by `tauext commission` only"
+    assert obey("sim push j1", plain, "x") == "error: 'push j1': source script takes no commands; sim:ARM does"

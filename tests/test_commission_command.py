@@ -34,7 +34,7 @@ PATIENCE_S = 120.0
         ("--source sim:moon --out {}/a", "moon"),
         ("--source sim: --out {}/a", "sim"),
         ("--source ur: --out {}/a", "--source 'ur:' must be one of"),
-        ("--source replay:{}/none.parquet --out {}/a", "no such file"),
+        ("--source replay:{}/none.parquet --out {}/a", "there is no such recording"),
         ("--source feetech:/dev/null --out {}/a", "needs --bus FILE"),
         ("--source sim:rig --out {}/a --bus {}/b.toml", "--bus"),
         ("--source sim:rig --out {}/a --robot {}/none.urdf", "no such file"),
@@ -44,7 +44,6 @@ PATIENCE_S = 120.0
         ("--source sim:rig --out {}/a --host moon.example.invalid", "must be an address of this machine"),
         ("--source sim:rig --out {}/a --priority 100", "priority = 100 must be 1 to 99"),
         ("--source sim:rig --out {}/a --core -1", "core = -1 must be"),
-        ("--source sim:rig --out {}/a --reactions {}/none.toml", "none.toml"),
     ],
 )
 def test_a_wrong_option_is_refused_before_a_folder_is_made(words, error, tmp_path, capsys):
@@ -89,7 +88,8 @@ def test_keys_are_answers(capsys):
 def running(folder: Path, *words: str):
     """The command as a process of its own."""
     command = [sys.executable, "-m", "tauext", "commission", "--source", "sim:rig", "--out", str(folder), *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
     try:
         yield process
     finally:
@@ -142,7 +142,8 @@ def kill(process) -> None:
     process.wait()
 
     def others():
-        found = subprocess.run(["ps", "-o", "pid=,stat=", "-g", str(process.pid)], capture_output=True, text=True).stdout
+        words = ["ps", "-o", "pid=,stat=", "-g", str(process.pid)]
+        found = subprocess.run(words, capture_output=True, text=True).stdout
         return [line for line in found.splitlines() if " Z" not in line]
 
     until(lambda: not others(), "the children to end", 20.0)
@@ -186,7 +187,7 @@ def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path
         kill(process)
     with running(folder, "--no-page") as process:
         of_state(folder, "monitoring", "b0001")
-        assert control(folder, "sim push joint=joint2 force=0,60,0 seconds=0.5") == "ok"
+        assert control(folder, "sim push joint=joint2 force=0,0,-60 seconds=0.5") == "ok"
         asked = of_state(folder, "asking", "b0001")
         time.sleep(4.0)  # two copies of what is carried
         kill(process)

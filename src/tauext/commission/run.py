@@ -88,7 +88,12 @@ def run(
     Raises:
         ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
     """
-    open_arm(text, options.source)[0].close()  # refused before a folder is made
+    first = open_arm(text, options.source)[0]  # refused before a folder is made
+    try:
+        if text.startswith("replay:") and isinstance(first, Describes):
+            first.describe(DESCRIBE_S, options.robot)
+    finally:
+        first.close()
     if options.robot is not None:
         movable_joints(options.robot)
     folder = CommissionFolder.open(path, create=True)
@@ -107,6 +112,8 @@ def open_arm(text: str, options: SourceOptions) -> tuple[Source, tuple[Sink, ...
     if kind == "sim":
         from tauext.sim.source import SimSource
 
+        if options != SourceOptions():
+            raise ConfigError(f"{text}: a simulated arm takes no --bus, --torque-constants or --ros2")
         return SimSource(target), ()
     if kind not in KINDS:
         choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]

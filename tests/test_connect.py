@@ -109,6 +109,15 @@ def test_a_wrong_stream_is_a_fault_with_a_remedy_within_ten_seconds_of_motion(
     }  # fmt: skip
 
 
+def test_a_joint_that_moves_too_little_is_not_judged_by_its_torque(samples, robot):
+    """Beside one that moves."""
+    held = [replace(one, q=one.q * [1, 0.01], dq=one.dq * [1, 0.01]) for one in samples[:12_000]]
+    found = judged(held, robot, tau=[-1, -1])
+    assert found["effort-sign"].joint == "joint1" and found["excitation-low"].joint == "joint2"
+    lives = judge([recording_of(held, FACTS)[0]], robot, FACTS)
+    assert not any(live.joint == "joint2" and not live.waits for live in lives)
+
+
 def test_an_unknown_effort_that_gravity_shows_to_be_a_current_becomes_one(samples, robot):
     unknown = replace(FACTS, signal="unknown")
     lives = judged(samples[:12_000], robot, unknown, tau=[0.08, 0.11]).values()

@@ -38,6 +38,7 @@ WAIT_S = 20.0
 def ur(monkeypatch):
     arm = Arm(6, 0.002)
     monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
+    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
     return arm
 
 
@@ -100,7 +101,7 @@ def test_names_come_from_the_robot_file_and_another_arms_file_is_refused(tmp_pat
         return write_placeholder(names, tmp_path)
 
     assert joint_names(("a", "b"), None, "arm") == (("a", "b"), ())
-    assert joint_names(("a", "b"), file("left_a", "left_b", "right_a"), "arm")[0] == ("left_a", "left_b")
+    assert joint_names(("a", "b"), file("r_a", "left_a", "left_b"), "arm")[0] == ("left_a", "left_b")
     names, notes = joint_names(("a", "b"), file("hip", "knee", "gripper_joint"), "arm")
     assert names == ("hip", "knee") and "in the order of robot.urdf: hip, knee" in notes[0]
     with pytest.raises(ConfigError, match="arm has 2 joints, robot.urdf has 3: x, y, z"):
@@ -351,6 +352,8 @@ def test_a_source_that_cannot_be_opened_is_tried_again_and_its_replacement_close
     while source.next_sample(0.01) is None:
         assert time.monotonic() < until
     assert source.away == ""
+    source._last_ns -= 5_000_000_000
+    assert source.away == "no sample for 5 s"
     with pytest.raises(ConfigError, match="takes no commands"):
         source.command("push")
     with pytest.raises(ConfigError, match="cannot stop its robot"):

@@ -33,6 +33,7 @@ CONSTANTS = {name: 2.0 + k for k, name in enumerate(UR_JOINTS)}
 def ur(monkeypatch):
     arm = Arm(6, 0.002)
     monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
+    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
     return arm
 
 

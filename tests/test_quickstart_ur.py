@@ -177,6 +177,7 @@ def test_the_quickstart_leads_from_a_recording_to_a_stopped_arm(tmp_path, monkey
     arm = Arm(free, touched)
     controller = Controller(stopped=arm.stopped.set)
     monkeypatch.setitem(sys.modules, "rtde_receive", arm)
+    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
     monkeypatch.setattr(time, "sleep", lambda seconds, sleep=time.sleep: sleep(min(seconds, 0.1)))
     monkeypatch.setattr(UrSource, "dashboard_port", controller.port)
     printed = []

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from tauext.monitor.source import Commanded, Describes, ServoStage, Stoppable
 from tauext.sim.arms import ARMS
 from tauext.sim.plant import Mover, Plant
 from tauext.sim.servo_arm import SO101_JOINTS
-from tauext.sim.source import KINDS, Clock, DrivenArm, SimSource, Stamps, command_of
+from tauext.sim.source import KINDS, Clock, DrivenArm, SimSource, Stamps, command_of, write_robot_file
 
 JOINTS = ("joint1", "joint2")
 
@@ -33,7 +36,9 @@ def run(script=(), seconds: float = 0.5, arm: str = "rig", seed: int = 0, **opti
     source = SimSource(arm, seed, None, script, **options)
     source.open(source.describe(1.0).settings)
     try:
-        return taken(source, round(seconds * 1000))
+        first = source.next_sample(0.0)  # which waits: a sample that is not paced must not count as missing
+        assert first is not None
+        return [(first, source.tau_ext), *taken(source, round(seconds * 1000) - 1)]
     finally:
         source.close()
         source.close()
@@ -130,7 +135,7 @@ def test_in_real_time_a_second_takes_a_second_and_a_push_comes_at_once():
         source.command("move")
 
 
-def test_an_so101_reports_registers_of_which_the_loop_makes_torque():
+def test_an_so101_reports_registers_of_which_the_loop_makes_torque(tmp_path):
     source = SimSource("so101", 0, None, [(4.0, "push joint=elbow_flex force=0,0,-5 seconds=1"), (5.0, "stop")])
     facts = source.describe(0.0)
     assert facts.settings.period_ns == 20_000_000 and facts.signal == "duty" and facts.settings.servo.on
@@ -149,7 +154,9 @@ def test_an_so101_reports_registers_of_which_the_loop_makes_torque():
     assert np.flatnonzero(truth.any(axis=1)).tolist() == list(range(200, 250))
     recording, lives = recording_of([sample for sample, _ in came], facts)
     assert recording.samples == 350 and not lives and recording.duty is not None
-    assert not any(live.severity == "fault" for live in judge([recording], None, facts))
+    robot = write_robot_file("so101", tmp_path)
+    for lives in (judge([recording], None, facts), judge([recording], robot, facts)):
+        assert not any(live.severity in ("fault", "warning") for live in lives), lives
 
 
 def test_an_so101_carries_warms_and_moves_on():
@@ -221,3 +228,29 @@ def test_a_busy_machine_gives_time_up_and_ticks_that_are_off_pass():
     assert [stamps.is_off(skip=False) for _ in range(4)] == [True, True, True, False] and stamps.next_ns() == 4_000_000
     stamps.off_ns = 2_500_000
     assert not stamps.is_off(skip=True) and stamps.next_ns() == 8_000_000
+
+
+PARENT = """
+import sys, time
+from tauext.sim.source import SimSource
+if __name__ == "__main__":
+    source = SimSource("rig", 0, None if sys.argv[1] == "unpaced" else 1.0)
+    source.open(source.facts.settings)
+    while source.next_sample(1.0) is None: pass
+    print(source._process.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("pace", ["paced", "unpaced"])
+def test_a_killed_loop_leaves_no_simulation_behind(pace, tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, str(script), pace], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        parent.kill()
+    until = time.monotonic() + 10
+    while Path(f"/proc/{child}/stat").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < until
+        time.sleep(0.02)

@@ -20,7 +20,7 @@ from tauext.check.finding import CODES, Finding
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
-from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, servo_facts, servo_of
+from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, derives_velocity, servo_facts, servo_of
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
@@ -78,6 +78,7 @@ REMEDIES = {
     "its positive direction",
     "time-unit": "let the driver send stamps in seconds and nanoseconds",
     "repeated-rows": "let the driver send each measurement once, or lower its rate to that of the robot's state",
+    "spike": "no action is needed while it is rare: a lost or mixed-up message, or a glitch of a sensor",
     "joint-names": "give the robot file of this arm (--robot), or name the joints in the driver as the file does",
     "effort-scale": "a current is used as it comes, and training finds the torque constants; for another unit, let the "
     "driver send N m; or a payload is missing in the robot file",
@@ -100,11 +101,19 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
         diagnosis = examine(recordings, robot)
     except TauextError as error:
         return [Live("joints", "fault", None, str(error), "")]
-    lives = [_live(finding) for finding in diagnosis.findings if finding.code not in WAITING]
+    low = {finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"}
+    early = {*TOPICS["sign"], *TOPICS["signal"]}
+    lives = [
+        _live(finding)
+        for finding in diagnosis.findings
+        if finding.code not in WAITING
+        and not (finding.code in early and finding.joint in low)  # a torque is judged by the joint's motion
+        and not (finding.code == "repeated-rows" and derives_velocity(recordings[0]))  # servos stand between two counts
+    ]
     lives += _rates(recordings, facts.settings)
     against = {live.code for live in lives if live.severity in ("fault", "warning")}
     lives += [_topic(topic, diagnosis, recordings, robot, facts) for topic in TOPICS if not against & {*TOPICS[topic]}]
-    lives += _still(diagnosis, recordings)
+    lives += _still(diagnosis, low)
     order = ("fault", "warning", "note", "good")
     return sorted(lives, key=lambda live: (order.index(live.severity), live.waits))
 
@@ -122,14 +131,15 @@ def _words(finding: Finding) -> str:
     return f"{CODES[finding.code]}: {finding.evidence}"
 
 
-def _still(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> list[Live]:
+def _still(diagnosis: Diagnosis, low: Collection[str | None]) -> list[Live]:
     """What cannot be judged yet of single joints."""
     if any(finding.code == "never-moves" for finding in diagnosis.findings):
         return []  # the topics say so
-    low = [finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"]
     words = "it moves too little so far: its friction and weight cannot be judged"
     remedy = "let it move by at least 0.2 rad, both ways, slowly and fast"
-    return [Live("excitation-low", "note", joint, words, remedy, waits=True) for joint in low]
+    return [
+        Live("excitation-low", "note", joint, words, remedy, waits=True) for joint in diagnosis.joints if joint in low
+    ]
 
 
 NAMES = {
@@ -160,7 +170,9 @@ def _topic(
         return _good(topic, f"{name}: the velocity is the derivative of the position")
     if topic == "sign" and diagnosis.fits:
         witness = "friction and inertia" if robot is None else "friction, inertia and gravity"
-        return _good(topic, f"{name}: agrees with {witness} after {moved_s:.0f} s of motion")
+        low = {finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"}
+        of = f" of {', '.join(joint for joint in diagnosis.joints if joint not in low)}" if low else ""
+        return _good(topic, f"{name}{of}: agrees with {witness} after {moved_s:.0f} s of motion")
     if topic == "signal" and diagnosis.fits:
         return _signal(judged, diagnosis, robot, facts)
     if topic == "robot-file" and robot is None:

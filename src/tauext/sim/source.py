@@ -339,6 +339,7 @@ def simulate(
                     rows.append((stamps.next_ns(), arm.step()))
             if rows:
                 pipe.send_bytes(_packed(rows))
+    gc.unfreeze()
 
 
 def _obey(command: Command, arm: SimulatedArm, stamps: Stamps) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import astuple
@@ -24,6 +25,8 @@ from tauext.sources.describing import why_another
 
 RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
 """Time before the first attempt, which doubles, and the longest one, [s]."""
+SILENT_S = 2.0
+"""Time without a sample after which a source that is open counts as away, [s]."""
 DESCRIBE_S = 10.0
 """Longest wait for an arm that describes itself again, [s]."""
 
@@ -43,12 +46,11 @@ class LastingSource:
         robot: robot file, as describe() got it.
         """
         self.name = first.name
-        self.away = ""
-        """Why there is no source now; empty: there is one."""
         self._first, self._again, self._facts, self._robot = first, again, facts, robot
         self._source: Source | None = None
         self._next: Source | None = None
         self._before = SourceCounts()
+        self._why, self._last_ns = "", 0
         self._notes: list[str] = []
         self._closed, self._ready = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -67,17 +69,25 @@ class LastingSource:
             if not self._ready.wait(timeout_s):
                 return None
             self._ready.clear()
-            self._source, self._next, self.away = self._next, None, ""
+            self._source, self._next, self._why = self._next, None, ""
             if self._source is None:  # closed meanwhile
                 return None
             self._notes.append(f"{self.name} is back")
         sample = self._source.next_sample(timeout_s)
-        if sample is None and self._source.ended:
+        if sample is not None:
+            self._last_ns = sample.received_ns
+        elif self._source.ended:
             self._notes += self._source.notes()
             self._before = self.counts
             lost, self._source = self._source, None
             self._replace(lost, "it has ended")
         return sample
+
+    @property
+    def away(self) -> str:
+        """Why no sample comes now; empty: samples come."""
+        silent_s = (time.monotonic_ns() - self._last_ns) * 1e-9
+        return self._why or (f"no sample for {silent_s:.0f} s" if self._last_ns and silent_s > SILENT_S else "")
 
     @property
     def counts(self) -> SourceCounts:
@@ -98,7 +108,7 @@ class LastingSource:
         if not isinstance(source or self._first, Commanded):
             raise ConfigError(f"{text[:60]!r}: source {self.name} takes no commands; sim:ARM does")
         if source is None:
-            raise ConfigError(f"{self.name} is away: {self.away}")
+            raise ConfigError(f"{self.name} is away: {self._why}")
         source.command(text)  # type: ignore[attr-defined]
 
     def check_stop(self) -> None:
@@ -109,7 +119,7 @@ class LastingSource:
 
     def stop(self) -> None:
         if self._source is None:
-            raise RuntimeError(f"{self.name} is away: {self.away}")
+            raise RuntimeError(f"{self.name} is away: {self._why}")
         self._source.stop()  # type: ignore[attr-defined]
 
     def close(self) -> None:
@@ -123,7 +133,7 @@ class LastingSource:
         self._source = self._next = None
 
     def _replace(self, lost: Source, why: str) -> None:
-        self.away = why
+        self._why = why
         self._notes.append(f"{self.name} is away: {why}; it is tried again")
         self._thread = threading.Thread(target=self._work, args=(lost,), name=f"retry of {self.name}", daemon=True)
         self._thread.start()
@@ -144,8 +154,8 @@ class LastingSource:
                 if source is not None:
                     with suppress(Exception):
                         source.close()
-                if (text := f"{error}" or type(error).__name__) != self.away:
-                    self.away = text
+                if (text := f"{error}" or type(error).__name__) != self._why:
+                    self._why = text
                     self._notes.append(f"{self.name} is away: {text}")
                 wait_s = min(2 * wait_s, LONGEST_RETRY_S)
                 continue

@@ -1,7 +1,9 @@
-"""An arm of Universal Robots over RTDE, by ur_rtde. Never run on hardware: tested on a stand-in of that library."""
+"""An arm of Universal Robots over RTDE, by ur_rtde. Never run on hardware: tested on mocked packets of a controller."""
 
 from __future__ import annotations
 
+import socket
+import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,11 +48,30 @@ JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
 """Names in the maker's robot files, in the order of the controller."""
+RTDE_PORT = 30004
+ASK_FOR_PROTOCOL = struct.pack(">HcH", 5, b"V", 2)
+"""Packet that asks for version 2 of RTDE; every controller answers it."""
+ANSWER_S = 2.0
 ITS_OWN_HZ = -1.0
 """The library then takes the controller's own rate."""
 DESCRIBING_NAP_S = 2e-4
 POLLS_A_PERIOD = 10
 """The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp."""
+
+
+def expect_controller(host: str) -> None:
+    """Raise Unreachable unless an RTDE server answers.
+
+    The library waits for an answer without end and holds Python's lock meanwhile: the whole process would stand still
+    beside a controller that boots.
+    """
+    try:
+        with socket.create_connection((host, RTDE_PORT), ANSWER_S) as one:
+            one.sendall(ASK_FOR_PROTOCOL)
+            if not one.recv(16):
+                raise Unreachable("the controller does not accept the connection: is it still booting?")
+    except OSError as error:
+        raise Unreachable(f"no controller answers on port {RTDE_PORT}: {error}") from error
 
 
 class UrSource(ReaderSource):
@@ -109,6 +130,7 @@ class UrSource(ReaderSource):
 
     def _connect(self, rate_hz: float) -> None:
         library = optional_library("rtde_receive", "source ur", "ur_rtde", "ur")
+        expect_controller(self._host)
         try:
             self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)
         except Exception as error:  # the library's are plain RuntimeErrors

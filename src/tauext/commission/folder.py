@@ -30,7 +30,7 @@ from tauext.data.labels import Label, append_label, read_labels
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TauextError
-from tauext.files.append_file import append_line, read_lines, reserve, write_synced
+from tauext.files.append_file import append_line, lock, read_lines, reserve, write_synced
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 
@@ -78,8 +78,8 @@ LEAST_DISK = 1 << 26
 
 
 class CommissionFolder:
-    """Paths and small files of one arm. Each file has one writer: facts and index the loop's process, active.json and
-    the bundles the trainer; labels, history and log are appended to by both."""
+    """Paths and small files of one arm. The recorder alone writes the index, the trainer alone active.json and bundles;
+    facts, labels, history and log may be written by both."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -146,7 +146,9 @@ class CommissionFolder:
 
     def save(self, **changes: Any) -> None:
         """Change entries of commission.json; the new content is on the disk on return."""
-        write_synced(self.path / FACTS, json.dumps(self.facts | changes, indent=1, allow_nan=False) + "\n")
+        with (self.path / ".facts.lock").open("a") as file:
+            lock(file.fileno())
+            write_synced(self.path / FACTS, json.dumps(self.facts | changes, indent=1, allow_nan=False) + "\n")
 
     # Recordings.
 

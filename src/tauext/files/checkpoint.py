@@ -64,8 +64,11 @@ class Checkpoint:
 
     def offer(self, state: Any) -> None:
         """Write the state where the last writing is EVERY_S ago; the folder is there."""
-        if time.monotonic() - self._written < EVERY_S:
-            return
+        if time.monotonic() - self._written >= EVERY_S:
+            self.put(state)
+
+    def put(self, state: Any) -> None:
+        """Write the state now; the folder is there."""
         content = io.BytesIO()
         _Writer(content, self._outside).dump((self._key, state))
         with atomic_write(self._path) as part:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,18 @@ from tauext.fit.tail import held_minimum, hold_lengths
 from tauext.train.error_scale import Judged, errors, no_free_motion
 
 # --- Peaks of calibration recordings kept from an interrupted process.
+
+
+class PeakStore(Protocol):
+    """Peaks of recordings that need not be read again."""
+
+    collectors: list[Any]
+    """One for each hold time; empty: none yet."""
+    names: list[str]
+    """Of the recordings, in order of their addition."""
+
+    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
+        """Receive the collectors after one more recording."""
 
 
 class KeptPeaks:
@@ -179,6 +191,18 @@ class PeakCollector:
                 self._at[joint][region] = np.concatenate([self._at[joint][region], places])[order]
         self._recordings += 1
 
+    def forget(self, recording: int, from_ns: int, to_ns: int) -> None:
+        """Leave out the peaks of a time of one recording, which turned out to be a touch.
+
+        Args:
+            recording: its number, from 0 in order of add().
+            from_ns, to_ns: after its first sample, [ns].
+        """
+        for nm, at in zip(self._nm, self._at, strict=True):
+            for region, places in enumerate(at):
+                stays = (places[:, 0] != recording) | (places[:, 1] < from_ns) | (places[:, 1] > to_ns)
+                nm[region], at[region] = nm[region][stays], places[stays]
+
     def peaks(self, recordings: Sequence[str] = ()) -> Peaks:
         """Peaks found so far, in recordings of these names."""
         nm, at = (
@@ -197,7 +221,7 @@ def collect_peaks(
     gap_s: float = GAP_S,
     keep: int = KEEP,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-    kept: KeptPeaks | None = None,
+    kept: PeakStore | None = None,
 ) -> tuple[Peaks, ...]:
     """Run the bundle on recordings of free motion; returns the peaks for each hold time, in order.
 

@@ -27,10 +27,10 @@ from tauext.fit.ties import simplest
 from tauext.train.error_scale import FEATURES, Judged, LevelLimits, Rows, limit_weights
 from tauext.train.held_peaks import (
     REGIONS,
-    KeptPeaks,
     Moment,
     PeakCollector,
     Peaks,
+    PeakStore,
     carrying_moments,
     cluster_peaks,
     collect_peaks,
@@ -97,7 +97,7 @@ def promised_limits(
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     level_confidence: float | None = None,
     at_most_seen: bool = False,
-    kept: KeptPeaks | None = None,
+    kept: PeakStore | None = None,
 ) -> PromisedLimits:
     """Find limits from the tail of the error on calibration recordings, not used in training or validation.
 

@@ -1,0 +1,568 @@
+"""The training process of a commissioned arm: it exchanges only files with the loop, and may be killed at any time."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import asdict, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.estimates import COLLISION
+from tauext.check.preflight import WORTH_A_WARNING
+from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
+from tauext.commission.course import Facts, Step, next_step
+from tauext.commission.folder import CommissionFolder, Segment, wall
+from tauext.commission.history import kept_of
+from tauext.commission.keep import LEARNED
+from tauext.commission.suspects import Suspect, find_suspects
+from tauext.config import PAPER_CASES, AlarmConfig, FreeMotionConfig, PriorConfig, TrainConfig
+from tauext.data.dataset import ROBOT_FILES, Dataset, Split
+from tauext.data.free_motion import free_pieces
+from tauext.data.labels import MARGINS, Label
+from tauext.data.recording import Recording
+from tauext.errors import ConfigError, TauextError
+from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.injected import estimate_recording
+from tauext.evaluate.results import EvaluatedBundle, to_json
+from tauext.files.append_file import write_synced
+from tauext.files.checkpoint import Checkpoint
+from tauext.files.plain_file import json_of, read_text
+from tauext.files.preflight import expect_memory
+from tauext.files.provenance import provenance, write_json
+from tauext.progress import SILENT, Show, Silent, WallTimes
+from tauext.robot.model_case import chosen_case
+from tauext.train.calibrate import no_freeze
+from tauext.train.held_peaks import collect_peaks
+from tauext.train.preflight import check_data
+from tauext.train.preparation import Given
+from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.stage import accepted_settings, train_on_recordings
+
+THREADS = 1
+"""Training must not take cores from the loop."""
+PENDING = "pending.json"
+"""The bundle that waits to be judged, and what it was trained on."""
+MOST_TEST_S = 180.0
+"""Newest motion outside of training that judges a bundle, [s]."""
+ROUNDS = 3
+"""Most trainings of one bundle: after each, touches that nobody reported are looked for and left out of the next."""
+RIPPLES_FROM_MIN = 8
+"""Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
+SPARE_S = 660.0
+"""Calibration motion is learned when it is this old, [s]: answers about it have then come."""
+MOST_ALARMED = 0.02
+"""Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
+MOST_HITS_LOST = 0.05
+"""A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
+BYTES_A_VALUE = 8 * 12
+"""Memory of a training for each sample and joint, [bytes]."""
+
+
+class Trainer:
+    """One piece of work after the other, each from what the folder holds."""
+
+    def __init__(self, folder: CommissionFolder):
+        self.folder = folder
+        self._checked_s = 0.0
+        self._ledger: Ledger | None = None
+        self._repair()
+
+    def _repair(self) -> None:
+        """After a kill: an activation without its line is added; bundles that nothing names are removed."""
+        folder, history = self.folder, self.folder.history()
+        active, pending = folder.active(), self._pending()
+        begun = [one.get("bundle") for one in history if one["kind"] == "activation"]
+        if active is not None and (not begun or begun[-1] != active.stem):
+            words = f"{active.stem} monitors the arm"
+            folder.note(
+                "activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None
+            )
+        named = {str(one.get("bundle")) for one in history} | {str(pending.get("bundle"))}
+        for path in folder.bundles.glob("b*.tauext"):
+            if path.stem not in named and (active is None or path != active):
+                for one in folder.bundles.glob(f"{path.stem}.*"):
+                    one.unlink(missing_ok=True)
+        self._progress("")
+
+    # What is there.
+
+    def facts(self) -> Facts:
+        """State of the folder."""
+        folder = self.folder
+        coverage, history, segments = folder.coverage(), folder.history(), folder.segments()
+        seconds, pending, active = float(coverage.get("seconds") or 0.0), self._pending(), folder.active()
+        trained = [float(one.get("minutes") or 0.0) for one in history if one["kind"] == "training"]
+        promised = [float(one["seconds"]) for one in history if one["kind"] in ("promise", "activation")]
+        ledger = self.ledger() if active is not None else None
+        unlearned = self._unlearned(segments, ledger) if ledger else []
+        return Facts(
+            seconds=seconds,
+            kept_s=float(coverage.get("kept_s") or 0.0),
+            checked_s=self._checked_s if "arm" in folder.facts else seconds,
+            trained_min=max([*trained, float(pending.get("minutes") or 0.0)], default=0.0),
+            unseen_s=sum(one.seconds for one in self._unseen(pending, segments)) if pending else None,
+            has_bundle=active is not None,
+            unlearned_s=sum(one.seconds for one in unlearned),
+            learned_h=ledger.hours if ledger else 0.0,
+            limits_h=ledger.limits_h if ledger else 0.0,
+            is_broken=ledger is not None and self._is_broken(ledger),
+            promised_s=max(promised, default=0.0),
+        )
+
+    def _pending(self) -> dict[str, Any]:
+        try:
+            content = json_of(read_text(self.folder.path / PENDING))
+            return content if (self.folder.bundles / f"{content['bundle']}.tauext").is_file() else {}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {}
+
+    def _unseen(self, pending: dict[str, Any], segments: Sequence[Segment]) -> list[Segment]:
+        """Newest motion that the bundle was not trained on, up to MOST_TEST_S."""
+        seen, chosen, seconds = set(pending.get("trained_on", ())), [], 0.0
+        for one in reversed(segments):
+            if one.name not in seen and seconds < MOST_TEST_S:
+                chosen.append(one)
+                seconds += one.seconds
+        return chosen[::-1]
+
+    # One step.
+
+    def step(self) -> str:
+        """Do the most urgent work; returns what it was, `nothing` if there is none."""
+        step = next_step(self.facts())
+        work: dict[str, Callable[[Step], None]] = {
+            "check": self._check,
+            "train": self._train,
+            "judge": self._judge_bundle,
+            "learn": self._learn,
+            "limits": self._limits,
+            "promise": self._compare,
+        }
+        if step.what in work:
+            try:
+                work[step.what](step)
+            finally:
+                self._progress("")
+        return step.what
+
+    def _progress(self, doing: str, share: float = 0.0) -> None:
+        with suppress(OSError):
+            write_json({"doing": doing, "share": round(share, 3)}, self.folder.progress_file)
+
+    def _robot(self) -> Path:
+        for name in ROBOT_FILES:
+            if (self.folder.path / name).is_file():
+                return self.folder.path / name
+        raise ConfigError(f"{self.folder.path}: it has no {' or '.join(ROBOT_FILES)}")
+
+    def _check(self, step: Step) -> None:
+        """Check the stream: the newest three minutes suffice."""
+        folder, seconds = self.folder, self.folder.seconds()
+        newest: list[Segment] = []
+        for one in reversed(folder.segments()):
+            if sum(kept.seconds for kept in newest) < MOST_TEST_S:
+                newest.append(one)
+        try:
+            facts = facts_of_data(folder.facts["arm"])
+            lives = judge(self._load(newest[::-1]), self._robot(), facts)
+            if (now := settled(facts, lives)) != facts:
+                folder.save(arm=as_data(now))
+            write_synced(folder.findings_file, json.dumps({"findings": as_entries(lives)}, default=float) + "\n")
+        except TauextError as error:
+            folder.log(f"the stream cannot be checked: {error}")
+        self._checked_s = max(seconds, self._checked_s)
+
+    def _load(self, segments: Sequence[Segment]) -> list[Recording]:
+        """Recordings with their labels, and with what is known of the torque by now."""
+        recordings, arm = self.folder.load(segments), self.folder.facts.get("arm")
+        known = {} if arm is None else provenance_of(facts_of_data(arm))
+        return [replace(one, provenance=one.provenance | known) for one in recordings] if known else recordings
+
+    # Training.
+
+    def _config(self, minutes: float) -> TrainConfig:
+        prior = PriorConfig() if minutes >= RIPPLES_FROM_MIN else PriorConfig(most_ripples=0)
+        return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), (), None)
+
+    def _train(self, step: Step) -> None:
+        """Train on all training motion, without touches that this training or an earlier one finds."""
+        folder, segments = self.folder, self.folder.segments()
+        training = [one for one in segments if one.set == "train"]
+        out = folder.next_bundle()
+        self._progress(f"training {out.stem} on {step.minutes:g} min")
+        try:
+            robot = self._robot()
+            case, _ = chosen_case(None, robot)
+            learning = [one for one in segments if one.set != "calibration"]
+            if (active := folder.active()) is not None:  # it knows the arm without the newest touches
+                self._suspect(load_bundle(active), self._load(learning))
+            config = self._config(step.minutes)
+            for number in range(ROUNDS):
+                recordings = self._load(training)
+                if not recordings:
+                    raise ConfigError("no training motion is left")
+                size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
+                expect_memory(size, f"training on {step.minutes:g} min")
+                given = Given(robot, PAPER_CASES[case], recordings)
+                dataset = Dataset(folder.path, Split((), (), ()))
+                checked = check_data(dataset, given, config, (), SILENT)
+                report = Share(lambda share: self._progress(f"training {out.stem}", share))
+                train_on_recordings(given, config, out, report, checked)
+                if number == ROUNDS - 1 or not self._suspect(load_bundle(out), self._load(learning)):
+                    break
+        except TauextError as error:
+            why = " ".join(str(error).split())
+            words = f"training on {step.minutes:g} min of motion failed: {why}"
+            folder.note("training", folder.seconds(), words, minutes=step.minutes, passed=False, why=why)
+            return
+        content = {"bundle": out.stem, "minutes": step.minutes, "trained_on": [one.name for one in training]}
+        write_synced(folder.path / PENDING, json.dumps(content) + "\n")
+
+    def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
+        """Label touches that nobody reported; returns them."""
+        found = find_suspects(bundle, recordings, THREADS)
+        ids = [one.id for one in self.folder.labels()]
+        number = min([0, *(one for one in ids if one < 0 and one % 2 == 0)])
+        for one in found:
+            number -= 2
+            span = one.epoch, one.from_ns, one.to_ns
+            self.folder.append_label(Label(number, *span, "suspect", "trainer", wall(), bundle.name))
+        if found:
+            seconds = 1e-9 * sum(one.to_ns - one.from_ns for one in found)
+            words = f"{len(found)} touch{'es' * (len(found) > 1)} that nobody reported, {seconds:.1f} s, left out"
+            self.folder.note("note", self.folder.seconds(), words, bundle=bundle.name)
+        return found
+
+    def _judge_bundle(self, step: Step) -> None:
+        """Put the waiting bundle in charge if it passes on motion outside of its training, and is no worse."""
+        folder, pending = self.folder, self._pending()
+        name, minutes = str(pending["bundle"]), float(pending["minutes"])
+        unseen = self._unseen(pending, folder.segments())
+        self._progress(f"judging {name}")
+        candidate = load_bundle(folder.bundles / f"{name}.tauext")
+        self._suspect(candidate, self._load(unseen))
+        facts, why = self._judged(name, unseen)
+        passed = not why
+        words = f"{name}, trained on {minutes:g} min of motion, " + ("passed" if passed else f"did not pass: {why}")
+        folder.note("training", folder.seconds(), words, bundle=name, minutes=minutes, passed=passed, why=why, **facts)
+        if passed:
+            folder.activate(
+                name, f"it passed on {60 * facts['test_minutes']:.0f} s outside its training", folder.seconds()
+            )
+        (folder.path / PENDING).unlink(missing_ok=True)
+
+    def _judged(self, name: str, unseen: Sequence[Segment]) -> tuple[dict[str, Any], str]:
+        """Numbers of a bundle on unseen motion for the history, and why it does not pass."""
+        folder, active = self.folder, self.folder.active()
+        pieces = free_pieces(self._load(unseen))
+        pieces = [replace(one, name=f"{one.name}-{k:02d}") for k, one in enumerate(pieces)]
+        if not pieces:
+            return {}, "there is no free motion to judge it"
+        old = [] if active is None or active.stem == name else [active.stem]
+        bundles = {one: load_bundle(folder.bundles / f"{one}.tauext") for one in (*old, name)}
+        loaders = [lambda one=one: one for one in pieces]
+        out = folder.results / name
+        results = evaluate(bundles, loaders, [], out / "estimates", 0, THREADS, keep_free_estimates=0, inject=True)
+        source: dict[str, Any] = {
+            "command": "tauext commission",
+            "dataset": folder.path.name,
+            "scale": None,
+            "recordings": {},
+        }
+        run = provenance("tauext commission", {"bundles": list(bundles)}, 0)
+        keep = {key: run[key] for key in ("version", "seed", "machine")}
+        write_json(to_json(replace(results, provenance=source | keep)), out / "results.json")
+        write_json(run, out / "run.json")
+        found = {one.name: one for one in results.bundles}
+        new, before = found[name], found[old[0]] if old else None
+        free = new.free_motion
+        facts = {
+            "joints": list(results.joints),
+            "error": list(free.l2_nm),
+            "units": list(new.estimate_units),
+            "hits": hits(new),
+            "per_hour": (free.false_collisions or 0) / free.hours if free.hours else None,
+            "promised_per_hour": free.promised_per_hour,
+            "test_minutes": round(60 * (free.hours or 0.0), 3),
+        }
+        alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
+        if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
+            return facts, f"it reports collisions during {share:.0%} of the motion"
+        return facts, why_not(new, before)
+
+    # Limits from calibration motion.
+
+    def ledger(self) -> Ledger:
+        """Peaks of the calibration motion for the model of the bundle in charge."""
+        active = self.folder.active()
+        assert active is not None
+        base = base_of(self.folder, active.stem)
+        if self._ledger is None or self._ledger.base != base:
+            self._ledger = Ledger.load(self.folder, base)
+        return self._ledger
+
+    def _unlearned(self, segments: Sequence[Segment], ledger: Ledger) -> list[Segment]:
+        later, found = 0.0, []
+        for one in reversed(segments):
+            if one.set == "calibration" and one.number > ledger.learned and later >= SPARE_S:
+                found.append(one)
+            later += one.seconds
+        return found[::-1]
+
+    def _learn(self, step: Step) -> None:
+        """Collect the peaks of new calibration motion, and of alarms that were answered with `nothing`."""
+        ledger = self.ledger()
+        segments = self.folder.segments()
+        fresh = self._unlearned(segments, ledger)
+        self._progress(f"learning from {sum(one.seconds for one in fresh) / 60:.0f} min of motion")
+        ledger.learn(fresh, segments)
+
+    def _limits(self, step: Step) -> None:
+        """A copy of the bundle in charge with limits from all learned calibration motion."""
+        folder, ledger = self.folder, self.ledger()
+        active = folder.active()
+        assert active is not None
+        out = folder.next_bundle()
+        self._progress(f"limits of {out.stem}")
+        started = time.monotonic()
+        segments = folder.segments()
+        ledger.learn([], segments)
+        bundle = load_bundle(active)
+        alarm = AlarmConfig()
+        try:
+            with no_freeze(bundle):
+                promised = promised_limits(bundle, lambda: [], alarm, THREADS, kept=ledger)
+        except TauextError as error:
+            folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
+            ledger.limits_h = ledger.hours
+            ledger.put()
+            return
+        apply_promised(bundle, promised, alarm)
+        facts = json.loads(bundle.provenance or "{}")
+        facts["limits"] = promised.facts() | {"recordings": sorted({name for name, *_ in ledger.places})}
+        settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
+        facts["calibrated"] = provenance("tauext commission", settings, seed=None)
+        facts["calibrated"]["base"] = ledger.base
+        bundle.name = out.stem
+        write_bundle(bundle, out, facts, [], WallTimes({"calibrate": time.monotonic() - started}))
+        ledger.limits_h = ledger.hours
+        ledger.put()
+        rate = promised.budget.rate_per_hour
+        unseen = self._unseen({}, [one for one in segments if one.set == "test"])
+        found, why = self._judged(out.stem, unseen)
+        numbers = {"promised_per_hour": rate, "sentence": promised.sentence(), "hours": 0.0, "alarms": 0, "kept": True}
+        if why and found:
+            folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
+            for path in folder.bundles.glob(f"{out.stem}.*"):
+                path.unlink(missing_ok=True)
+            return
+        folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work", folder.seconds())
+        folder.note("promise", folder.seconds(), promised.sentence(), bundle=out.stem, **numbers)
+
+    def _compare(self, step: Step) -> None:
+        """Add what was promised and what happened to the history."""
+        folder, active = self.folder, self.folder.active()
+        assert active is not None
+        found = kept_of(folder.path, active.stem, folder.seconds())
+        folder.note(
+            "promise",
+            folder.seconds(),
+            found.words(),
+            bundle=found.bundle,
+            promised_per_hour=found.promised_per_hour,
+            sentence=found.sentence,
+            hours=round(found.hours, 3),
+            alarms=found.false,
+            kept=found.kept,
+        )
+
+    def _is_broken(self, ledger: Ledger) -> bool:
+        """Whether the promise is broken and new limits would differ, since there are new answers."""
+        active = self.folder.active()
+        assert active is not None
+        if ledger.hours <= 0 or not ledger.news(self.folder.labels()):
+            return False
+        return not kept_of(self.folder.path, active.stem, self.folder.seconds()).kept
+
+
+def hits(bundle: EvaluatedBundle) -> float | None:
+    """Share of the injected forces that are detected; None without any."""
+    curves = bundle.injected.curves if bundle.injected else ()
+    events = sum(one.events for one in curves)
+    return round(sum(one.latched for one in curves) / events, 4) if events else None
+
+
+def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
+    """Why a bundle does not monitor the arm; empty: it does."""
+    free, rejected = new.free_motion, new.rejected
+    if not free.hours:
+        return "it accepts none of the motion"
+    if rejected.share is not None and rejected.share > WORTH_A_WARNING:
+        causes = ", ".join(f"{name} {share:.1%}" for name, share in rejected.causes.items()) or "warming up"
+        return f"it rejects {rejected.share:.1%} of the motion ({causes})"
+    if free.promise_kept is False:
+        return (
+            f"{free.false_collisions} false alarms in {60 * free.hours:.1f} min, where its limits allow "
+            f"{free.promised_per_hour:.3g} an hour"
+        )
+    if old is None or not old.free_motion.hours:
+        return ""
+    false, before = free.false_collisions or 0, old.free_motion.false_collisions or 0
+    seen, seen_before = hits(new), hits(old)
+    if false > before + 1:
+        return f"{false} false alarms, {before} with {old.name}"
+    if seen is not None and seen_before is not None and seen < seen_before - MOST_HITS_LOST and false >= before:
+        return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
+    return ""
+
+
+def base_of(folder: CommissionFolder, bundle: str) -> str:
+    """The bundle whose model a bundle with other limits has."""
+    try:
+        facts = json.loads(load_bundle(folder.bundles / f"{bundle}.tauext").provenance or "{}")
+    except (TauextError, ValueError):
+        return bundle
+    return str((facts.get("calibrated") or {}).get("base") or bundle)
+
+
+# --- Peaks of all calibration motion, also of recordings that the disk no longer holds.
+
+
+class Ledger:
+    """Peaks and hours of the calibration motion under one model, and what of the labels they contain."""
+
+    def __init__(self, folder: CommissionFolder, base: str):
+        self._folder, self.base = folder, base
+        self.collectors: list[Any] = []
+        self.names: list[str] = []
+        self.places: list[tuple[str, int, int, int]] = []
+        """Name, epoch, first and last stamp of each recording in the peaks."""
+        self.learned = 0
+        self.limits_h = 0.0
+        self.counted: set[int] = set()
+        """Alarms answered `nothing` whose motion is in the peaks."""
+        self.forgotten: dict[int, tuple[int, int]] = {}
+        """Spans of labels whose peaks were left out."""
+        self._checkpoint = Checkpoint(folder.path / "peaks.state", base)
+
+    @classmethod
+    def load(cls, folder: CommissionFolder, base: str) -> Ledger:
+        made = cls(folder, base)
+        if (state := made._checkpoint.load()) is not None:
+            (made.collectors, made.names, made.places, made.learned) = state[:4]
+            (made.limits_h, made.counted, made.forgotten) = state[4:]
+            made.names = made.names[: len(made.places)]
+        return made
+
+    def put(self) -> None:
+        """Keep the state, then allow the recorder to drop what was learned."""
+        state = [self.collectors, self.names, self.places, self.learned, self.limits_h, self.counted, self.forgotten]
+        self._checkpoint.put(state)
+        write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
+
+    @property
+    def hours(self) -> float:
+        return float(self.collectors[0].peaks().hours) if self.collectors else 0.0
+
+    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
+        """Part of KeptPeaks: the collectors after one more recording."""
+        self.collectors = collectors
+
+    def news(self, labels: Sequence[Label]) -> bool:
+        """Whether answers are not in the peaks yet."""
+        return any(one.answer == "nothing" and one.id not in self.counted for one in labels)
+
+    def learn(self, fresh: Sequence[Segment], segments: Sequence[Segment]) -> None:
+        """Add calibration motion; then leave out what labels called a touch since, and add answered alarms."""
+        labels = self._folder.labels()
+        learned = max([self.learned, *(one.number for one in fresh)])
+        again = [one for one in labels if one.answer == "nothing" and one.id not in self.counted]
+        false = [one for one in segments if any(_meets(one, label) for label in again)]
+        false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
+        bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
+        recordings = [*self._folder.load(fresh), *self._folder.load(false)]
+        if recordings:
+            places = [(r.name, int(r.provenance["epoch"]), int(r.t_ns[0]), int(r.t_ns[-1])) for r in recordings]
+            with no_freeze(bundle):
+                collect_peaks(bundle, recordings, AlarmConfig().holds_s, THREADS, margins=FreeMotionConfig(), kept=self)
+            self.places += places
+            self.names += [one.name for one in recordings]
+        self.learned = learned
+        self.counted = {one.id for one in labels if one.answer == "nothing"}
+        self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
+        self._forget(labels)
+        self.put()
+
+    def _forget(self, labels: Sequence[Label]) -> None:
+        before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
+        for label in labels:
+            span = (label.from_ns - before, label.to_ns + after)
+            if label.answer == "nothing" or self.forgotten.get(label.id) == span:
+                continue
+            for k, (_, epoch, from_ns, to_ns) in enumerate(self.places):
+                if epoch == label.epoch and from_ns <= span[1] and to_ns >= span[0]:
+                    for collector in self.collectors:
+                        collector.forget(k, span[0] - from_ns, span[1] - from_ns)
+            self.forgotten[label.id] = span
+
+
+def _meets(segment: Segment, label: Label) -> bool:
+    return segment.epoch == label.epoch and segment.from_ns <= label.to_ns and segment.to_ns >= label.from_ns
+
+
+# --- The process.
+
+
+class Share(Silent):
+    """Passes the share of a training that is done. Discards all messages."""
+
+    def __init__(self, show: Callable[[float], None]):
+        self._show, self._shown = show, time.monotonic()
+
+    def progress(self, title: str) -> AbstractContextManager[Show]:
+        def show(done: int, total: int, note: str) -> None:
+            if time.monotonic() > self._shown + 1:
+                self._shown = time.monotonic()
+                self._show(done / max(1, total))
+
+        return nullcontext(show)
+
+
+POLL_S = 1.0
+
+
+def run_trainer(pipe: Connection, path: Path) -> None:
+    """Train until the pipe closes; the folder's other process is the loop."""
+    lower_priority()
+    folder = CommissionFolder.open(path)
+    with folder.locked("trainer.lock"):
+        trainer = Trainer(folder)
+        failed: dict[str, int] = {}
+        while True:
+            what = "nothing"
+            try:
+                what = trainer.step()
+                failed.clear()
+            except TauextError as error:
+                folder.log(f"the training process failed: {error}")
+                failed[str(error)] = failed.get(str(error), 0) + 1
+            try:
+                if pipe.poll(POLL_S * min(60, 2 ** max(failed.values(), default=0)) if what == "nothing" else 0):
+                    pipe.recv()
+            except (EOFError, OSError):
+                return
+
+
+def lower_priority() -> None:
+    """Give way to the loop: the lowest priority, and idle time only where the system has that."""
+    if hasattr(os, "nice"):
+        os.nice(19)
+    with suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

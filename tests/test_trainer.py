@@ -1,0 +1,180 @@
+"""The training process of a commissioned arm, on recordings of the rig."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_commission import active, add_event, filled, words
+
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.history_file import active_bundle, read_history
+from tauext.commission import course, keep, trainer
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.history import describe_folder, kept_of
+from tauext.commission.trainer import Ledger, Trainer
+from tauext.data.dataset import load_dataset
+from tauext.data.free_motion import cut
+from tauext.data.labels import Label, append_label, read_labels
+from tauext.sim.collect import simulate_recording
+from tauext.sim.config import RigConfig
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Four minutes; in the first, a touch that nobody reports."""
+    made = simulate_recording(RigConfig(), "free", 240.0, 3, 0)
+    push = np.zeros(made.samples)
+    push[24_200:24_700] = 25.0 * np.sin(np.linspace(0, np.pi, 500))
+    tau = made.tau - np.column_stack([push, 0.6 * push])
+    return replace(made, tau=tau, tau_ext=None, contact=None, contact_link=None, q_des=None, tau_ext_sensor=None)
+
+
+@pytest.fixture(scope="module")
+def learned(motion, tmp_path_factory) -> CommissionFolder:
+    """After the first bundle."""
+    folder = filled(tmp_path_factory.mktemp("arm") / "cell", [cut(motion, slice(0, 60_000))])
+    one = Trainer(folder)
+    assert [one.step() for _ in range(2)] == ["train", "nothing"]
+    filled(folder.path, [cut(motion, slice(60_000, 121_000))])
+    assert Trainer(folder).step() == "judge"
+    return folder
+
+
+@pytest.fixture
+def copy(learned, tmp_path) -> CommissionFolder:
+    shutil.copytree(learned.path, tmp_path / "cell")
+    return CommissionFolder.open(tmp_path / "cell")
+
+
+def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
+    (touch,) = [one for one in read_labels(learned.path) if one.epoch == 1]
+    assert touch.answer == "suspect" and abs(touch.from_ns * 1e-9 - 24.2) < 0.6
+    assert active(learned) == "b0001" and active_bundle(learned.path).stem == "b0001"
+    bundle = load_bundle(learned.active())
+    assert max(bundle.sliding_limit_nm) < 2.0  # with the touch 3.6 Nm
+    training = [one for one in read_history(learned.path) if one["kind"] == "training"][0]
+    assert training["passed"] and training["minutes"] == 1 and 0.2 < training["hits"] <= 1
+    assert len(training["error"]) == 2 and training["test_minutes"] >= 0.9
+    shown = describe_folder(learned.path)
+    assert shown["bundle"] == "b0001" and shown["trainings"] == 1 and "promises at most" in shown["promise"]
+    trained_on = json.loads(bundle.provenance)["recordings"]["train"]
+    assert not set(load_dataset(learned.path).split.test) & {f"{name}.parquet" for name in trained_on}
+
+
+def test_a_killed_training_process_goes_on(copy):
+    """Whatever was written last: what nothing names is removed, an activation has its line, progress is none."""
+    copy.bundles.joinpath("b0007.tauext").write_bytes(b"half")
+    lines = copy.history_file.read_text().splitlines()
+    copy.history_file.write_text("\n".join(lines[:-1]) + '\n{"kind": "activ')
+    copy.progress_file.write_text('{"doing": "training b0007"}')
+    one = Trainer(copy)
+    assert not list(copy.bundles.glob("b0007*")) and copy.next_bundle().stem == "b0002"
+    assert [line["kind"] for line in copy.history()].count("activation") == 1
+    assert json.loads(copy.progress_file.read_text())["doing"] == ""
+    assert one.facts().has_bundle and one.facts().trained_min == 1
+
+
+def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
+    assert Trainer(copy).step() == "train"  # two minutes are there
+    pending = json.loads((copy.path / trainer.PENDING).read_text())
+    assert pending["minutes"] == 2 and len(pending["trained_on"]) == 11
+    (copy.path / trainer.PENDING).unlink()
+    (copy.path / "robot.xml").write_text("<mujoco/>")
+    Trainer(copy).step()
+    assert "failed" in words(copy)[-1] and Trainer(copy).step() == "nothing"
+
+
+def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
+    copy.path.joinpath("active.json").unlink()
+    content = {"bundle": "b0001", "minutes": 1, "trained_on": []}
+    path = copy.path / trainer.PENDING
+    for change, why in (
+        ({"sliding_limit_nm": [0.01, 0.01], "near_stiction_limit_nm": [0.01, 0.01]}, "it reports collisions during"),
+        ({"possible_speed_rad_s": [0.5, 0.5]}, "it rejects"),
+        ({"sliding_limit_nm": [0.2, 0.2], "near_stiction_limit_nm": [0.2, 0.2]}, "false alarms in"),
+    ):
+        path.write_text(json.dumps(content))
+        monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0 if why == "false alarms in" else 0.02)
+        bundle = load_bundle(copy.bundles / "b0001.tauext")
+        for name, value in change.items():
+            setattr(bundle, name, value)
+        monkeypatch.setattr(trainer, "load_bundle", lambda path, bundle=bundle: bundle)
+        monkeypatch.setattr(trainer, "find_suspects", lambda *_: [])
+        Trainer(copy).step()
+        assert why in words(copy)[-1], words(copy)[-1]
+        assert copy.active() is None and not path.exists()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Limits from minutes of calibration."""
+    monkeypatch.setattr(trainer, "SPARE_S", 0.0)
+    monkeypatch.setattr(course, "LEARN_S", 30.0)
+    monkeypatch.setattr(course, "LIMITS_AT_H", (0.01, 0.02))
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(keep, "TRAIN_S", 90.0)
+
+
+def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
+    filled(copy.path, [cut(motion, slice(121_000, 200_000))])
+    one = Trainer(copy)
+    assert [one.step() for _ in range(3)] == ["learn", "limits", "nothing"]
+    hours = one.ledger().hours
+    assert active(copy) == "b0002" and 50 / 3600 < hours < 70 / 3600
+    promise = copy.history()[-1]
+    assert promise["kind"] == "promise" and abs(promise["promised_per_hour"] - 3.0 / hours) < 0.1 / hours
+    old, new = (load_bundle(copy.bundles / f"{name}.tauext") for name in ("b0001", "b0002"))
+    assert list(old.prior.weights) == list(new.prior.weights)
+
+    # Dropped calibration stays in the peaks, and a killed process loses nothing.
+    for segment in copy.segments():
+        if segment.set == "calibration":
+            (copy.path / segment.name).unlink()
+    assert keep.learned_up_to(copy) == one.ledger().learned > 0
+    again = Trainer(copy)
+    assert again.ledger().hours == hours and again.ledger().base == "b0001"
+
+
+def test_answers_change_the_peaks(copy, motion, quick):
+    pushed = motion.tau.copy()
+    pushed[140_000:140_300] += 6.0
+    filled(copy.path, [replace(cut(motion, slice(121_000, 200_000)), tau=pushed[121_000:200_000])])
+    epoch = copy.facts["epoch"]
+    alarm = Label(1, epoch, 140_000_000_000, 140_300_000_000, "unanswered", "nobody", "", "b0001")
+    append_label(copy.path, alarm)
+    one = Trainer(copy)
+    one.step()
+
+    def largest() -> float:
+        return max(float(of[0]) for joint in one.ledger().collectors[0].peaks().nm for of in joint if len(of))
+
+    free = largest()
+    append_label(copy.path, replace(alarm, answer="nothing", by="page"))
+    assert one.ledger().news(copy.labels())
+    one.ledger().learn([], copy.segments())
+    assert largest() > 3 * free and not one.ledger().news(copy.labels())
+    append_label(copy.path, replace(alarm, answer="touched", by="page"))
+    one.ledger().learn([], copy.segments())
+    assert largest() == free
+    assert Ledger.load(copy, "b0001").collectors[0].peaks().hours == one.ledger().hours
+
+
+def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypatch):
+    filled(copy.path, [cut(motion, slice(121_000, 200_000))])
+    one = Trainer(copy)
+    [one.step() for _ in range(3)]
+    epoch = copy.facts["epoch"]
+    for k in range(1, 22):
+        add_event(copy, id=k, level="collision", bundle="b0002", answer="nothing" if k < 21 else None)
+        append_label(copy.path, Label(k, epoch, k * 10**9, k * 10**9, "nothing", "page", "", "b0002"))
+    monkeypatch.setattr(CommissionFolder, "seconds", lambda self: 230.0)
+    found = kept_of(copy.path, "b0002", 230.0)
+    assert (found.false, found.unanswered, found.kept) == (20, 1, False) and "BROKEN" in found.words()
+    assert one.facts().is_broken and one.step() == "limits" and active(copy) == "b0003"
+    assert not one.facts().is_broken
+    one._compare(course.Step("promise"))
+    assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]

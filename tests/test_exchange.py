@@ -167,7 +167,7 @@ def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, mod
         return fresh.run(*signals, None, warm)
 
     repeat(first, one.row)
-    fresh.carry_alarm(swap.old.carried())
+    fresh.carry_alarm(one.left)
     assert_same(keeper.verdicts[one.row :], repeat(one.row, len(samples)))
     # the alarm goes on, and is told of once
     alarms = [change for change in keeper.changes if isinstance(change, AlarmChange) and change.was == NONE]
@@ -257,7 +257,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     script = [*samples[:2800], swap, *samples[2800:]]
     loop, keeper, (one,) = looped(None, script, [sink], profiles=profiles)
     assert all(answer == f"error: {exchange.NO_BUNDLE}" for answer in sink.refused) and len(sink.refused) == 3
-    assert swap.answer == "" and one.replaced == "" and one.carried == b"" and one.replayed == 2800 and one.alarms > 0
+    assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b"" and one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)

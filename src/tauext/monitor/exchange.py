@@ -242,6 +242,8 @@ class Successor:
         """Alarms of its own, which the loop's monitor did not raise."""
         self.followed_s = 0.0
         """Healthy time so far, [s]."""
+        self.left = b""
+        """What the old monitor carried at the exchange."""
         self.replaced: object = None
         """What the loop had before, so that it is freed outside the loop."""
         self._begin()
@@ -312,8 +314,9 @@ class Successor:
         for _, act in self._ring.acts(self.row, self.row + 1):  # since the last sample
             act(self.monitor)
         self.monitor.set_limit_factors(*(np.array(factors) for factors in old.limit_factors))
-        if carried := old.carried():
-            self.monitor.carry_alarm(carried)
+        if left := old.carried():
+            self.monitor.carry_alarm(left)
+        self.left = left
         return ""
 
 
@@ -333,6 +336,8 @@ class Exchanged:
     """Number of samples, and missing ones, that the new monitor repeated."""
     carried: bytes
     """Mark from which it repeated them; empty: from nothing."""
+    left: bytes
+    """What the old monitor carried in the end, whose alarm goes on; empty: there was none."""
     alarms: int
     """Alarms of its own that it raised meanwhile."""
     took_us: float

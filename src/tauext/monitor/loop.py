@@ -461,7 +461,7 @@ class Loop:
         )
         took_us = (time.monotonic_ns() - started) * 1e-3
         last_ns, replayed = (self._last.t_ns if self._last else None), successor.row - first
-        facts = (self.samples, last_ns, replayed, successor.carried, successor.alarms, took_us)
+        facts = (self.samples, last_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
         self.exchanged(Exchanged(successor.bundle.name, old, *facts))
         return ""
 

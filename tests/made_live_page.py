@@ -52,7 +52,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "touch": "push",
         "links": [[joints[1], 0.91]],
         "newtons": 34.0,
-        "place": {"point": [0.05, 0.0, 0.2], "force": [30.0, 10.0, -12.0]},
+        "place": {"link": 1, "point": [0.05, 0.1, 0.2], "force": [30.0, 10.0, -12.0], "q": q},
         "sentence": SENTENCE,
         "answer": None,
     }

@@ -62,6 +62,11 @@ class EventKeeper:
         """Number of the newest alarm; 0: there was none."""
         return max(self._events, default=0)
 
+    def event(self, alarm: int) -> dict[str, Any] | None:
+        """Facts of an alarm."""
+        event = self._events.get(alarm)
+        return None if event is None else dict(event)
+
     def answer_to(self, alarm: int) -> str | None:
         """The stored answer to an alarm."""
         event = self._events.get(alarm)

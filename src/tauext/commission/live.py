@@ -63,7 +63,7 @@ class AlarmBook:
             elif isinstance(change, TouchChange):
                 self.present = self.present | {"touch": TOUCHES[change.touch]}
             elif isinstance(change, PlaceChange):
-                self.present = self.present | self._placed(change)
+                self.present = self.present | self._placed(change, verdict)
             elif not isinstance(change, HiddenCollision):
                 continue
             if self.present is not None:
@@ -87,14 +87,19 @@ class AlarmBook:
             "held_ns": verdict.t_ns,
         }
 
-    def _placed(self, change: PlaceChange) -> dict[str, Any]:
+    def _placed(self, change: PlaceChange, verdict: Verdict) -> dict[str, Any]:
         if change.consistent < INCONSISTENT:
             return {}
         return {
             "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
             "newtons": finite(newtons(change.best)),
             "on": links_words(change.links, self.joints),
-            "place": {"point": list(change.best.point), "force": list(change.best.force)},
+            "place": {
+                "link": change.best.link,
+                "point": list(change.best.point),
+                "force": list(change.best.force),
+                "q": [] if verdict.sample is None else rounded(verdict.sample.q),
+            },
         }
 
     def _sentence(self, one: dict[str, Any]) -> str:
@@ -160,6 +165,11 @@ class LiveSink:
     def describe(self, joints: tuple[str, ...], units: Sequence[str]) -> None:
         """Names and units of the joints, before the first verdict."""
         self._book = AlarmBook(joints, units)
+
+    def stand(self, event: dict[str, Any] | None) -> None:
+        """The alarm of the last process stands from the beginning; call it after describe()."""
+        if self._book is not None:
+            self._book.present = event
 
     @property
     def alarm_id(self) -> int:

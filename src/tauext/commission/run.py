@@ -266,6 +266,8 @@ class Commission:
                 carried = (folder.path / CARRIED).read_bytes()
                 if reason := loop.start_from(carried, self._keeper.newest):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
+                if loop.monitor.last.alarm != _core.Alarm.none:
+                    live.stand(self._keeper.event(loop.alarms))
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.steering.loop = loop
         if self._by:  # stopped meanwhile

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from made_commission import active, add_event, filled, words
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import active_bundle, read_history
+from tauext.cli import main
 from tauext.commission import course, keep, trainer
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
@@ -19,6 +21,7 @@ from tauext.commission.trainer import Ledger, Trainer
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels
+from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
 
@@ -98,8 +101,12 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
         ({"sliding_limit_nm": [0.2, 0.2], "near_stiction_limit_nm": [0.2, 0.2]}, "false alarms in"),
     ):
         path.write_text(json.dumps(content))
-        monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0 if why == "false alarms in" else 0.02)
         bundle = load_bundle(copy.bundles / "b0001.tauext")
+        if why == "false alarms in":
+            monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0)
+            facts = json.loads(bundle.provenance)
+            facts["limits"]["promise"]["supported_budget"]["rate_per_hour"] = 0.1
+            bundle.provenance = json.dumps(facts)
         for name, value in change.items():
             setattr(bundle, name, value)
         monkeypatch.setattr(trainer, "load_bundle", lambda path, bundle=bundle: bundle)
@@ -178,3 +185,49 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert not one.facts().is_broken
     one._compare(course.Step("promise"))
     assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
+
+
+def run(capsys, *words: str) -> str:
+    assert main(list(words)) == 0, capsys.readouterr().err
+    return capsys.readouterr().out
+
+
+def test_the_folder_is_a_dataset_for_other_commands(copy, tmp_path, capsys):
+    cell, bundle = str(copy.path), str(copy.active())
+    before = {path.name: path.read_bytes() for path in copy.path.glob("seg-*.parquet")}
+    assert "b0001" in run(capsys, "show", cell) and json.loads(run(capsys, "show", cell, "--json"))["bundle"] == "b0001"
+    assert run(capsys, "report", cell, "--out", str(tmp_path / "page")).strip().endswith("history.html")
+    assert "b0001 monitors the arm" in (tmp_path / "page" / "history.html").read_text()
+    run(capsys, "check", "--data", cell)
+    run(capsys, "refit", bundle, "--data", cell, "--out", str(tmp_path / "morning.tauext"))
+    run(capsys, "evaluate", "--data", cell, "--bundles", bundle, "--out", str(tmp_path / "results"))
+    run(capsys, "run", bundle, f"{cell}/seg-000001.parquet")
+    assert before == {path.name: path.read_bytes() for path in copy.path.glob("seg-*.parquet")}
+
+
+@pytest.mark.slow
+def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, tmp_path, capsys):
+    filled(copy.path, [cut(motion, slice(121_000, 200_000))])
+    out = ["--out", str(tmp_path / "b.tauext"), "--accept", "temperature-drift"]
+    run(capsys, "train", "--data", str(copy.path), "--recipe", "prior", *out)
+    run(capsys, "calibrate", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
+
+
+def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
+    for name in ("cell1", "cell2"):
+        shutil.copytree(learned.path, tmp_path / "arms" / name)
+    empty = CommissionFolder.open(tmp_path / "arms" / "cell3", create=True)
+    assert describe_folder(empty.path)["bundle"] is None
+    history = (tmp_path / "arms" / "cell1" / "history.jsonl").read_text()
+    (tmp_path / "arms" / "cell1" / "history.jsonl").write_text(
+        history.replace(time.strftime("%Y-", time.gmtime()), "2020-")
+        + json.dumps({"kind": "activation", "wall": "2021-01-02T03:04:05Z", "seconds": 9, "bundle": "b0001", "words": ""})
+        + "\n"
+    )
+    visits = visits_of([tmp_path / "arms"])
+    assert [(one.name, one.state) for one in visits if one.date < "2022"] == [
+        ("cell3", "waiting"), ("cell1", "done"), ("cell1", "done")
+    ]  # fmt: skip
+    run(capsys, "fleet", "report", str(tmp_path / "arms"), "--out", str(tmp_path / "report"))
+    content = json.loads((tmp_path / "report" / "fleet-report.json").read_text())
+    assert [(one["serial"], len(one["visits"])) for one in content["arms"]] == [("cell1", 2), ("cell2", 1), ("cell3", 1)]

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from tauext.bundle.history_file import is_commissioned
 from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
@@ -118,6 +119,8 @@ def evaluate(
 
 
 def report(
+    folder: tyro.conf.Positional[PlaceArg | None] = None,
+    *,
     out: PlaceArg,
     results: PlaceArg | None = None,
     data: PlaceArg | None = None,
@@ -128,9 +131,10 @@ def report(
     """Draw Table I and the paper's figures from results, or one flight: an HTML page and PNG figures.
 
     Give --results and --data, or --flight. The page holds traces that can be zoomed; it is one file and needs no
-    network.
+    network. Or give a folder of `tauext commission`, for a page of its history.
 
     Args:
+        folder: folder of `tauext commission`, whose history is drawn.
         out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
         results: results folder to draw, made by `tauext evaluate`.
         data: dataset folder that was evaluated.
@@ -143,6 +147,19 @@ def report(
     from tauext.report.flight import write_flight_report
     from tauext.report.page import write_report
 
+    if folder is not None:
+        if not is_commissioned(folder):
+            raise ConfigError(f"{folder}: is no folder of `tauext commission`; for results give --results and --data")
+        if results is not None or data is not None or flight is not None or trace_methods:
+            raise ConfigError(f"give either {folder}, or --results and --data, or --flight; not both")
+        from tauext.commission.history import write_history
+
+        print_replaced(out / "history.html")
+        with staged(out, fresh=True) as staging:
+            staging.mkdir(parents=True, exist_ok=True)
+            write_history(local_folder(folder), staging)
+        print(out / "history.html")
+        return
     if flight is not None:
         if results is not None or data is not None:
             raise ConfigError("give either --results and --data, or --flight; not both")
@@ -162,7 +179,8 @@ def report(
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
-            f"{missing} is missing: give --results and --data for a report of results, or --flight for one flight"
+            f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
+            "folder of `tauext commission`"
         )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from tauext.bundle.history_file import BUNDLES, is_commissioned
 from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.kind import LOGS, import_first
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 Content = dict[str, Any]
 """Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
-SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
+SHOWN = "a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of `tauext commission`"
 UNITS = {
     "_nm": "Nm",
     "_per_s": "1/s",
@@ -52,16 +53,25 @@ def show(
     frame: tuple[str, ...] = (),
     picture: PlaceArg | None = None,
 ) -> None:
-    """Print what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
+    """Print what is in a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of
+    `tauext commission`.
 
     Args:
-        file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
+        file: bundle (*.tauext), recording (*.parquet), fleet prior (*.prior.json) or folder of `tauext commission` to
+            show.
         as_json: print what is found as JSON for scripts.
         force: print what force at each link's end goes over a bundle's limits, in newtons.
         data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
         frame: frames at which --force gives the force, too.
         picture: PNG that --force draws.
     """
+    if is_commissioned(file):
+        if force or data or frame or picture is not None:
+            raise ConfigError(
+                f"--force, --data, --frame and --picture belong to a bundle; give one of {file / BUNDLES}"
+            )
+        show_folder(file, as_json)
+        return
     if (file / "split.json").is_file():
         raise ConfigError(f"{file}: is a dataset folder; `tauext check --data {file}` shows its data. Or give {SHOWN}")
     if not file.is_file():
@@ -89,6 +99,23 @@ def show(
         remedy = f"; {import_first(file)}" if file.suffix in LOGS else ""
         raise ConfigError(f"{file}: its name must end as that of {SHOWN}{remedy}")
     print(json.dumps(content, indent=1) if as_json else "\n".join(text))
+
+
+def show_folder(folder: Place, as_json: bool) -> None:
+    """Print the state and the history of a commissioned arm."""
+    from tauext.commission.history import describe_folder
+
+    content = describe_folder(folder)
+    if as_json:
+        print(json.dumps(content, indent=1))
+        return
+    history, missing = content.pop("history"), content.pop("missing")
+    print("\n".join(lines(content)))
+    for joint, words in missing.items():
+        print(f"{joint}: {'; '.join(words)}")
+    print("\nhistory")
+    for one in history:
+        print(f"  {one['wall']}  {one['words']}")
 
 
 def lines(content: Content) -> list[str]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import html
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import active_bundle, read_events, read_facts, read_history, watches
-from tauext.errors import TauextError
+from tauext.errors import ConfigError, TauextError
+from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 from tauext.fit.tail import duration, is_kept
@@ -107,3 +110,104 @@ def describe_folder(folder: Place) -> dict[str, Any]:
         "history": [{key: one.get(key) for key in ("wall", "kind", "words")} for one in history],
     }
     return content
+
+
+# --- A page of the history for `tauext report`.
+
+
+def write_history(folder: Place, out: Place) -> Place:
+    """Write OUT/history.html, one file: state, trainings, promises against what happened, and alarms.
+
+    Raises:
+        ConfigError: the folder is damaged, or the page cannot be written.
+    """
+    content, history = describe_folder(folder), read_history(folder)
+    trainings = [one for one in history if one["kind"] == "training"]
+    promises = [one for one in history if one["kind"] == "promise"]
+    state = [(key.replace("_", " "), in_words(value)) for key, value in content.items() if key != "history"]
+    parts = [
+        table("State", ("", ""), state),
+        chart(trainings, promises),
+        table(
+            "Trainings",
+            ("bundle", "minutes", "error of each joint", "detected hits", "false alarms an hour", "result"),
+            [[in_words(one.get(key)) for key in ("bundle", "minutes", "error", "hits", "per_hour", "words")]
+             for one in trainings],
+        ),
+        table(
+            "Promises and what happened",
+            ("time", "bundle", "promised an hour", "hours", "false alarms", "kept", ""),
+            [[in_words(one.get(key)) for key in
+              ("wall", "bundle", "promised_per_hour", "hours", "alarms", "kept", "words")] for one in promises],
+        ),
+        table(
+            "Alarms",
+            ("number", "time", "bundle", "what", "answer"),
+            [[in_words(one.get(key)) for key in ("id", "wall", "bundle", "sentence", "answer")]
+             for one in read_events(folder)],
+        ),
+        table("History", ("time", ""), [(in_words(one.get("wall")), in_words(one["words"])) for one in history]),
+    ]  # fmt: skip
+    path = out / "history.html"
+    style = (
+        "body{font:15px/1.5 system-ui,sans-serif;margin:2em auto;max-width:64em;padding:0 1em;color:#222;"
+        "background:#fff}table{border-collapse:collapse}td,th{padding:.2em .8em .2em 0;text-align:left;"
+        "vertical-align:top;border-bottom:1px solid #8884}@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}"
+    )
+    title = html.escape(f"{folder.name}: history of a commissioned arm")
+    text = f'<!doctype html><meta charset="utf-8"><title>{title}</title><style>{style}</style><h1>{title}</h1>'
+    try:
+        with atomic_write(path) as part:
+            part.write_text(text + "".join(parts) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def in_words(value: Any) -> str:
+    """A value for people; numbers with three digits."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(in_words, value))
+    if isinstance(value, dict):
+        return "; ".join(f"{key}: {in_words(one)}" for key, one in value.items()) or "nothing"
+    return "" if value is None else str(value)
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of HTML; empty without rows."""
+    if not rows:
+        return ""
+    lines = [f"<h2>{html.escape(title)}</h2><table>"]
+    if any(head):
+        lines.append("<tr>" + "".join(f"<th>{html.escape(one)}</th>" for one in head) + "</tr>")
+    lines += ["<tr>" + "".join(f"<td>{html.escape(one)}</td>" for one in row) + "</tr>" for row in rows]
+    return "".join([*lines, "</table>"])
+
+
+def chart(trainings: Sequence[dict[str, Any]], promises: Sequence[dict[str, Any]]) -> str:
+    """Detected hits and hours of a promised false alarm over received hours, as SVG."""
+    rows = (
+        ("detected hits", [(one["seconds"], one.get("hits")) for one in trainings], 1.0),
+        ("hours in which 1 false alarm is promised", [
+            (one["seconds"], 1 / one["promised_per_hour"]) for one in promises if one.get("promised_per_hour")], None),
+    )  # fmt: skip
+    drawn = []
+    for title, points, most in rows:
+        known = [(float(x), float(y)) for x, y in points if y is not None]
+        if not known:
+            continue
+        width, height = max(x for x, _ in known) or 1.0, most or max(y for _, y in known)
+        path = " ".join(f"{10 + 580 * x / width:.1f},{110 - 100 * y / height:.1f}" for x, y in known)
+        drawn.append(
+            f'<h2>{html.escape(title)}</h2><svg viewBox="0 0 600 130" width="600" role="img"><polyline points="{path}" '
+            'fill="none" stroke="currentColor" stroke-width="2"/>'
+            + "".join(f'<circle cx="{point.split(",")[0]}" cy="{point.split(",")[1]}" r="3" fill="currentColor"/>'
+                      for point in path.split())
+            + f'<text x="10" y="127" font-size="12" fill="currentColor">0 to {width / 3600:.3g} h of received motion, '
+            f"0 to {height:.3g}</text></svg>"
+        )  # fmt: skip
+    return "".join(drawn)

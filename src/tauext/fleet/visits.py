@@ -11,6 +11,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.history_file import BUNDLES, RESULTS, is_commissioned, read_history
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import recording_date
 from tauext.errors import ConfigError, TauextError
@@ -268,18 +269,62 @@ def visits_of(fleets: Sequence[Place]) -> list[Visit]:
 
 
 def visits_in(fleet: Place, run: int) -> list[Visit]:
-    """Of one fleet folder."""
+    """Of one fleet folder, or of a folder of arms that `tauext commission` made, or of one such arm."""
     path = fleet / FLEET
+    if not path.is_file() and (arms := commissioned(fleet)):
+        return [visit for arm in arms for visit in days_of(arm, run)]
     try:
         content = json_of(read_text(path))
         expect_format(content, path, "run `tauext fleet run` again")
         return [visit_of(entry, fleet, run) for entry in content["arms"]]
     except FileNotFoundError as error:
         raise ConfigError(
-            f"{path}: there is no such fleet; `tauext fleet run FLEET.toml --out {fleet}` makes one"
+            f"{path}: there is no such fleet; `tauext fleet run FLEET.toml --out {fleet}` makes one, "
+            "`tauext commission` one arm"
         ) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path}: cannot be read as a fleet of `tauext fleet run` ({error})") from error
+
+
+def commissioned(folder: Place) -> list[Place]:
+    """Folders of `tauext commission`: this one, or those in it."""
+    if is_commissioned(folder):
+        return [folder]
+    if not folder.is_dir():
+        return []
+    return sorted((one for one in folder.iterdir() if is_commissioned(one)), key=lambda one: one.name)
+
+
+def days_of(arm: Place, run: int) -> list[Visit]:
+    """A commissioned arm at each day on which a bundle was put in charge; the last bundle of each day counts."""
+    newest: dict[str, str] = {}
+    for one in read_history(arm):
+        if one["kind"] == "activation" and (arm / BUNDLES / f"{one.get('bundle')}.tauext").is_file():
+            newest[str(one.get("wall"))[:10]] = str(one["bundle"])
+    waits = Visit(
+        serial=arm.name,
+        name=arm.name,
+        type="",
+        run=run,
+        date="",
+        state="waiting",
+        reason="no bundle monitors it yet; let it move under `tauext commission`",
+        stage="",
+        folder=arm,
+        dataset=arm,
+        bundle=None,
+        results=None,
+    )
+    if not newest:
+        return [waits]
+
+    def done(date: str, bundle: str) -> Visit:
+        results = arm / RESULTS / bundle
+        there = results if results.is_dir() else None
+        path = arm / BUNDLES / f"{bundle}.tauext"
+        return replace(waits, date=date, state="done", reason="", bundle=path, results=there)
+
+    return [done(date, bundle) for date, bundle in sorted(newest.items())]
 
 
 def visit_of(entry: dict[str, Any], fleet: Place, run: int) -> Visit:

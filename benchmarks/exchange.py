@@ -1,6 +1,6 @@
 """Bundles exchanged in a running loop: samples without an answer, changes of health, latency, equality to the last bit.
 
-    python benchmarks/exchange.py [--exchanges 200] [--check 10] [--core 1] [--priority 80]
+    python benchmarks/exchange.py [--exchanges 200] [--ring 60] [--check 10] [--core 1] [--priority 80]
 
 Seven joints at 1 kHz with a network of the paper's size, as benchmarks/reaction.py. Three bundles take turns: the
 second has other limits than the first, the third another network. A push raises a collision before the first exchange;
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -26,6 +27,8 @@ from train import BATCH, STEPS, in_the_loop, made_windows
 
 from tauext import _core
 from tauext.fit.core_backend import CoreBackend
+from tauext.monitor import exchange
+from tauext.monitor import loop as live
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
@@ -42,7 +45,9 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=10, help="repeat every so many exchanges, default: %(default)s")
     parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
     parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
+    parser.add_argument("--ring", type=float, default=exchange.RING_S, help="seconds repeated, default: %(default)s")
     options = parser.parse_args()
+    exchange.RING_S, live.QUIET_S = options.ring, options.ring * live.QUIET_S / exchange.RING_S
     with tempfile.TemporaryDirectory() as folder:
         paths = bundles(Path(folder))
         for beside in (False, True):
@@ -148,7 +153,11 @@ class Watch:
     def _next(self, answer: str = "") -> None:
         if answer:
             self.refused.append(answer)
-        if len(self.exchanged) + len(self.refused) < self._exchanges:
+        done = len(self.exchanged) + len(self.refused)
+        print(
+            f"\r  {done} of {self._exchanges}", end="" if done < self._exchanges else "\n", file=sys.stderr, flush=True
+        )
+        if done < self._exchanges:
             self.loop.exchange(self._paths[(len(self.exchanged) + 1) % len(self._paths)], self._next)
         else:
             self.loop.stop("the benchmark")

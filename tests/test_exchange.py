@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,8 +32,9 @@ ARM = settings_of(watching_bundle())
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
-    """A new monitor is quiet after a second, not ten."""
-    monkeypatch.setattr(exchange, "QUIET_S", QUIET_S)
+    """A new monitor is quiet after a second, not fifty or ten."""
+    monkeypatch.setattr("tauext.monitor.loop.QUIET_S", QUIET_S)
+    monkeypatch.setattr("tauext.monitor.loop.FIRST_QUIET_S", QUIET_S)
 
 
 def bundle_of(name: str, seed: int = 3, limit_nm: float = 2.0, **drift: float) -> _core.Bundle:
@@ -225,6 +227,55 @@ def test_a_bundle_that_is_not_quiet_stays_out(tmp_path, monkeypatch):
     assert not exchanged and loop.monitor is swap.old and not loop.alarms
 
 
+def test_a_newer_bundle_replaces_one_that_waits_and_one_that_fails_stops_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(exchange, "GIVE_UP_S", 1e9)
+    low, good = saved(bundle_of("low", limit_nm=0.05), tmp_path), saved(bundle_of("good"), tmp_path)
+    told: list[str] = []
+
+    def fails(answer: str) -> None:
+        told.append(answer)
+        raise ValueError("of the caller")
+
+    class Failing(Keeper):
+        def follow(self, bundle, monitor):
+            raise RuntimeError("a sink's")
+
+    samples = samples_of(pushed(seconds=6, pushes=()))
+    swap = Swap(good)
+    asked = [low, Path("\udcff"), Path("."), low]
+    script = [*samples[:4000], lambda: all(not loop.exchange(path, fails) for path in asked), swap, *samples[4000:]]
+    failing = Failing()
+    keeper = Keeper()
+    settings = LoopSettings(missing_after_s=60.0)
+    loop = swap.loop = Loop(bundle_of("old"), ScriptedSource(script), [keeper, failing], settings=settings, arm=ARM)
+    notes: list[str] = []
+    loop.note = notes.append
+    loop.run()
+    assert swap.answer == "" and loop.monitor is not swap.old and len(keeper.verdicts) == 6000
+    assert len(told) == 4 and told[0] == told[3] == "a newer bundle, or the end of the loop, came first"
+    assert "is a folder" in told[2]
+    assert sum("ValueError: of the caller" in note for note in notes) == 4
+    assert failing not in loop.sinks and any("Failing is left out" in note for note in notes)
+
+
+def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_path):
+    other = saved(bundle_of("other"), tmp_path)
+    rule = SimpleNamespace(name="near the hand", links=("elbow",), newtons_over=None)
+    for settings, why in (({"wrench": "tool0"}, "wrench = 'tool0'"), ({}, "reaction 'near the hand': the place")):
+        samples = samples_of(pushed(seconds=2, pushes=()))
+        swap = Swap(other)
+        given = LoopSettings(missing_after_s=60.0, **settings)
+        loop = swap.loop = Loop(None, ScriptedSource([*samples, swap]), settings=given, arm=ARM)
+        loop._reactions = SimpleNamespace(threads=[SimpleNamespace(reaction=rule)], end=lambda: None)
+        loop.run()
+        assert why in swap.answer and isinstance(loop.monitor, NoMonitor)
+    (tmp_path / "profiles.toml").write_text(
+        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\nload = { mass = 1.0, com = [0, 0, 0] }\n"
+    )
+    with pytest.raises(ConfigError, match="profile usual: nothing is monitored yet"):
+        Loop(None, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", JOINTS), arm=ARM)
+
+
 # What has no bundle yet, or another.
 
 
@@ -257,7 +308,8 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     script = [*samples[:2800], swap, *samples[2800:]]
     loop, keeper, (one,) = looped(None, script, [sink], profiles=profiles)
     assert all(answer == f"error: {exchange.NO_BUNDLE}" for answer in sink.refused) and len(sink.refused) == 3
-    assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b"" and one.replayed == 2800 and one.alarms > 0
+    assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b""
+    assert one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
@@ -337,7 +389,7 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     assert np.abs(keeper.verdicts[5799].estimates["tau_ext"]).max() < 1.0
     # as long as it is weighed, the loop says no
     loop.monitor.start_weighing()
-    successor = exchange.Successor(new, loop._ring, False, None)
+    successor = exchange.Successor(new, loop._ring, False, None, QUIET_S)
     successor.row = loop._ring.count
     assert successor.finish(loop.monitor) == "a load is expected or being weighed"
 

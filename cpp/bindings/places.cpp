@@ -87,7 +87,7 @@ void bind_places(nb::module_& m) {
                    "arm; both have the same prior probability. NaN without a frame.");
   nb::class_<PlaceModel>(m, "PlaceModel",
       "Estimates which link is touched, and where; equations in touch_place.hpp. Use it from one thread at a time.")
-      .def(nb::init<const Bundle&>(), nb::arg("bundle"))
+      .def(nb::init<const Bundle&>(), nb::arg("bundle"), nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("refused", &PlaceModel::refused, "Reason for which places cannot be estimated; empty: none.")
       .def_prop_ro("capsules", &PlaceModel::capsules, "Shapes of the links.")
       .def(

@@ -194,7 +194,7 @@ void bind_wrench(nb::module_& m) {
            "Probability of such a chi_square or a larger one for a touch at this frame.");
   nb::class_<WrenchModel>(m, "WrenchModel",
       "Estimates wrenches at the frames of a bundle's arm; equations in wrench.hpp.")
-      .def(nb::init<const Bundle&>(), nb::arg("bundle"))
+      .def(nb::init<const Bundle&>(), nb::arg("bundle"), nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("refused", &WrenchModel::refused, "Reason for which there is no wrench; empty: none.")
       .def_prop_ro(
           "left_out",

@@ -18,7 +18,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK, STALE, WARMING_UP
 from tauext.data.servo import servo_facts
-from tauext.errors import ConfigError
+from tauext.errors import TauextError
 from tauext.monitor.places import PlaceFinder
 from tauext.monitor.source import SourceSettings, settings_of
 
@@ -191,8 +191,11 @@ class Ring:
 
 # --- A new bundle's monitor on its way into the loop.
 
-QUIET_S = 10.0
-"""Healthy time without an alarm of its own, after which a new monitor may take over, [s]."""
+QUIET_S, FIRST_QUIET_S = 50.0, 10.0
+"""Healthy time without an alarm of its own, after which a new monitor may replace another, and be the first, [s].
+
+On an arm whose friction is a fifth off, ten seconds are too few: the new one's drift has not seen all strokes.
+"""
 GIVE_UP_S = 600.0
 """Healthy time after which a monitor that is not quiet is given up, [s]."""
 PIECE_ROWS = 64
@@ -233,9 +236,10 @@ def holds_back(load_phase: int) -> bool:
 class Successor:
     """A new bundle's monitor that repeats the samples of a ring and then follows them."""
 
-    def __init__(self, bundle: _core.Bundle, ring: Ring, own_rate: bool, wrench: str | None):
+    def __init__(self, bundle: _core.Bundle, ring: Ring, own_rate: bool, wrench: str | None, quiet_s: float):
         """Raises ConfigError if the bundle lacks the frame, or CoreError if it refuses the load."""
         self.bundle, self._ring, self._own_rate = bundle, ring, own_rate
+        self._quiet_s = quiet_s
         self.model = bundle.model_digest
         self.places = PlaceFinder(bundle, wrench)
         self.alarms = 0
@@ -298,7 +302,7 @@ class Successor:
         """Reason why it cannot take over now; empty: it can."""
         if self.monitor.last.health != _core.Health.ok:
             return "its health is not ok"
-        if self.quiet_s < QUIET_S:
+        if self.quiet_s < self._quiet_s:
             return f"{self.alarms} alarms that the active bundle did not raise" if self.alarms else "it is not warm yet"
         return ""
 
@@ -353,19 +357,21 @@ def exchange(
     stop: Callable[[], str],
     own_rate: bool,
     wrench: str | None,
+    quiet_s: float,
 ) -> str:
     """Bring the bundle of this file into the loop; returns "" once it is there, or the reason why it is not.
 
     Args:
         why_not: reason why the loop refuses this bundle; empty: it takes it.
         take_over: has the loop's thread finish the exchange, see Successor.finish().
+        quiet_s: healthy time without an alarm of its own before it may take over, [s].
         stop: reason why to give up now, such as the loop's end; empty: none.
     """
     try:
         bundle = _core.Bundle.load(str(path))
         if reason := why_not_exchange(bundle, arm):
             return reason
-        successor = Successor(bundle, ring, own_rate, wrench)
+        successor = Successor(bundle, ring, own_rate, wrench, quiet_s)
         if reason := why_not(successor):
             return reason
         while not (reason := stop()):
@@ -379,6 +385,6 @@ def exchange(
             if successor.followed_s > GIVE_UP_S:
                 return f"bundle {bundle.name} stays out: {reason} in {GIVE_UP_S:g} s"
             time.sleep(WAIT_S)
-    except (_core.CoreError, ConfigError) as error:
+    except TauextError as error:
         return str(error)
     return reason

@@ -22,8 +22,10 @@ from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
 from tauext.monitor.exchange import (
+    FIRST_QUIET_S,
     MARK_S,
     NO_BUNDLE,
+    QUIET_S,
     AnyMonitor,
     Exchanged,
     NoMonitor,
@@ -423,20 +425,24 @@ class Loop:
                 else "a newer bundle, or the end of the loop, came first"
             )
 
+        given, calls = self._settings, (why_not, self._ask_to_take_over, stop)
         while (request := self._exchanges.get()) is not None:
             path, done = request
-            own_rate, wrench = self._settings.own_rate, self._settings.wrench
+            quiet_s = FIRST_QUIET_S if isinstance(self.monitor, NoMonitor) else QUIET_S
+            try:  # whatever is wrong, the next bundle must find this thread
+                answer = exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s)
+            except Exception as error:
+                answer = f"{path.name!r}: {type(error).__name__}: {error}"
             try:
-                done(exchange(path, self._ring, self._arm, why_not, self._ask_to_take_over, stop, own_rate, wrench))
-            except Exception as error:  # of the caller's, or ours: the next bundle must still find this thread
-                text = f"the exchange for {path.name} failed: {type(error).__name__}: {error}"
-                self._requests.put(partial(self._note, text))
+                done(answer)
+            except Exception as error:
+                self._requests.put(partial(self._note, f"{path.name!r}: {type(error).__name__}: {error}"))
 
     def _ask_to_take_over(self, successor: Successor) -> str:
         """In the thread of exchanges: have the loop take over, and wait for what it says."""
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._requests.put(lambda: answers.put(self._take_over(successor)))
-        while self._running:
+        while self._running or not answers.empty():
             with suppress(queue.Empty):
                 return answers.get(timeout=IDLE_S)
         return "the loop has ended"

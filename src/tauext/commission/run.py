@@ -12,6 +12,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from tauext.files.append_file import write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import json_of
 from tauext.monitor.control_lines import ControlSocket
+from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
@@ -169,7 +171,8 @@ class Commission:
         self._shown = len(folder.history())
         self._active = 0
         """Time of active.json when the loop took its bundle."""
-        self._exchanging = self._again = False
+        self._exchanges: deque[Exchanged] = deque()
+        self._again = False
         self._arm: Any = None
         """The description with which the loop runs."""
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
@@ -259,6 +262,7 @@ class Commission:
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
         loop.note, loop.alarms = self._note, self._keeper.newest
+        loop.exchanged = self._exchanges.append
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None:
             live.follow(bundle, loop.monitor)
@@ -285,16 +289,18 @@ class Commission:
         return False
 
     def _first_bundle(self) -> _core.Bundle | None:
-        """The bundle in charge, as the last process left it."""
-        path = self._folder.active()
-        if path is None:
+        """The bundle that ran last: the one in charge may still wait for its turn, and is then exchanged again."""
+        active = self._folder.active()
+        name = self._folder.facts.get("running") or (active.stem if active else None)
+        path = self._folder.bundles / f"{name}.tauext"
+        if name is None or not path.is_file():
             return None
         try:
             bundle = _core.Bundle.load(str(path))
         except TauextError as error:
             self._note(f"{error}; the arm is not monitored until another bundle is active")
             return None
-        self._active = self._stamp()
+        self._active = self._stamp() if active is not None and active.stem == name else 0
         return bundle
 
     def _stamp(self) -> int:
@@ -328,10 +334,12 @@ class Commission:
         if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
             self._again = True  # the training found that the torque has another unit
             return loop.stop("the training: the torque has another unit")
-        if (now := self._stamp()) != self._active and not self._exchanging:
-            self._active, self._exchanging = now, True
+        if (now := self._stamp()) != self._active:
+            self._active = now
             if (path := self._folder.active()) is not None:
-                loop.exchange(path, lambda why: self._exchanged(path, why))
+                loop.exchange(path, lambda why: self._note(f"{path.stem} does not take over: {why}") if why else None)
+        while self._exchanges:
+            self._exchanged(self._exchanges.popleft())
         self._keep_carried(loop, time.monotonic())
 
     def _keep_carried(self, loop: Loop, now_s: float) -> None:
@@ -342,12 +350,12 @@ class Commission:
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
 
-    def _exchanged(self, path: Path, why: str) -> None:
-        self._exchanging = False
-        if why:
-            self._note(f"{path.stem} does not take over: {why}")
-        else:
-            self._note(f"{path.stem} has taken over between two samples")
+    def _exchanged(self, done: Exchanged) -> None:
+        self._folder.save(running=done.bundle)
+        replayed_s = done.replayed * self._arm["period_ns"] * 1e-9
+        words = f"{done.bundle} has taken over between two samples, after {replayed_s:.0f} s of replay"
+        facts = {"bundle": done.bundle, "replaces": done.replaced, "replayed_s": round(replayed_s, 3)}
+        self._folder.note("exchange", self._folder.seconds(), words, took_us=round(done.took_us), **facts)
 
     def _news_of_flights(self) -> None:
         for news in self._flights.news() if self._flights is not None else ():

@@ -25,6 +25,7 @@ from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
 from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
 from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.source import Sample
 
 PERIOD_S = 0.1
 MOST_READERS = 4
@@ -143,7 +144,7 @@ class LiveSink:
         self._path = path
         self._book: AlarmBook | None = None
         self._newest: Verdict | None = None
-        self._sample: Verdict | None = None
+        self._sample: Sample | None = None
         self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
         self._held = (0, 0)
         """Number of an alarm, and the last stamp at which its touch was over a limit, [ns]."""
@@ -184,7 +185,7 @@ class LiveSink:
     def verdict(self, verdict: Verdict) -> None:
         self._newest = verdict
         if verdict.sample is not None:
-            self._sample = verdict
+            self._sample = verdict.sample
         if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
             self._held = verdict.alarm_id, verdict.t_ns
         if verdict.changes:
@@ -266,7 +267,7 @@ class LiveSink:
         }
         if verdict is None or book is None:
             return line
-        estimates, sample = verdict.estimates, verdict.sample or (self._sample and self._sample.sample)
+        estimates, sample = verdict.estimates, verdict.sample or self._sample
         return line | {
             "t_ns": verdict.t_ns,
             "q": [] if sample is None else rounded(sample.q),

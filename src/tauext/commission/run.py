@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from tauext import _core
 from tauext.bundle.history_file import ACTIVE
@@ -228,7 +228,7 @@ class Commission:
                 source.close()
                 raise ConfigError(f"{self._folder.path}: {other.words}; {other.remedy}")
         if not self._text.startswith("replay:"):
-            source = LastingSource(source, lambda: self._open()[0], facts, self._robot())
+            source = cast(Source, LastingSource(source, lambda: self._open()[0], facts, self._robot()))
         return source, facts, publishers
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
@@ -264,7 +264,7 @@ class Commission:
         loop.note, loop.alarms = self._note, self._keeper.newest
         loop.exchanged = self._exchanges.append
         live.describe(settings.joints, settings.torque_units)
-        if bundle is not None:
+        if bundle is not None and isinstance(loop.monitor, _core.Monitor):
             live.follow(bundle, loop.monitor)
             with suppress(FileNotFoundError):
                 carried = (folder.path / CARRIED).read_bytes()

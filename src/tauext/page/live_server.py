@@ -190,19 +190,19 @@ def line_of(path: str, body: dict[str, Any]) -> str | None:
     if path == "/learn" and isinstance(body.get("yes"), bool):
         return f"learn {'yes' if body['yes'] else 'no'}"
     if path == "/push" and re.fullmatch(r"[\w.:/-]{1,100}", str(body.get("joint"))):
-        point, force = body.get("point"), body.get("force")
-        if is_vector(point) and is_vector(force):
-            words = [",".join(f"{one:.4g}" for one in vector) for vector in (force, point)]
-            return f"sim push joint={body['joint']} force={words[0]} point={words[1]} seconds={PUSH_S}"
+        point, force = vector_of(body.get("point")), vector_of(body.get("force"))
+        if point and force:
+            return f"sim push joint={body['joint']} force={force} point={point} seconds={PUSH_S}"
     return None
 
 
-def is_vector(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < 1e4 for one in value)
-    )
+def vector_of(value: Any) -> str:
+    """Three numbers as a control line has them; empty: they are none."""
+    if not isinstance(value, list) or len(value) != 3:
+        return ""
+    if not all(isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < 1e4 for one in value):
+        return ""
+    return ",".join(f"{one:.4g}" for one in value)
 
 
 def is_whole(value: Any) -> bool:

@@ -21,7 +21,8 @@ from made_page import drag, on_screen, open_pages, until
 from viser.transforms import SO3
 
 from tauext.page.bundles import cache_folder
-from tauext.page.page import Session, free_port, open_server
+from tauext.page.door import free_port
+from tauext.page.page import Session, open_server
 
 GRABBED = {"rig": (1, (0.0, 0.05, 0.2)), "seven": (5, (0.0, 0.0, 0.05))}
 """Link by its joint, counted from 0, and the point on it, [m]."""

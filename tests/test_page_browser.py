@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from made_page import CHROMIUM, PATIENCE_S, SHORT, drag, on_screen, open_pages, until
 
-from tauext.page.page import Session, free_port, open_server
+from tauext.page.door import free_port
+from tauext.page.page import Session, open_server
 from tauext.page.panel import GIVE, TAKE, HandPanel, last_alarm
 from tauext.page.snapshot import Event, Held
 from tauext.sim.arms import ARMS

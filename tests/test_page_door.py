@@ -6,7 +6,8 @@ import socket
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.page.page import free_port, is_own_name, open_server, why_not
+from tauext.page.door import free_port, is_own_name
+from tauext.page.page import open_server, why_not
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 sync = pytest.importorskip("websockets.sync.client")

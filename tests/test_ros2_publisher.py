@@ -75,6 +75,11 @@ class Loop:
             raise ConfigError(f"{load.mass:g} kg are too heavy")
         self.asked.append((load, by))
 
+    def answer(self, what, by, alarm=None):
+        if alarm == 9:
+            raise ConfigError("there was no alarm 9 yet")
+        self.asked.append((what, alarm))
+
     def stop(self, by):
         self.asked.append(("stop", by))
 
@@ -292,6 +297,18 @@ def test_others_ask_for_profiles_acknowledge_and_resume(talking, peer, space):
     assert publisher._conditions.unreported() == [f"ros2 {space}/profile: no profile 'wild'; there is careful"]
 
 
+def test_others_answer_what_an_alarm_was(talking, peer, space):
+    publisher, loop = talking
+    answer = peer.writer(f"{space}/answer", String, "reliable", "volatile", 8)
+    until(answer.get_matched_subscriptions, "the reader")
+    for text in ("touched", "nothing 17", "stop", "touched x", "nothing 9", " touched 3 "):
+        answer.write(String(text))
+    until(lambda: len(loop.asked) == 3, "the answers")
+    assert loop.asked == [("touched", None), ("nothing", 17), ("touched", 3)]
+    refused = publisher._conditions.unreported()
+    assert any("must be `touched` or `nothing`" in one for one in refused)
+
+
 def test_others_say_what_the_arm_carries(talking, peer, space):
     publisher, loop = talking
     load = peer.writer(f"{space}/load", Inertia, "reliable", "volatile", 8)
@@ -334,7 +351,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
-    assert len(node.reader_gid_seq) == 4 and len(node.writer_gid_seq) == 5
+    assert len(node.reader_gid_seq) == 5 and len(node.writer_gid_seq) == 5
     assert bytes(node.writer_gid_seq[0].data) == publisher._torque.guid.bytes.ljust(size, b"\0")
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]

@@ -16,6 +16,7 @@ from tauext.monitor.source import Sample
 from tauext.sources.ros2 import connect
 from tauext.sources.ros2_messages import Float64MultiArray, WrenchStamped
 from tauext.sources.ros2_node import Node
+from tauext.sources.ros2_publisher import Wrenches
 from tauext.sources.ros2_settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")
@@ -93,14 +94,23 @@ def test_nothing_is_told_of_a_sample_that_is_missing_or_not_known(talking):
     assert not reader.take(8)
 
 
+def test_forces_begin_with_the_first_bundle(bundle, talking):
+    wrenches = Wrenches(("elbow",), None)
+    sent = []
+    wrenches._writers = {"elbow": (None, None)}
+    wrenches.publish(verdict([1.0, 2.0]), 0, lambda *one: sent.append(one))
+    assert not sent and wrenches.follow(bundle) == ""
+    wrenches.publish(verdict([1.0, 2.0]), 0, lambda *one: sent.append(one))
+    assert len(sent) == 2
+    assert "must be one of" in Wrenches(("tool9",), None).follow(bundle)
+
+
 def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
     def start(*frames, of=bundle):
         connect(Ros2Settings(domain=DOMAIN, wrench_frames=frames), of)
 
     with pytest.raises(ConfigError, match=r"wrench_frames 'tool0' must be one of shoulder, elbow.*tip/1$"):
         start("elbow", "tool0")
-    with pytest.raises(ConfigError, match="without a bundle no force"):
-        start("elbow", of=None)
     with pytest.raises(ConfigError, match="two frames have the same topic name"):
         start("tip/1", "tip_1")
     empty = _core.Bundle.from_bytes(bundle.to_bytes())

@@ -27,7 +27,7 @@ PATIENCE_S = 10.0
 """A command that was not asked for long work ends within this."""
 WORKING_S = 5.0
 """One that was is interrupted after this, and must end within PATIENCE_S from then."""
-WAITS = ("monitor", "demo", "run", "fleet run")
+WAITS = ("commission", "monitor", "demo", "run", "fleet run")
 """Commands that may rightly wait: for samples, for people, for the time of the recording, for workers."""
 WORKERS = 3
 """Times as long for a fleet: its workers are other processes, and how long these waited for a core is not seen."""
@@ -38,7 +38,7 @@ NOBODY = 65534
 KEEP_CAPABILITIES, AMBIENT, AMBIENT_RAISE = 8, 47, 2  # of Linux: prctl
 CAPABILITY_VERSION, READ_ALL = 0x20080522, 1 << 2  # capset; DAC_READ_SEARCH
 STATUSES = (0, 1, 2, 130)
-KEEP = {"run", "monitor", "simulate", "evaluate", "reproduce", "fleet run"}
+KEEP = {"commission", "run", "monitor", "simulate", "evaluate", "reproduce", "fleet run"}
 """Commands that write many files: what was whole before the one that failed stays, and the same command goes on."""
 
 

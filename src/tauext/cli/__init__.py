@@ -36,6 +36,10 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "show": ("show.show", "print the contents of a bundle, a recording or a fleet prior"),
     },
     "Monitor": {
+        "commission": (
+            "commission.commission",
+            "learn a live arm while it works, and monitor it",
+        ),
         "run": ("run.run", "run the monitor on recordings"),
         "monitor": ("monitor.monitor", "run the monitor on a live arm"),
         "load": ("load.load", "weigh a payload, or find torque constants from a known weight"),

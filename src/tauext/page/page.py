@@ -7,10 +7,8 @@ import contextlib
 import http
 import importlib
 import io
-import ipaddress
 import logging
 import signal
-import socket
 import threading
 import time
 import webbrowser
@@ -19,42 +17,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tauext.commission.processes import start_worker
 from tauext.errors import ConfigError, TauextError
 from tauext.page.bundles import LESSONS, Lesson, Report, bundle_folder, find_bundles
+from tauext.page.door import free_port, is_own_name
 from tauext.page.simulation import Stretch, Weigher
 from tauext.page.snapshot import Event, Snapshot
-from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training, start_worker
+from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training
 from tauext.sim.arms import ARMS
 
 if TYPE_CHECKING:
     import viser
 
 # --- Who may connect to the page's server: browsers that show this page, and no requests from other pages.
-
-
-LOOPBACK = ("localhost", "127.0.0.1", "::1")
-
-
-def is_own_name(name: str, host: str) -> bool:
-    """Whether a browser that shows this page may call the server so.
-
-    A page of another host may give its own name this machine's address and then pass for the server (DNS rebinding), so
-    a name counts where no other machine can take it: loopback, an address in figures, what this machine calls itself.
-
-    Args:
-        host: address that the server listens on.
-    """
-    name = name.strip("[]").lower()
-    if name in LOOPBACK or host in LOOPBACK:
-        return name in LOOPBACK
-    own = socket.gethostname().lower()
-    if name in (host.lower(), own, f"{own}.local", socket.getfqdn().lower()):
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def why_not(headers: Any, host: str, protocol: str) -> str:
@@ -133,32 +108,6 @@ def silent_logger() -> logging.Logger:
 
 FRAME_S = 1 / 30
 """Shortest time between updates of the browsers; viser drops updates that a slow browser has not received."""
-PORTS = 20
-"""Number of ports that are tried from the wanted one on."""
-
-
-def free_port(host: str, wanted: int) -> int:
-    """The first free port from the wanted one on.
-
-    Raises:
-        ConfigError: none of them is free, or the host is not one of this machine.
-    """
-    if not 1 <= wanted <= 65535:
-        raise ConfigError(f"port = {wanted} must be 1 to 65535")
-    for port in range(wanted, min(wanted + PORTS, 65536)):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, port))
-                return port
-            except PermissionError as error:
-                raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
-            except (socket.gaierror, TypeError, UnicodeError) as error:
-                raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
-            except OSError as error:
-                if error.errno != 98 and "in use" not in str(error):
-                    raise ConfigError(f"host = {host} must be an address of this machine ({error.strerror})") from error
-    raise ConfigError(f"port = {wanted}: it and the {PORTS - 1} after it are in use; choose another with --port")
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:

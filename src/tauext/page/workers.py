@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
 import os
 import signal
 import sys
@@ -11,9 +10,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 from tauext.errors import ConfigError, TauextError
 from tauext.page.bundles import Lesson, train_bundles
@@ -44,16 +41,6 @@ MOST_BEHIND_S = 0.1
 """Further behind the clock the simulation does not catch up: the time is lost, and the real-time factor shows it."""
 FACTOR_OVER_S = 2.0
 NAP_S = 0.001
-
-
-def start_worker(target: Any, *arguments: Any) -> tuple[BaseProcess, Connection]:
-    """A process of its own interpreter that ends with this one, and this end of its pipe."""
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=target, args=(there, *arguments), daemon=True)
-    process.start()
-    there.close()
-    return process, here
 
 
 class RealTime:

@@ -20,6 +20,7 @@ from tauext.bundle.estimates import OK as HEALTHY
 from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
+from tauext.monitor.control_lines import alarm_of_text
 from tauext.monitor.sink import Control, Event, LoopReport, Verdict
 from tauext.monitor.source import Sample
 from tauext.sources.ros2_messages import (
@@ -153,23 +154,35 @@ class Wrenches:
     """
 
     def __init__(self, frames: Sequence[str], bundle: _core.Bundle | None):
-        """Raises ConfigError if the bundle estimates no force, or has no such frame."""
+        """
+        Args:
+            bundle: basis of the forces; None: nothing is published before follow().
+
+        Raises:
+            ConfigError: the bundle estimates no force, or has no such frame.
+        """
         self._frames = {topic_name(name): name for name in frames}
+        self._model: _core.WrenchModel | None = None
         if len(self._frames) < len(frames):
             raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: two frames have the same topic name")
+        if bundle is not None and (reason := self.follow(bundle)):
+            raise ConfigError(f"ROS 2 wrench_frames {reason}")
+
+    def follow(self, bundle: _core.Bundle) -> str:
+        """Estimate with this bundle; why it cannot, then nothing is published."""
+        self._model = None
+        frames = list(self._frames.values())
         if not frames:
-            return
-        if bundle is None:
-            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: without a bundle no force can be estimated")
-        self._model = _core.WrenchModel(bundle)
-        if self._model.refused:
-            raise ConfigError(
-                f"ROS 2 wrench_frames {', '.join(frames)}: no force can be estimated, {self._model.refused}"
-            )
-        known = [frame.name for frame in self._model.frames]
+            return ""
+        model = _core.WrenchModel(bundle)
+        if model.refused:
+            return f"{', '.join(frames)}: no force can be estimated, {model.refused}"
+        known = [frame.name for frame in model.frames]
         for name in frames:
             if name not in known:
-                raise ConfigError(f"ROS 2 wrench_frames {name!r} must be one of {', '.join(known)}")
+                return f"{name!r} must be one of {', '.join(known)}"
+        self._model = model
+        return ""
 
     def open(self, node: Node) -> None:
         """Create the writers."""
@@ -189,7 +202,7 @@ class Wrenches:
 
     def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
         """Send wrench and covariance at each frame where the force is known."""
-        if verdict.sample is None or not self._writers:
+        if verdict.sample is None or self._model is None:
             return
         estimates, sample = verdict.estimates, verdict.sample
         rows = (sample.q[None], estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
@@ -235,7 +248,8 @@ class Ros2Publisher:
     Bool, transient local: late subscribers receive the last one. `event`: String, JSON, for reactions with
     publish = true. `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance, while it is known.
     `diagnostics`: DiagnosticArray. Subscribed: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
-    `load` (Inertia, in the bundle's load frame; m = 0: no load).
+    `load` (Inertia, in the bundle's load frame; m = 0: no load), `answer` (String: `touched` or `nothing`, with the
+    number of the alarm or without, as the control lines; kept by `tauext commission`).
 
     A slow subscriber never blocks the loop; it misses messages older than the topic's depth. `unsent` counts messages
     that the library refuses to send.
@@ -282,6 +296,7 @@ class Ros2Publisher:
                 ("acknowledge", Bool, self._acknowledge),
                 ("resume", Bool, self._resume),
                 ("load", Inertia, self._load),
+                ("answer", String, self._answer),
             )
         }
         node.announce()
@@ -290,6 +305,11 @@ class Ros2Publisher:
         self._closing = GuardCondition(node.participant)
         self._listening = threading.Thread(target=self._listen, name="ros2 requests", daemon=True)
         self._listening.start()
+
+    def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
+        """Another bundle monitors: it is the one that estimates forces now."""
+        if reason := self._wrenches.follow(bundle):
+            self._conditions.report("wrench", f"wrench_frames {reason}", time.monotonic_ns())
 
     def verdict(self, verdict: Verdict) -> None:
         self._verdict = verdict
@@ -386,6 +406,15 @@ class Ros2Publisher:
             self._control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
         except ConfigError as refused:
             self._conditions.report("load", f"{by}: {refused}", time.monotonic_ns())
+
+    def _answer(self, text: str, by: str) -> None:
+        what, _, alarm = text.strip().partition(" ")
+        try:
+            if what not in ("touched", "nothing"):
+                raise ConfigError(f"{text.strip()[:60]!r} must be `touched` or `nothing`")
+            self._control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(alarm))
+        except ConfigError as refused:
+            self._conditions.report("answer", f"{by}: {refused}", time.monotonic_ns())
 
     def _resume(self, requested: bool, by: str) -> None:
         if requested:

@@ -1,0 +1,205 @@
+"""A first use of `tauext commission` from nothing: what it prints, and pictures of its page in each state.
+
+CHROMIUM=/usr/bin/chromium python benchmarks/commission_pictures.py --out docs/results/commission
+
+Needs Chromium and the websockets of tauext[live]; takes four minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import io
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image
+from websockets.sync.client import connect
+
+CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
+SIZES = {"phone": (390, 1500), "desktop": (1280, 1000)}
+"""Width and height of the pictures."""
+PORT = 8795
+PUSH = "sim push joint=joint2 force=0,0,-60 seconds=0.4"
+
+
+class Browser:
+    """Chromium without a window, by its DevTools protocol."""
+
+    def __init__(self, folder: Path):
+        words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"]
+        words += ["--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]
+        self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port = folder / "DevToolsActivePort"
+        while not port.is_file() or len(port.read_text().splitlines()) < 2:
+            if self._process.poll() is not None:
+                raise SystemExit(f"{CHROMIUM} does not start")
+            time.sleep(0.1)
+        number, path = port.read_text().splitlines()[:2]
+        self._wire = connect(f"ws://127.0.0.1:{number}{path}", max_size=None)
+        self._numbers = itertools.count(1)
+
+    def close(self) -> None:
+        self._wire.close()
+        self._process.kill()
+        self._process.wait()
+
+    def call(self, method: str, session: str = "", **parameters: object) -> dict:
+        number = next(self._numbers)
+        request = {"id": number, "method": method, "params": parameters}
+        self._wire.send(json.dumps(request | ({"sessionId": session} if session else {})))
+        while True:
+            answer = json.loads(self._wire.recv())
+            if answer.get("id") == number:
+                return answer["result"]
+
+    @contextmanager
+    def page(self, url: str, size: str, scheme: str) -> Iterator[Page]:
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        width, height = SIZES[size]
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == "phone"}
+        self.call("Emulation.setDeviceMetricsOverride", session, **metrics)
+        media = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.call("Emulation.setEmulatedMedia", session, features=media)
+        self.call("Page.navigate", session, url=url)
+        yield Page(self, session)
+        self.call("Target.closeTarget", targetId=target)
+
+
+class Page:
+    """One page of the browser."""
+
+    def __init__(self, browser: Browser, session: str):
+        self._browser, self._session = browser, session
+
+    def take(self, path: Path) -> None:
+        """A picture with few colours, so that it is small."""
+        data = self._browser.call("Page.captureScreenshot", self._session, format="png")["data"]
+        picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
+        picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def first_use(out: Path, browser: Browser, arm: str) -> str:
+    """The transcript of the command; pictures are written meanwhile."""
+    lines: list[str] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "try"
+        words = ["commission", "--source", f"sim:{arm}", "--out", str(folder), "--port", str(PORT)]
+        began = time.monotonic()
+        command = subprocess.Popen([sys.executable, "-m", "tauext", *words], stdout=subprocess.PIPE, text=True)
+
+        def read() -> None:
+            for line in command.stdout or ():
+                lines.append(f"{time.monotonic() - began:6.0f} s  {line.rstrip()}".replace(str(folder), "try"))
+                print(lines[-1], flush=True)
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        try:
+            url = f"http://127.0.0.1:{PORT}/"
+            wait_for(lambda: "connecting" in "".join(lines))
+            photograph(browser, url, out, "connecting", settle_s=2.0)
+            wait_for(lambda: state_of(folder) == "learning")
+            wait_for(lambda: len(list(folder.glob("seg-*.parquet"))) >= 4)
+            photograph(browser, url, out, "learning")
+            wait_for(lambda: state_of(folder) == "monitoring")
+            time.sleep(20)
+            photograph(browser, url, out, "monitoring")
+            shown = {size: browser.page(url, size, scheme) for size, scheme in LOOKS}
+            pages = {size: page.__enter__() for size, page in shown.items()}
+            time.sleep(15)
+            ask(folder, PUSH)
+            lines.append(f"{time.monotonic() - began:6.0f} s  (the arm is pushed with 60 N for 0.4 s)")
+            time.sleep(1.0)
+            for size, page in pages.items():
+                page.take(out / f"asking-{size}.png")
+                shown[size].__exit__(None, None, None)
+            lines.append(f"{time.monotonic() - began:6.0f} s  key t: {ask(folder, 'touched')}")
+            command.send_signal(signal.SIGINT)
+            command.wait(60)
+            reading.join()
+        finally:
+            command.kill()
+    return "\n".join(lines)
+
+
+LOOKS = (("phone", "light"), ("desktop", "dark"))
+
+
+def photograph(browser: Browser, url: str, out: Path, name: str, settle_s: float = 8.0) -> None:
+    """The page on a phone and on a desktop."""
+    for size, scheme in LOOKS:
+        with browser.page(url, size, scheme) as page:
+            time.sleep(settle_s)
+            page.take(out / f"{name}-{size}.png")
+
+
+def wait_for(true, patience_s: float = 600.0) -> None:
+    end = time.monotonic() + patience_s
+    while not true():
+        if time.monotonic() > end:
+            raise SystemExit("what was waited for did not come")
+        time.sleep(0.2)
+
+
+def state_of(folder: Path) -> str:
+    try:
+        return json.loads((folder / "commission.json").read_text()).get("state", "")
+    except (OSError, ValueError):
+        return ""
+
+
+def ask(folder: Path, line: str) -> str:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
+        wire.connect(str(folder / "control.sock"))
+        wire.sendall(line.encode() + b"\n")
+        with wire.makefile() as answers:
+            return answers.readline().strip()
+
+
+TEXT = """\
+# A first use of `tauext commission`
+
+Made by `benchmarks/commission_pictures.py --arm {arm}` on a simulated arm, in real time. Times count from the command.
+
+    $ tauext commission --source sim:{arm} --out try
+{lines}
+
+| state | phone, light | desktop, dark |
+|---|---|---|
+{rows}
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--arm", default="rig")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        browser = Browser(Path(temporary))
+        try:
+            transcript = first_use(options.out, browser, options.arm)
+        finally:
+            browser.close()
+    states = ("connecting", "learning", "monitoring", "asking")
+    rows = "\n".join(f"| {name} | ![]({name}-phone.png) | ![]({name}-desktop.png) |" for name in states)
+    lines = "\n".join(f"    {line}" for line in transcript.splitlines())
+    (options.out / "first-use.md").write_text(TEXT.format(arm=options.arm, lines=lines, rows=rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""`tauext commission`: from a bare arm to a monitored arm."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from tauext.cli.place_argument import LocalArg, PlaceArg
+from tauext.config import require
+from tauext.errors import ConfigError, TauextError
+from tauext.sources.ros2_settings import Ros2Settings
+
+if TYPE_CHECKING:
+    from tauext.commission.answers import Steering
+
+LEAST_DISK_GB, MOST_DISK_GB = 0.1, 1e5
+KEYS = {"t": "touched", "n": "nothing", "y": "learn", "x": "leave"}
+"""Keys of a terminal, and the answers that they give."""
+MOST_CORES = 1024
+
+
+def commission(
+    source: str | None = None,
+    out: LocalArg | None = None,
+    robot: LocalArg | None = None,
+    torque_constants: PlaceArg | None = None,
+    bus: PlaceArg | None = None,
+    ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
+    reactions: PlaceArg | None = None,
+    no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    disk_gb: float = 5.0,
+    core: int | None = None,
+    priority: int | None = None,
+) -> None:
+    """Commission a live arm: record, learn and monitor it, better every hour.
+
+    Ctrl-C ends it; the same command continues. Guide: docs/commission.md.
+
+    Args:
+        source: source of the samples: ur:HOST, franka:HOST, ros2, feetech:PORT, dynamixel:PORT, damiao:CAN, replay:FILE
+            or a simulated arm: sim:rig, sim:seven or sim:so101.
+        out: folder of this arm. It holds description, recordings, labels, bundles, events and log.
+        robot: URDF or MJCF of the arm. None: no model; the page shows bars.
+        torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
+            current.
+        bus: TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint.
+        ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
+        reactions: TOML file of reactions to a collision, contact or fault; docs/running.md.
+        no_page: serve no page.
+        host: address of the page. Any other than this machine's own needs the token that is printed.
+        port: port of the page; if it is in use, the next free one.
+        disk_gb: bound of the folder's size, [GB].
+        core: processor core of the loop and the receiver of samples. None: any.
+        priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
+            scheduling.
+    """
+    if source is None or out is None:
+        missing = "--out" if out is None else "--source"
+        raise ConfigError(f"{missing} is missing: tauext commission --source ur:HOST --out cell7")
+    require(LEAST_DISK_GB <= disk_gb <= MOST_DISK_GB, "disk_gb", disk_gb, f"{LEAST_DISK_GB:g} to {MOST_DISK_GB:g}")
+    require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
+    require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
+    require(1 <= port <= 65535, "port", port, "1 to 65535")
+
+    from tauext.commission.run import Options, run
+    from tauext.monitor.reaction_file import load_reactions
+    from tauext.page.door import LOOPBACK, free_port
+    from tauext.page.live_server import serve
+    from tauext.sources.open import SourceOptions
+
+    token, found = "", port
+    if not no_page:
+        found = free_port(host, port)
+        token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
+        if found != port:
+            say(f"port {port} is in use; this one is {found}")
+        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        reach = "this machine alone can open it" if host in LOOPBACK else "whoever has this address can answer"
+        say(f"http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach}; Ctrl-C ends)")
+    chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
+    options = Options(
+        robot=robot,
+        source=chosen,
+        reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
+        page=None if no_page else serve,
+        host=host,
+        port=found,
+        token=token,
+        disk_bytes=disk_gb * 1e9,
+        core=core,
+        priority=priority,
+    )
+    from tauext.cli.monitor import quiet_library
+
+    with quiet_library(source), keys() as listening:
+        run(out, source, options, say, listening)
+
+
+def say(text: str) -> None:
+    """Print a line at once; a closed terminal ends nothing."""
+    with suppress(OSError):
+        print(text, flush=True)
+
+
+@contextmanager
+def keys() -> Iterator[Callable[[Steering], None]]:
+    """Keys t and n of a terminal answer the newest alarm; without a terminal nothing is read."""
+    if not sys.stdin or not sys.stdin.isatty():
+        yield lambda steering: None
+        return
+    import select
+    import termios
+    import tty
+
+    file = sys.stdin.fileno()
+    before, ended = termios.tcgetattr(file), threading.Event()
+
+    def listen(steering: Steering) -> None:
+        def work() -> None:
+            while not ended.is_set():
+                if not select.select([file], [], [], 0.2)[0]:
+                    continue
+                key = sys.stdin.read(1)
+                if not key:
+                    return
+                answer(steering, key)
+
+        threading.Thread(target=work, name="keys", daemon=True).start()
+        say("keys: t touched, n nothing there")
+
+    tty.setcbreak(file)
+    try:
+        yield listen
+    finally:
+        ended.set()
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+def answer(steering: Steering, key: str) -> None:
+    """Give the answer of a key; other keys do nothing."""
+    what = KEYS.get(key.lower())
+    if what is None:
+        return
+    try:
+        steering.answer(what, "key")  # type: ignore[arg-type]
+    except TauextError as error:
+        say(str(error))
+    else:
+        say(f"{what}: stored")

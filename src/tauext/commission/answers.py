@@ -1,0 +1,217 @@
+"""Alarms as events.jsonl keeps them, and answers that count once the disk holds them."""
+
+from __future__ import annotations
+
+import calendar
+import math
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tauext.bundle.history_file import EVENTS, read_events
+from tauext.data.labels import Label
+from tauext.errors import ConfigError
+from tauext.files.append_file import append_line
+from tauext.monitor.flight_files import FlightNews
+from tauext.monitor.sink import Answer, AnswerKind, Control, LoopReport, Verdict
+
+ASKING_S = 600.0
+"""Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
+STORED_S = 10.0
+"""Longest wait of an answer for the disk."""
+MOST_EVENTS = 1000
+"""Events in memory."""
+KEPT = ("answer", "by", "flight")
+"""Facts of an event that do not come from the monitor."""
+
+
+def age_s(at: Any) -> float:
+    """Age of a date and time of wall(), [s]."""
+    try:
+        return time.time() - calendar.timegm(time.strptime(str(at), "%Y-%m-%dT%H:%M:%SZ"))
+    except ValueError:
+        return math.inf
+
+
+class EventKeeper:
+    """Writes alarms to the folder in a thread of its own; the loop and the page never wait for the disk."""
+
+    def __init__(self, folder: Path, epoch: Callable[[], int], note: Callable[[str], None]):
+        """
+        Args:
+            epoch: number of the source's present clock.
+            note: receives messages for the user.
+        """
+        self._path, self._epoch, self._note = folder / EVENTS, epoch, note
+        self.learn: Callable[[bool, str], None] = lambda yes, by: None
+        """Called in the keeper's thread with the answer about a named change of the arm, and its origin."""
+        self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
+        self._done: deque[tuple[int, str, str, str]] = deque(maxlen=100)
+        """Number, kind and origin of the last answers that were stored, and why one was not."""
+        self._news = threading.Condition()
+        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="events", daemon=True)
+        self._thread.start()
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest alarm; 0: there was none."""
+        return max(self._events, default=0)
+
+    def event(self, alarm: int) -> dict[str, Any] | None:
+        """Facts of an alarm."""
+        event = self._events.get(alarm)
+        return None if event is None else dict(event)
+
+    def answer_to(self, alarm: int) -> str | None:
+        """The stored answer to an alarm."""
+        event = self._events.get(alarm)
+        return None if event is None else event.get("answer")
+
+    def __contains__(self, alarm: int) -> bool:
+        return alarm in self._events
+
+    @property
+    def unanswered(self) -> dict[str, Any] | None:
+        """The newest alarm, if it has no answer."""
+        event = self._events.get(self.newest)
+        return None if event is None or event.get("answer") else event
+
+    # Sink: the loop's thread.
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        pass
+
+    def verdict(self, verdict: Verdict) -> None:
+        pass
+
+    def answered(self, answer: Answer) -> None:
+        if answer.what in ("learn", "leave"):
+            self._waiting.put(answer)
+
+    def every_second(self, report: LoopReport) -> None:
+        pass
+
+    def close(self) -> None:
+        """The loop has ended; what still comes is written."""
+
+    # Any thread.
+
+    def changed(self, event: dict[str, Any]) -> None:
+        """The facts of an alarm have changed."""
+        self._waiting.put(event)
+
+    def labelled(self, label: Label) -> None:
+        """The disk holds a label."""
+        self._waiting.put(label)
+
+    def flown(self, news: FlightNews) -> None:
+        """A flight was written."""
+        self._waiting.put(news)
+
+    @property
+    def done(self) -> int:
+        """Number of answers that were stored so far."""
+        return self._done[-1][0] if self._done else 0
+
+    def wait_for(self, what: AnswerKind, by: str, since: int) -> str:
+        """Wait until an answer from there is on disk; why it is not, empty if it is.
+
+        Args:
+            since: `done` before the answer was given.
+        """
+        limit_s = time.monotonic() + STORED_S
+        with self._news:
+            while (left_s := limit_s - time.monotonic()) > 0:
+                for number, kind, origin, error in self._done:
+                    if number > since and (kind, origin) == (what, by):
+                        return error
+                self._news.wait(left_s)
+        return "not stored yet: the disk is full or does not answer"
+
+    def end(self) -> None:
+        """Write what is left."""
+        self._waiting.put(None)
+        self._thread.join(STORED_S)
+
+    # The keeper's thread.
+
+    def _work(self) -> None:
+        while (one := self._waiting.get()) is not None:
+            error = ""
+            try:
+                if isinstance(one, Answer):
+                    self.learn(one.what == "learn", one.by)
+                elif isinstance(one, Label):
+                    self._put(one.id, answer=one.answer, by=one.by)
+                elif isinstance(one, FlightNews):
+                    self._flown(one)
+                else:
+                    self._changed(one)
+            except OSError as failed:  # a full disk: the label is stored, the event's line is not
+                error = failed.strerror or str(failed)
+                self._note(f"an event is not stored: {error}")
+            if isinstance(one, Answer | Label):
+                kind = one.what if isinstance(one, Answer) else one.answer
+                with self._news:
+                    self._done.append((self.done + 1, kind, one.by, error if isinstance(one, Answer) else ""))
+                    self._news.notify_all()
+
+    def _changed(self, event: dict[str, Any]) -> None:
+        known = self._events.get(event["id"], {})
+        self._events[event["id"]] = (
+            known | {"epoch": self._epoch()} | event | {name: known[name] for name in ("epoch", *KEPT) if name in known}
+        )
+        if self._events[event["id"]] != known:
+            append_line(self._path, self._events[event["id"]])
+        if len(self._events) > MOST_EVENTS:
+            del self._events[min(self._events)]
+
+    def _flown(self, news: FlightNews) -> None:
+        """A flight belongs to the alarm that stood at its event."""
+        for event in reversed(self._events.values()):
+            is_its = (event["level"], event["epoch"]) == (news.what, self._epoch())
+            if news.path is not None and is_its and event["t_ns"] <= news.t_ns <= event["held_ns"]:
+                return self._put(event["id"], flight=str(news.path).rpartition("/")[2])
+
+    def _put(self, number: int, **facts: str) -> None:
+        event = self._events.get(number)
+        if event is not None and facts.get("answer") != "unanswered":
+            event |= facts
+            append_line(self._path, event)
+
+
+class Steering:
+    """The control of whatever loop runs now. An answer comes back once it is on the disk."""
+
+    def __init__(self, keeper: EventKeeper):
+        self._keeper = keeper
+        self._answering = threading.Lock()
+        self.loop: Control | None = None
+
+    def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
+        loop, keeper = self._present, self._keeper
+        if alarm is not None and alarm not in keeper:
+            raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {keeper.newest}")
+        if what in ("touched", "nothing") and alarm is None and (asked := keeper.unanswered) is not None:
+            alarm = asked["id"] if what == "nothing" or age_s(asked.get("wall")) < ASKING_S else None
+        if what == "nothing" and alarm is None:
+            raise ConfigError("nothing: there is no alarm without an answer")
+        with self._answering:
+            since = keeper.done
+            loop.answer(what, by, alarm)
+            if error := keeper.wait_for(what, by, since):
+                raise ConfigError(f"{what}: {error}")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._present, name)
+
+    @property
+    def _present(self) -> Control:
+        if self.loop is None:
+            raise ConfigError("no arm is connected yet")
+        return self.loop

@@ -1,0 +1,306 @@
+"""What a page needs of the running loop: a line of JSON ten times a second on a socket, and alarms in a sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES
+from tauext.bundle.units import short
+from tauext.files.plain_file import FORMAT
+from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
+from tauext.monitor.changes import with_article as a
+from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
+from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.source import Sample
+
+PERIOD_S = 0.1
+MOST_READERS = 4
+OVER_S = 0.5
+"""Time within all limits after which a touch is over."""
+MOST_CHANGES = 1000
+"""Verdicts with changes that wait for the thread: those of a thousand alarms."""
+
+
+def wall() -> str:
+    """Date and time as every file of the folder states them."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+class AlarmBook:
+    """The alarm that stands and the one before, as the page and events.jsonl show them."""
+
+    def __init__(self, joints: tuple[str, ...], units: Sequence[str]):
+        self.joints, self.units = joints, tuple(units)
+        self.present: dict[str, Any] | None = None
+        """Facts of the alarm that stands."""
+
+    def see(self, verdict: Verdict) -> list[dict[str, Any]]:
+        """Facts of the alarms that this verdict changes; one that is over has "ended"."""
+        changed: dict[int, dict[str, Any]] = {}
+        for change in verdict.changes:
+            if isinstance(change, AlarmChange):
+                over = self.present if change.alarm == NONE or change.was == NONE else None
+                if over is not None:
+                    changed[over["id"]] = over | {"ended": True}
+                    self.present = None
+                if change.alarm != NONE and change.joint >= 0:
+                    self.present = (self.present or {}) | self._risen(change, verdict)
+            elif self.present is None:
+                continue
+            elif isinstance(change, TouchChange):
+                self.present = self.present | {"touch": TOUCHES[change.touch]}
+            elif isinstance(change, PlaceChange):
+                self.present = self.present | self._placed(change, verdict)
+            elif not isinstance(change, HiddenCollision):
+                continue
+            if self.present is not None:
+                self.present = self.present | {"sentence": self._sentence(self.present)}
+                changed[self.present["id"]] = self.present
+        return list(changed.values())
+
+    def _risen(self, change: AlarmChange, verdict: Verdict) -> dict[str, Any]:
+        first = (
+            {} if self.present is not None else {"t_ns": verdict.t_ns, "wall": wall(), "answer": None, "flight": None}
+        )
+        return first | {
+            "id": verdict.alarm_id,
+            "level": ALARMS[change.alarm],
+            "joint": self.joints[change.joint],
+            "tau_ext_nm": finite(change.tau_ext_nm),
+            "limit_nm": finite(change.limit_nm),
+            "touch": None,
+            "links": [],
+            "newtons": None,
+            "held_ns": verdict.t_ns,
+        }
+
+    def _placed(self, change: PlaceChange, verdict: Verdict) -> dict[str, Any]:
+        if change.consistent < INCONSISTENT:
+            return {}
+        return {
+            "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
+            "newtons": finite(newtons(change.best)),
+            "on": links_words(change.links, self.joints),
+            "place": {
+                "link": change.best.link,
+                "point": list(change.best.point),
+                "force": list(change.best.force),
+                "q": [] if verdict.sample is None else rounded(verdict.sample.q),
+            },
+        }
+
+    def _sentence(self, one: dict[str, Any]) -> str:
+        """`COLLISION, a push of 34 N on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
+        unit = short(self.units[self.joints.index(one["joint"])]) if self.units else "Nm"
+        kind = f", {a(one['touch'])}" if one["touch"] else ""
+        force = f"{' of' if kind else ','} {one['newtons']:.0f} N" if one["newtons"] is not None else ""
+        place = f" on {one['on']}" if one.get("on") else ""
+        level = one["level"].upper() if one["level"] == ALARMS[COLLISION] else one["level"].capitalize()
+        sizes = [f"{abs(one['tau_ext_nm']):.3g} {unit} at {one['joint']}"] if one["tau_ext_nm"] is not None else []
+        sizes += [f"limit {one['limit_nm']:.3g} {unit}"] if one["limit_nm"] is not None else []
+        return f"{level}{kind}{force}{place}: {', '.join(sizes) or one['joint']}"
+
+
+def finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def rounded(values: Any) -> list[float | None]:
+    """One value a joint as JSON has it."""
+    return [
+        round(value, 5) if math.isfinite(value) else None for value in np.asarray(values, dtype=float).ravel().tolist()
+    ]
+
+
+class LiveSink:
+    """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict and those with changes.
+
+    A reader that is slow loses lines. Without a loop, lines still come, so that a page can tell waiting from silence.
+    """
+
+    def __init__(self, path: Path):
+        """path: socket that only its owner may read; one that a killed process left is replaced."""
+        self.state, self.says, self.lost = "connecting", "", ""
+        """Words for the page; any thread may set them."""
+        self.bundle: str | None = None
+        self.changed: Callable[[dict[str, Any]], None] = lambda event: None
+        """Called in this sink's thread with the facts of every alarm that changes."""
+        self.answers: Callable[[int], str | None] = lambda alarm: None
+        """The answer to an alarm."""
+        self._path = path
+        self._book: AlarmBook | None = None
+        self._newest: Verdict | None = None
+        self._sample: Sample | None = None
+        self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
+        self._held = (0, 0)
+        """Number of an alarm, and the last stamp at which its touch was over a limit, [ns]."""
+        self._report: LoopReport | None = None
+        self._readers: dict[socket.socket, bytes] = {}
+        self._wake, self._ended = threading.Event(), False
+        path.unlink(missing_ok=True)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        before = os.umask(0o177)
+        try:
+            self._socket.bind(str(path))
+        finally:
+            os.umask(before)
+        self._socket.listen()
+        self._socket.setblocking(False)
+        self._thread = threading.Thread(target=self._work, name="live", daemon=True)
+        self._thread.start()
+
+    def describe(self, joints: tuple[str, ...], units: Sequence[str]) -> None:
+        """Names and units of the joints, before the first verdict."""
+        self._book = AlarmBook(joints, units)
+
+    def stand(self, event: dict[str, Any] | None) -> None:
+        """The alarm of the last process stands from the beginning; call it after describe()."""
+        if self._book is not None:
+            self._book.present = event
+
+    @property
+    def alarm_id(self) -> int:
+        """Number of the alarm that stands; 0: none."""
+        return self._newest.alarm_id if self._newest is not None else 0
+
+    # The loop's thread.
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        pass
+
+    def verdict(self, verdict: Verdict) -> None:
+        self._newest = verdict
+        if verdict.sample is not None:
+            self._sample = verdict.sample
+        if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
+            self._held = verdict.alarm_id, verdict.t_ns
+        if verdict.changes:
+            self._changes.append(verdict)
+            self._wake.set()
+
+    def every_second(self, report: LoopReport) -> None:
+        self._report = report
+
+    def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
+        if self._book is not None:
+            self._book.units = tuple(bundle.estimate_units)
+        self.bundle = bundle.name
+
+    def close(self) -> None:
+        """The loop has ended; the socket stays open for the next one."""
+
+    # Any thread.
+
+    def end(self) -> None:
+        """Close the socket."""
+        self._ended = True
+        self._wake.set()
+        self._thread.join()
+        for one in (self._socket, *self._readers):
+            one.close()
+        self._path.unlink(missing_ok=True)
+
+    # This sink's thread.
+
+    def _work(self) -> None:
+        due = time.monotonic()
+        while not self._ended:
+            self._wake.wait(max(0.0, due - time.monotonic()))
+            self._wake.clear()
+            shown = None
+            while self._changes:
+                verdict = self._changes.popleft()
+                for event in self._book.see(verdict) if self._book else ():
+                    shown = verdict if event.get("t_ns") == verdict.t_ns else shown
+                    self.changed(self._held_until(event))
+            if shown is None and time.monotonic() < due:
+                continue
+            due = time.monotonic() + PERIOD_S
+            self._follow_touch()
+            self._accept()
+            if self._readers:
+                self._send(json.dumps(self._line(shown)).encode() + b"\n")
+
+    def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
+        number, held_ns = self._held
+        return event | {"bundle": self.bundle} | ({"held_ns": held_ns} if number == event["id"] else {})
+
+    def _follow_touch(self) -> None:
+        """Report the end of a touch whose alarm still stands."""
+        alarm = self._book.present if self._book else None
+        if alarm is None or self._newest is None or self._held[0] != alarm["id"]:
+            return
+        if self._held[1] > alarm["held_ns"] and self._newest.t_ns > self._held[1] + OVER_S * 1e9:
+            alarm["held_ns"] = self._held[1]
+            self.changed(dict(alarm))
+
+    def _line(self, shown: Verdict | None) -> dict[str, Any]:
+        """shown: the sample at which an alarm rose; None: the newest."""
+        verdict, report, book = shown or self._newest, self._report, self._book
+        alarm = book.present if book else None
+        line: dict[str, Any] = {
+            "format": FORMAT,
+            "wall": wall(),
+            "state": self.state,
+            "says": self.says,
+            "lost": self.lost,
+            "bundle": self.bundle,
+            "joints": list(book.joints) if book else [],
+            "units": list(book.units) if book else [],
+            "alarm": None if alarm is None else alarm | {"answer": self.answers(alarm["id"])},
+            "rate_hz": finite(report.rate_hz) if report else None,
+            "tick_p99_us": finite(report.tick_p99_us) if report else None,
+        }
+        if verdict is None or book is None:
+            return line
+        estimates, sample = verdict.estimates, verdict.sample or self._sample
+        return line | {
+            "t_ns": verdict.t_ns,
+            "q": [] if sample is None else rounded(sample.q),
+            "tau_ext": rounded(estimates["tau_ext"]),
+            "sigma": rounded(estimates["contact_sigma_nm"]),
+            "limit": rounded(estimates["limit_nm"]),
+            "contact_limit": rounded(estimates["contact_limit_nm"]),
+            "near_stiction": estimates["near_stiction"][0].tolist(),
+            "health": HEALTHS[int(estimates["health"][0])],
+            "causes": _core.cause_names(int(estimates["causes"][0])),
+        }
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                reader, _ = self._socket.accept()
+                reader.setblocking(False)
+                if len(self._readers) >= MOST_READERS:
+                    reader.close()
+                else:
+                    self._readers[reader] = b""
+
+    def _send(self, line: bytes) -> None:
+        """A reader receives whole lines: one that has not taken the last line yet gets the rest of it, not this one."""
+        gone = select.select(list(self._readers), [], [], 0)[0]  # readers send nothing
+        for reader, rest in list(self._readers.items()):
+            try:
+                if reader in gone:
+                    raise BrokenPipeError
+                left = rest or line
+                self._readers[reader] = left[reader.send(left) :]
+            except BlockingIOError:
+                self._readers[reader] = rest
+            except OSError:
+                del self._readers[reader]
+                reader.close()

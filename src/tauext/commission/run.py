@@ -1,0 +1,443 @@
+"""The main process of `tauext commission`: connects the arm, runs the loop, and tends the page and the training.
+
+Loop, page and training are separate processes. The training and the loop exchange files of the folder; the page reads
+the same files and the loop's socket, and sends lines to the control socket.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from tauext import _core
+from tauext.bundle.history_file import ACTIVE
+from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
+from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, write_arm
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.keep import KeepSink
+from tauext.commission.live import LiveSink, wall
+from tauext.commission.processes import Child
+from tauext.commission.trainer import run_trainer
+from tauext.errors import ConfigError, TauextError
+from tauext.files.append_file import write_synced
+from tauext.files.atomic_write import atomic_write
+from tauext.files.plain_file import json_of
+from tauext.monitor.control_lines import ControlSocket
+from tauext.monitor.exchange import Exchanged
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.reaction_file import Reaction
+from tauext.monitor.reactions import start_reactions
+from tauext.monitor.record_sink import FlightSink
+from tauext.monitor.sink import Sink
+from tauext.monitor.source import Describes, Source, SourceFacts
+from tauext.robot.load import movable_joints
+from tauext.robot.write import is_placeholder
+from tauext.sources.lasting import LastingSource
+from tauext.sources.open import KINDS, SourceOptions, open_source
+
+Echo = Callable[[str], None]
+
+BEFORE_S, AFTER_S = 5.0, 2.0
+"""Length of a flight around its event."""
+DESCRIBE_S = 10.0
+RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
+CARRIED_S = 10.0
+"""Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
+SETTLED_S = 3.5
+TEND_S = 1.0
+CARRIED = "carried.bin"
+LONGEST_SOCKET = 100
+"""Longest path of a socket, [bytes]; systems allow 103 to 107."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command beside source and folder."""
+
+    robot: Path | None = None
+    source: SourceOptions = SourceOptions()
+    reactions: Callable[[tuple[str, ...]], list[Reaction]] = lambda joints: []
+    """The rules of a reactions file for these joints."""
+    page: Callable[..., None] | None = None
+    """Target of the page's process; None: no page."""
+    host: str = "127.0.0.1"
+    port: int = 8080
+    token: str = ""
+    disk_bytes: float = 5e9
+    core: int | None = None
+    priority: int | None = None
+
+
+def run(
+    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[Steering], None] = lambda steering: None
+) -> None:
+    """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
+
+    Args:
+        echo: prints a line.
+        listen: called once with the control, for keys of a terminal.
+
+    Raises:
+        ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
+    """
+    first = open_arm(text, options.source)[0]  # refused before a folder is made
+    try:
+        if text.startswith("replay:") and isinstance(first, Describes):
+            first.describe(DESCRIBE_S, options.robot)
+    finally:
+        first.close()
+    if options.robot is not None:
+        movable_joints(options.robot)
+    folder = CommissionFolder.open(path, create=True)
+    with folder.locked(), ExitStack() as stack:
+        commission = Commission(folder, text, options, echo, stack)
+        listen(commission.steering)
+        commission.run()
+
+
+# --- Sources, and sockets beside the folder's files.
+
+
+def open_arm(text: str, options: SourceOptions) -> tuple[Source, tuple[Sink, ...]]:
+    """As open_source(), with simulated arms."""
+    kind, _, target = text.partition(":")
+    if kind == "sim":
+        from tauext.sim.source import SimSource
+
+        if options != SourceOptions():
+            raise ConfigError(f"{text}: a simulated arm takes no --bus, --torque-constants or --ros2")
+        return SimSource(target), ()
+    if kind not in KINDS:
+        choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]
+        raise ConfigError(f"--source {text!r} must be one of {', '.join(choices)}")
+    return open_source(text, options)
+
+
+def socket_folder(folder: Path, stack: ExitStack) -> Path:
+    """Where the sockets lie: the folder itself, or a temporary one if its path is too long or it takes no sockets."""
+    import socket
+
+    at = folder.resolve()
+    if len(os.fsencode(at / "control.sock")) <= LONGEST_SOCKET:
+        trial = at / ".trial.sock"
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as one:
+            trial.unlink(missing_ok=True)
+            one.bind(str(trial))
+            trial.unlink()
+            return at
+    return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tauext-")))
+
+
+# --- The main process.
+
+
+class Commission:
+    """One run of the command."""
+
+    def __init__(self, folder: CommissionFolder, text: str, options: Options, echo: Echo, stack: ExitStack):
+        self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
+        self._stopping = threading.Event()
+        self._by = ""
+        self._record: KeepSink | None = None
+        self._flights: FlightSink | None = None
+        self._source: Source | None = None
+        self._loop: Loop | None = None
+        at = socket_folder(folder.path, stack)
+        self._live = LiveSink(at / "live.sock")
+        stack.callback(self._live.end)
+        self._keeper = EventKeeper(folder.path, lambda: self._record.epoch if self._record else 0, self._note)
+        stack.callback(self._keeper.end)
+        self._keeper.learn = self._learn
+        self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
+        self.steering = Steering(self._keeper)
+        control = ControlSocket(at / "control.sock", self.steering)
+        stack.callback(control.close)
+        folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
+        self._children: list[Child] = []
+        if options.page is not None:
+            arguments = (folder.path, at / "live.sock", at / "control.sock", options.host, options.port, options.token)
+            self._children.append(Child("page", options.page, arguments))
+        self._trainer = Child("training process", run_trainer, (folder.path,), is_low=True)
+        self._shown = len(folder.history())
+        self._active = 0
+        """Time of active.json when the loop took its bundle."""
+        self._exchanges: deque[Exchanged] = deque()
+        self._again = False
+        self._arm: Any = None
+        """The description with which the loop runs."""
+        self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
+
+    def run(self) -> None:
+        self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
+        with self._until_signal():
+            tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
+            tending.start()
+            try:
+                while (connected := self._connect()) and self._monitor(*connected):
+                    self._note("the arm's description has changed: connecting again")
+            finally:
+                self._stopping.set()
+                tending.join()
+
+    # Connect.
+
+    def _connect(self) -> tuple[Source, SourceFacts, tuple[Sink, ...]] | None:
+        """The source, not open yet, what it delivers and its publishers; None if the run ends before the arm answers.
+
+        A new arm is looked at for some seconds, and its description written. An arm that the folder knows need not
+        answer at once: the loop waits for it.
+        """
+        known = self._folder.facts.get("arm")
+        facts = facts_of_data(known) if known else None
+        source, publishers = self._open()  # refuses a wrong option at once
+        wait_s = RETRY_S
+        while facts is None:
+            try:
+                found = connect(lambda: self._open()[0], self._robot())
+                write_arm(found.facts, self._robot(), self._folder.path)
+            except TauextError as error:
+                if str(error) != self._live.says:
+                    self._live.says = str(error)
+                    self._note(f"{error}; it is tried again")
+                if self._stopping.wait(wait_s):
+                    source.close()
+                    return None
+                wait_s = min(2 * wait_s, LONGEST_RETRY_S)
+                continue
+            facts = found.facts
+            write_synced(self._folder.findings_file, json.dumps({"findings": as_entries(found.lives)}) + "\n")
+            for live in found.lives:
+                if live.severity in ("fault", "warning"):
+                    self._note(f"{live.severity}: {live.joint or source.name}: {live.words}; {live.remedy}")
+            self._folder.save(arm=as_data(facts))
+        if known and isinstance(source, Describes):
+            now = facts
+            with suppress(TauextError):  # away: the lasting source checks the arm when it is back
+                now = source.describe(DESCRIBE_S, self._robot())
+            if (other := another_arm(facts, now)) is not None:
+                source.close()
+                raise ConfigError(f"{self._folder.path}: {other.words}; {other.remedy}")
+        if not self._text.startswith("replay:"):
+            source = cast(Source, LastingSource(source, lambda: self._open()[0], facts, self._robot()))
+        return source, facts, publishers
+
+    def _open(self) -> tuple[Source, tuple[Sink, ...]]:
+        return open_arm(self._text, self._options.source)
+
+    def _robot(self) -> Path | None:
+        """The robot file: the folder's once it has one, else the given one, or that of a simulated arm."""
+        for name in ("robot.urdf", "robot.xml"):
+            if (path := self._folder.path / name).is_file() and not is_placeholder(path):
+                return path
+        kind, _, target = self._text.partition(":")
+        if self._options.robot is None and kind == "sim":
+            from tauext.sim.source import write_robot_file
+
+            return write_robot_file(target, Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
+        return self._options.robot
+
+    # Monitor.
+
+    def _monitor(self, source: Source, facts: SourceFacts, publishers: tuple[Sink, ...]) -> bool:
+        """Run the loop to its end; whether the arm is to be connected again."""
+        folder, options, live = self._folder, self._options, self._live
+        settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
+        bundle = self._first_bundle()
+        record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
+        record.note, record.on_label = self._note, self._keeper.labelled
+        recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
+        flights = FlightSink(folder.flights, bundle, recorder, source.name)
+        reactions = start_reactions(options.reactions(settings.joints), source, publishers)
+        chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
+        sinks = [*publishers, flights, record, self._keeper, live]
+        loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
+        loop.note, loop.alarms = self._note, self._keeper.newest
+        loop.exchanged = self._exchanges.append
+        live.describe(settings.joints, settings.torque_units)
+        if bundle is not None and isinstance(loop.monitor, _core.Monitor):
+            live.follow(bundle, loop.monitor)
+            with suppress(FileNotFoundError):
+                carried = (folder.path / CARRIED).read_bytes()
+                if reason := loop.start_from(carried, self._keeper.newest):
+                    self._note(f"drift and alarm of the last run are not continued: {reason}")
+                if loop.monitor.last.alarm != _core.Alarm.none:
+                    live.stand(self._keeper.event(loop.alarms))
+        self._source, self._record, self._flights, self._loop = source, record, flights, loop
+        self.steering.loop = loop
+        if self._by:  # stopped meanwhile
+            loop.stop(self._by)
+        loop.run()
+        self._news_of_flights()
+        if self._again:
+            self._loop = self._source = self.steering.loop = None
+            self._again = False
+            return True
+        if not self._by:
+            self._note(f"{source.name} has ended; the training goes on with what was recorded, and Ctrl-C ends it")
+            live.lost = "the source has ended"
+            self._stopping.wait()
+        return False
+
+    def _first_bundle(self) -> _core.Bundle | None:
+        """The bundle that ran last: the one in charge may still wait for its turn, and is then exchanged again."""
+        active = self._folder.active()
+        name = self._folder.facts.get("running") or (active.stem if active else None)
+        path = self._folder.bundles / f"{name}.tauext"
+        if name is None or not path.is_file():
+            return None
+        try:
+            bundle = _core.Bundle.load(str(path))
+        except TauextError as error:
+            self._note(f"{error}; the arm is not monitored until another bundle is active")
+            return None
+        self._active = self._stamp() if active is not None and active.stem == name else 0
+        return bundle
+
+    def _stamp(self) -> int:
+        with suppress(OSError):
+            return (self._folder.path / ACTIVE).stat().st_mtime_ns
+        return 0
+
+    # Once a second, beside the loop.
+
+    def _tend_for_ever(self) -> None:
+        """Linux ends a child with the thread that started it: this one lives until the children are ended."""
+        try:
+            while not self._stopping.wait(TEND_S):
+                try:
+                    self._tend()
+                except Exception as error:  # a full disk, for example; the loop goes on
+                    self._note(f"{type(error).__name__}: {error}")
+        finally:
+            for child in (*self._children, self._trainer):
+                child.end()
+
+    def _tend(self) -> None:
+        for child in (*self._children, *([self._trainer] if self._loop is not None else [])):
+            if text := child.tend():
+                self._note(text)
+        self._show_news()
+        self._show_state()
+        if (loop := self._loop) is None:
+            return
+        self._news_of_flights()
+        if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
+            self._again = True  # the training found that the torque has another unit
+            return loop.stop("the training: the torque has another unit")
+        if (now := self._stamp()) != self._active:
+            self._active = now
+            if (path := self._folder.active()) is not None:
+                loop.exchange(path, lambda why: self._note(f"{path.stem} does not take over: {why}") if why else None)
+        while self._exchanges:
+            self._exchanged(self._exchanges.popleft())
+        self._keep_carried(loop, time.monotonic())
+
+    def _keep_carried(self, loop: Loop, now_s: float) -> None:
+        """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
+        if self._live.alarm_id != self._carried_alarm:
+            self._carried_alarm, self._alarm_s = self._live.alarm_id, now_s
+        if (now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S) and (carried := loop.carried):
+            self._carried_s = now_s
+            write_bytes(self._folder.path / CARRIED, carried)
+
+    def _exchanged(self, done: Exchanged) -> None:
+        self._folder.save(running=done.bundle)
+        replayed_s = done.replayed * self._arm["period_ns"] * 1e-9
+        words = f"{done.bundle} has taken over between two samples, after {replayed_s:.0f} s of replay"
+        facts = {"bundle": done.bundle, "replaces": done.replaced, "replayed_s": round(replayed_s, 3)}
+        self._folder.note("exchange", self._folder.seconds(), words, took_us=round(done.took_us), **facts)
+
+    def _news_of_flights(self) -> None:
+        for news in self._flights.news() if self._flights is not None else ():
+            self._keeper.flown(news)
+            if news.error:
+                self._note(f"flight of the {news.what} lost: {news.error}")
+
+    def _show_news(self) -> None:
+        """Print what trainings have added to the history."""
+        history = self._folder.history()
+        for line in history[self._shown :]:
+            self._echo(str(line.get("words")))
+        self._shown = len(history)
+
+    def _show_state(self) -> None:
+        live, loop, source = self._live, self._loop, self._source
+        live.lost = getattr(source, "away", "") if source is not None else ""
+        asks = self._keeper.unanswered
+        if loop is None or not loop.samples:
+            state = "connecting"
+        elif self._question() or (asks is not None and age_s(asks.get("wall")) < ASKING_S):
+            state = "asking"
+        else:
+            state = "learning" if live.bundle is None else "monitoring"
+        if state == "learning":
+            needs_s = self._folder.coverage().get("needs_s")
+            live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
+        elif loop is not None:
+            live.says = ""
+        if state != live.state:
+            live.state = state
+            self._folder.save(state=state)
+            self._folder.log(f"state: {state}")
+            if state in ("learning", "connecting"):
+                self._echo(f"{state}: NOTHING IS MONITORED")
+
+    # Answers and messages.
+
+    def _question(self) -> dict[str, Any]:
+        """The named change that waits for an answer."""
+        with suppress(OSError, ValueError):
+            content = json_of(self._folder.question_file.read_text(encoding="utf-8"))
+            if isinstance(content, dict) and not content.get("answer"):
+                return content
+        return {}
+
+    def _learn(self, yes: bool, by: str) -> None:
+        if question := self._question():
+            answer = {"answer": "learn" if yes else "leave", "by": by, "answered": wall()}
+            write_synced(self._folder.question_file, json.dumps(question | answer) + "\n")
+
+    def _note(self, text: str) -> None:
+        self._folder.log(text)
+        self._echo(text)
+
+    @contextmanager
+    def _until_signal(self) -> Iterator[None]:
+        """Ctrl-C and SIGTERM end the run; a second one breaks it off."""
+
+        def stop(number: int, frame: object) -> None:
+            signal.signal(number, before[signal.Signals(number)])
+            self.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
+
+        before = {}
+        if threading.current_thread() is threading.main_thread():
+            before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def stop(self, by: str) -> None:
+        """End the run cleanly; any thread."""
+        self._by = by
+        if self._loop is not None:
+            self._loop.stop(by)
+        else:
+            self._stopping.set()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Replace a small file at once; without waiting for the disk, since an older one serves as well."""
+    with atomic_write(path) as part:
+        part.write_bytes(content)

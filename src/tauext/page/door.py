@@ -1,0 +1,58 @@
+"""Who may connect to a page's server, and on which port it listens."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+
+from tauext.errors import ConfigError
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+PORTS = 20
+"""Number of ports that are tried from the wanted one on."""
+
+
+def is_own_name(name: str, host: str) -> bool:
+    """Whether a browser that shows this page may call the server so.
+
+    A page of another host may give its own name this machine's address and then pass for the server (DNS rebinding), so
+    a name counts where no other machine can take it: loopback, an address in figures, what this machine calls itself.
+
+    Args:
+        host: address that the server listens on.
+    """
+    name = name.strip("[]").lower()
+    if name in LOOPBACK or host in LOOPBACK:
+        return name in LOOPBACK
+    own = socket.gethostname().lower()
+    if name in (host.lower(), own, f"{own}.local", socket.getfqdn().lower()):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def free_port(host: str, wanted: int) -> int:
+    """The first free port from the wanted one on.
+
+    Raises:
+        ConfigError: none of them is free, or the host is not one of this machine.
+    """
+    if not 1 <= wanted <= 65535:
+        raise ConfigError(f"port = {wanted} must be 1 to 65535")
+    for port in range(wanted, min(wanted + PORTS, 65536)):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+                return port
+            except PermissionError as error:
+                raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
+            except (socket.gaierror, TypeError, UnicodeError) as error:
+                raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
+            except OSError as error:
+                if error.errno != 98 and "in use" not in str(error):
+                    raise ConfigError(f"host = {host} must be an address of this machine ({error.strerror})") from error
+    raise ConfigError(f"port = {wanted}: it and the {PORTS - 1} after it are in use; choose another with --port")

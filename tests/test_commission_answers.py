@@ -1,0 +1,223 @@
+"""Alarms of a loop as lines for the page and as events.jsonl; answers that are on the disk when they are confirmed."""
+
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from made_bundles import JOINTS, pushed, watching_bundle
+from made_live import ScriptedSource, samples_of
+
+from tauext.bundle.history_file import read_events
+from tauext.commission.answers import EventKeeper, Steering
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.keep import KeepSink
+from tauext.commission.live import LiveSink, rounded
+from tauext.commission.processes import Child
+from tauext.data.labels import read_labels
+from tauext.errors import ConfigError
+from tauext.monitor.control_lines import obey
+from tauext.monitor.loop import Loop
+from tauext.monitor.source import settings_of
+
+PATIENCE_S = 20.0
+PAUSE = 4000
+"""Sample before which the source waits: the push is over, its alarm stands."""
+
+
+def until(true, what):
+    end = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < end, what
+        time.sleep(0.01)
+
+
+class Arm:
+    """A loop on a recording in which the arm is pushed at 2 s; the source then waits until it is told to go on."""
+
+    def __init__(self, path):
+        self.folder = CommissionFolder.open(path, create=True)
+        self.bundle, self.notes = watching_bundle(), []
+        self.go_on = threading.Event()
+        settings = settings_of(self.bundle)
+        samples = samples_of(pushed())
+        source = ScriptedSource([*samples[:PAUSE], self.go_on.is_set, *samples[PAUSE:]])
+        self.record = KeepSink(self.folder, settings, "script", 1e9)
+        self.keeper = EventKeeper(path, lambda: self.record.epoch, self.notes.append)
+        self.live = LiveSink(path / "live.sock")
+        self.live.changed, self.live.answers = self.keeper.changed, self.keeper.answer_to
+        self.record.on_label = self.keeper.labelled
+        self.live.describe(settings.joints, settings.torque_units)
+        self.loop = Loop(self.bundle, source, [self.record, self.keeper, self.live])
+        self.loop.alarms = self.keeper.newest
+        self.live.follow(self.bundle, self.loop.monitor)
+        self.steering = Steering(self.keeper)
+        self.steering.loop = self.loop
+        self._thread = threading.Thread(target=self.loop.run, daemon=True)
+        self._thread.start()
+        until(lambda: self.loop.samples == PAUSE and self.keeper.unanswered, "the alarm")
+        until(lambda: self.keeper.newest in {one.id for one in read_labels(path)}, "its label")
+
+    def end(self):
+        self.go_on.set()
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+        self.live.end()
+        self.keeper.end()
+
+
+@contextmanager
+def arm(path):
+    one = Arm(path)
+    try:
+        yield one
+    finally:
+        one.end()
+
+
+def lines_of(path, number=1):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
+        wire.settimeout(PATIENCE_S)
+        wire.connect(str(path))
+        with wire.makefile("rb") as lines:
+            return [json.loads(lines.readline()) for _ in range(number)]
+
+
+def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
+    with arm(tmp_path / "cell") as one:
+        (shown,) = lines_of(one.live._path)
+        assert shown["alarm"]["id"] == 1 and shown["alarm"]["level"] == "collision" and shown["alarm"]["answer"] is None
+        assert shown["alarm"]["sentence"].startswith("COLLISION") and JOINTS[0] in shown["alarm"]["sentence"]
+        assert shown["bundle"] == one.bundle.name and len(shown["tau_ext"]) == len(shown["q"]) == len(JOINTS)
+        assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
+        assert obey("nothing 7", one.steering, "test") == "error: nothing: there is no alarm 7; the newest is 1"
+        assert obey("nothing", one.steering, "test") == "ok"  # and now it is on the disk
+        (label,) = read_labels(one.folder.path)
+        assert (label.answer, label.by, label.id) == ("nothing", "test", 1)
+        assert read_events(one.folder.path)[-1]["answer"] == "nothing" and one.keeper.unanswered is None
+        assert obey("touched 1", one.steering, "page") == "ok"  # a person may change it
+        assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
+        assert one.keeper.answer_to(1) == "touched"
+    (event,) = read_events(one.folder.path)
+    assert event["ended"] and event["answer"] == "touched" and event["held_ns"] > event["t_ns"]
+
+
+def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
+    with arm(tmp_path / "cell") as one:
+        assert obey("touched 1", one.steering, "a") == obey("touched", one.steering, "b") == "ok"
+        labels = {label.id: label for label in read_labels(one.folder.path)}
+        assert labels[1].by == "a" and min(labels) < 0 and labels[min(labels)].by == "b"
+        assert labels[min(labels)].to_ns - labels[min(labels)].from_ns == 3_000_000_000
+        assert obey("nothing", one.steering, "b") == "error: nothing: there is no alarm without an answer"
+
+
+def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("tauext.commission.answers.STORED_S", 0.5)
+    with arm(tmp_path / "cell") as one:
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(one.folder, "append_label", full)
+            assert "not stored yet" in obey("touched", one.steering, "test")
+        assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
+    assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]  # paid once there is room
+
+
+def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):
+    with arm(tmp_path / "cell") as one:
+        assert obey("touched 1", one.steering, "test") == "ok"
+    before = one.keeper.newest
+    with arm(tmp_path / "cell") as one:
+        assert one.loop.alarms == one.keeper.newest == before + 1 and one.keeper.answer_to(1) == "touched"
+        assert obey("nothing 1", one.steering, "page") == "ok"  # of an earlier run
+        assert obey("nothing", one.steering, "page") == "ok"  # of the alarm that stands
+    labels = {label.id: label for label in read_labels(one.folder.path)}
+    assert labels[1].answer == labels[before + 1].answer == "nothing"
+    assert (labels[1].epoch, labels[before + 1].epoch) == (1, 2)
+
+
+def test_lines_come_before_there_is_an_arm_and_slow_readers_hold_up_nobody(tmp_path):
+    live = LiveSink(tmp_path / "live.sock")
+    live.says = "no robot there"
+    slow = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    slow.connect(str(tmp_path / "live.sock"))  # reads nothing
+    try:
+        lines = lines_of(tmp_path / "live.sock", 3)
+        assert [(one["state"], one["says"], one["joints"]) for one in lines] == [
+            ("connecting", "no robot there", [])
+        ] * 3
+        assert "tau_ext" not in lines[0]
+    finally:
+        slow.close()
+        live.end()
+    assert not (tmp_path / "live.sock").exists()
+
+
+def test_control_is_refused_while_no_arm_is_connected(tmp_path):
+    keeper = EventKeeper(tmp_path, lambda: 0, print)
+    for line in ("touched", "nothing 1", "learn yes", "acknowledge", "stop", "sim push"):
+        assert obey(line, Steering(keeper), "test").startswith("error: "), line
+    with pytest.raises(ConfigError, match="no arm is connected yet"):
+        Steering(keeper).acknowledge("test")
+    keeper.end()
+
+
+def test_numbers_that_json_has_not_are_none():
+    assert rounded([[1.0, float("nan"), float("inf"), 0.123456789]]) == [1.0, None, None, 0.12346]
+
+
+def sleep_for_ever(pipe):
+    time.sleep(1000)
+
+
+def die_at_once(pipe):
+    raise SystemExit(3)
+
+
+def test_a_child_is_started_again_when_it_ends_and_not_at_once(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("tauext.commission.processes.time.monotonic", lambda: now[0])
+    child = Child("page", die_at_once, ())
+    assert child.tend() == ""
+    child._process.join(PATIENCE_S)
+    assert child.tend() == "the page ended (status 3); it starts again in 2 s" and child.pid is None
+    assert child.tend() == "" and child.pid is None  # not before its time
+    now[0] = 2.0
+    child.tend()
+    child._process.join(PATIENCE_S)
+    assert "starts again in 4 s" in child.tend()
+    child.end()
+
+
+@pytest.mark.slow
+def test_children_end_with_a_killed_parent():
+    """Whatever they are doing: `kill -9` of the loop leaves no training behind."""
+    import os
+    import signal
+    import subprocess
+    import sys
+
+    code = """if __name__ == "__main__":
+        import time, test_commission_answers as tests
+        child = tests.Child("x", tests.sleep_for_ever, ())
+        child.tend()
+        print(child.pid, flush=True)
+        time.sleep(1000)"""
+    paths = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=os.environ | paths)
+    child = int(parent.stdout.readline())
+    time.sleep(3.0)
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+
+    def is_gone():
+        try:
+            return open(f"/proc/{child}/stat").read().split()[2] == "Z"
+        except OSError:
+            return True
+
+    until(is_gone, "the child to end")

@@ -1,0 +1,224 @@
+"""`tauext commission`: options, one process a folder, and the same state again after a kill in each of them."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from tauext.cli import main
+from tauext.cli.commission import answer
+from tauext.commission.folder import CommissionFolder
+from tauext.data.labels import read_labels
+from tauext.errors import ConfigError
+
+PATIENCE_S = 120.0
+
+
+# --- Options.
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("--source sim:rig", "--out is missing"),
+        ("--out {}/a", "--source is missing"),
+        ("--source moon:1 --out {}/a", "--source 'moon:1' must be one of replay:FILE, ur:HOST, franka:HOST"),
+        ("--source sim:moon --out {}/a", "moon"),
+        ("--source sim: --out {}/a", "sim"),
+        ("--source ur: --out {}/a", "--source 'ur:' must be one of"),
+        ("--source replay:{}/none.parquet --out {}/a", "there is no such recording"),
+        ("--source feetech:/dev/null --out {}/a", "needs --bus FILE"),
+        ("--source sim:rig --out {}/a --bus {}/b.toml", "--bus"),
+        ("--source sim:rig --out {}/a --robot {}/none.urdf", "no such file"),
+        ("--source sim:rig --out {}/a --disk-gb 0", "disk_gb = 0.0 must be 0.1 to 100000"),
+        ("--source sim:rig --out {}/a --disk-gb nan", "disk_gb = nan"),
+        ("--source sim:rig --out {}/a --port 0", "port = 0 must be 1 to 65535"),
+        ("--source sim:rig --out {}/a --host moon.example.invalid", "must be an address of this machine"),
+        ("--source sim:rig --out {}/a --priority 100", "priority = 100 must be 1 to 99"),
+        ("--source sim:rig --out {}/a --core -1", "core = -1 must be"),
+    ],
+)
+def test_a_wrong_option_is_refused_before_a_folder_is_made(words, error, tmp_path, capsys):
+    assert main(["commission", *words.replace("{}", str(tmp_path)).split()]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("tauext: error: ") and error in said and said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
+    (tmp_path / "thesis.tex").touch()
+    assert main(["commission", "--source", "sim:rig", "--out", str(tmp_path), "--no-page"]) == 2
+    assert "is not empty and no folder of `tauext commission`" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_folder_belongs_to_one_process(tmp_path, capsys):
+    with CommissionFolder.open(tmp_path / "cell", create=True).locked():
+        assert main(["commission", "--source", "sim:rig", "--out", str(tmp_path / "cell"), "--no-page"]) == 2
+    assert "another `tauext commission` uses this folder" in capsys.readouterr().err
+
+
+def test_keys_are_answers(capsys):
+    class Asked:
+        given = []
+
+        def answer(self, what, by, alarm=None):
+            if what == "nothing":
+                raise ConfigError("nothing: there is no alarm without an answer")
+            self.given.append((what, by))
+
+    for key in "tTnyx q\x1b":
+        answer(Asked(), key)
+    assert Asked.given == [("touched", "key"), ("touched", "key"), ("learn", "key"), ("leave", "key")]
+    assert "there is no alarm without an answer" in capsys.readouterr().out
+
+
+# --- The whole command, on a simulated arm.
+
+
+@contextmanager
+def running(folder: Path, *words: str):
+    """The command as a process of its own."""
+    command = [sys.executable, "-m", "tauext", "commission", "--source", "sim:rig", "--out", str(folder), *words]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+
+
+def until(true, what: str, patience_s: float = PATIENCE_S):
+    end = time.monotonic() + patience_s
+    while True:
+        with suppress(OSError, ValueError, KeyError, ConfigError):
+            if value := true():
+                return value
+        assert time.monotonic() < end, what
+        time.sleep(0.1)
+
+
+def control(folder: Path, line: str) -> str:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
+        wire.settimeout(PATIENCE_S)
+        wire.connect(json.loads((folder / "commission.json").read_text())["control"])
+        wire.sendall(line.encode() + b"\n")
+        with wire.makefile() as answers:
+            return answers.readline().strip()
+
+
+def live(folder: Path) -> dict:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
+        wire.settimeout(5)
+        wire.connect(json.loads((folder / "commission.json").read_text())["live"])
+        with wire.makefile() as lines:
+            return json.loads(lines.readline())
+
+
+def of_state(folder: Path, state: str, bundle: str | None = None):
+    """The line of the loop once it is in this state, with this bundle."""
+
+    def reached():
+        line = live(folder)
+        return line if (line["state"], line["bundle"]) == (state, bundle) and line.get("t_ns") else None
+
+    return until(reached, f"{state} with {bundle}")
+
+
+def kill(process) -> None:
+    """kill -9 of the loop alone; its children must end by themselves."""
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+
+    def others():
+        words = ["ps", "-o", "pid=,stat=", "-g", str(process.pid)]
+        found = subprocess.run(words, capture_output=True, text=True).stdout
+        return [line for line in found.splitlines() if " Z" not in line]
+
+    until(lambda: not others(), "the children to end", 20.0)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Path:
+    """A bundle of the simulated arm, trained on a minute of what the command recorded."""
+    folder = tmp_path_factory.mktemp("trained") / "cell"
+    with running(folder, "--no-page"):
+        until(lambda: len(list(folder.glob("seg-*.parquet"))) >= 5, "recordings", 300)
+    out = folder.parent / "b0001.tauext"
+    assert main(["train", "--data", str(folder), "--recipe", "prior", "--out", str(out)]) == 0
+    return out
+
+
+def put_bundle(folder: Path, bundle: Path) -> None:
+    """What the training process does after a bundle has passed."""
+    there = CommissionFolder.open(folder)
+    (there.bundles / bundle.name).write_bytes(bundle.read_bytes())
+    there.activate(bundle.stem, "it passes", there.seconds())
+
+
+@pytest.mark.slow
+def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path):
+    folder = tmp_path / "cell"
+    with running(folder, "--port", "8790") as process:
+        page = process.stdout.readline().split()[0]
+        until(lambda: b"NOTHING IS MONITORED" in urllib.request.urlopen(page, timeout=5).read(), "the page")
+        assert process.stdout.readline() == "sim:rig: connecting; NOTHING IS MONITORED\n"
+        kill(process)  # while connecting, or soon after
+    with running(folder, "--no-page") as process:
+        of_state(folder, "learning")
+        assert control(folder, "touched") == "ok"  # nobody has noticed a touch
+        kill(process)
+    assert [label.answer for label in read_labels(folder)] == ["touched"]
+    with running(folder, "--no-page") as process:
+        of_state(folder, "learning")
+        put_bundle(folder, trained)
+        of_state(folder, "monitoring", "b0001")
+        kill(process)
+    with running(folder, "--no-page") as process:
+        of_state(folder, "monitoring", "b0001")
+        assert control(folder, "sim push joint=joint2 force=0,0,-60 seconds=0.5") == "ok"
+        asked = of_state(folder, "asking", "b0001")
+        time.sleep(4.0)  # two copies of what is carried
+        kill(process)
+    with running(folder, "--no-page") as process:
+        still = of_state(folder, "asking", "b0001")
+        number = asked["alarm"]["id"]
+        assert still["alarm"] is None or still["alarm"]["id"] >= number
+        assert control(folder, f"nothing {number}") == "ok"
+        kill(process)
+    labels = {label.id: label.answer for label in read_labels(folder)}
+    assert labels[number] == "nothing"
+    with running(folder, "--no-page") as process:
+        of_state(folder, "monitoring", "b0001")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+    epochs = {label.epoch for label in read_labels(folder)}
+    assert len(epochs) == 2 and json.loads((folder / "commission.json").read_text())["epoch"] >= 5
+
+
+@pytest.mark.slow
+def test_a_killed_page_or_training_starts_again_and_the_loop_goes_on(tmp_path):
+    folder = tmp_path / "cell"
+    with running(folder, "--port", "8791") as process:
+        page = process.stdout.readline().split()[0]
+        of_state(folder, "learning")
+        before = live(folder)["t_ns"]
+        children = subprocess.run(["pgrep", "-P", str(process.pid), "-f", "spawn_main"], capture_output=True, text=True)
+        simulation = int(children.stdout.split()[-2])  # the loop's source, which is no child of the supervisor
+        for child in map(int, children.stdout.split()):
+            if child != simulation:
+                os.kill(child, signal.SIGKILL)
+        until(lambda: b"NOTHING" in urllib.request.urlopen(page, timeout=5).read(), "the page")
+        assert live(folder)["t_ns"] > before
+        assert process.poll() is None

@@ -1,0 +1,317 @@
+"""The live page's server: who may use it, what it shows of the folder and the loop, and which lines it sends."""
+
+import http.client
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from made_live_page import JOINTS, FakeLoop, line, write_folder
+
+from tauext.page.live_arm import arm_facts
+from tauext.page.live_server import MOST_CONNECTIONS, Server, line_of
+
+PATIENCE_S = 20.0
+TOKEN = "right-token"
+
+
+@contextmanager
+def served(folder, state="monitoring", arm="rig", host="127.0.0.1", token=""):
+    write_folder(folder / "cell7", state, arm)
+    loop = FakeLoop(folder, state, arm, period_s=0.02)
+    server = Server(host, 0, folder / "cell7", loop.live, loop.control, token)
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    try:
+        yield server.server_address[1], loop
+    finally:
+        server.shutdown()
+        server.server_close()
+        loop.close()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("p")) as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    """A page for a network, which needs a token."""
+    with served(tmp_path_factory.mktemp("g"), host="0.0.0.0", token=TOKEN) as both:
+        yield both
+
+
+def get(port, path="/", **headers):
+    return ask(port, "GET", path, None, headers)
+
+
+def post(port, path, body, **headers):
+    own = {"Origin": f"http://127.0.0.1:{port}", "Content-Type": "application/json"} | headers
+    body = body if isinstance(body, bytes) else json.dumps(body).encode()
+    return ask(port, "POST", path, body, {name: value for name, value in own.items() if value is not None})
+
+
+def ask(port, method, path, body, headers):
+    """Status, content and headers of the answer."""
+    asked = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    asked.request(method, path, body, headers)
+    answer = asked.getresponse()
+    content = answer.read()
+    asked.close()
+    return answer.status, content, answer.headers
+
+
+# --- What it shows.
+
+
+def test_the_page_is_one_file_that_loads_nothing_else(page):
+    status, content, headers = get(page[0])
+    assert status == 200 and b"NOTHING IS MONITORED" in content
+    assert b"http://" not in content and b"https://" not in content and b"src=" not in content
+    policy = headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy and "script-src 'sha256-" in policy and "frame-ancestors 'none'" in policy
+
+
+def test_the_state_is_the_folders_files_and_follows_them(tmp_path):
+    with served(tmp_path, "monitoring") as (port, _):
+        state = json.loads(get(port, "/state")[1])
+        assert state["name"] == "cell7" and state["active"] == {"bundle": "b0004"}
+        assert [one["id"] for one in state["events"]] == [15, 16] and len(state["history"]) == 9
+        with (tmp_path / "cell7" / "events.jsonl").open("a") as file:
+            file.write('{"id": 16, "answer": "nothing"}\n{"id": 17, "sent')  # the second is cut off by a kill
+        (tmp_path / "cell7" / "coverage.json").write_text('{"secon')
+        state = json.loads(get(port, "/state")[1])
+        assert state["events"][-1]["answer"] == "nothing" and state["events"][-1]["sentence"]
+        assert state["coverage"]["kept_s"] == 3700  # the last whole one
+
+
+@pytest.mark.parametrize("state", ["connecting", "learning"])
+def test_a_folder_without_bundles_is_shown_too(tmp_path, state):
+    with served(tmp_path, state, "none") as (port, _):
+        shown = json.loads(get(port, "/state")[1])
+        assert shown["active"] is None and shown["history"] == shown["events"] == []
+        assert json.loads(get(port, "/arm")[1])["links"] == []
+
+
+def test_lines_of_the_loop_arrive_and_their_end_is_seen(page):
+    port, loop = page
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+        wire.sendall(f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        lines = wire.makefile("rb")
+        found = [one for one in (lines.readline() for _ in range(40)) if one.startswith(b"data: ")]
+        assert json.loads(found[0][6:])["bundle"] == "b0004" and len(found) > 5
+
+
+def test_a_trace_is_thinned_and_keeps_the_peak(page):
+    status, content, _ = get(page[0], "/event/16")
+    trace = json.loads(content)
+    assert status == 200 and len(trace["t_s"]) == 800 and max(trace["tau"][1]) > 11.5
+    assert trace["t_s"][0] == pytest.approx(-3, abs=0.02)
+    for path in ("/event/15", "/event/99", "/event/-1", "/event/../x", "/event/", "/nothing", "/event/" + "9" * 30):
+        assert get(page[0], path)[0] == 404, path
+
+
+def test_the_arm_of_a_page_is_where_the_core_says(page):
+    """Both ends of every shape, by the arithmetic of the page, against the core's kinematics."""
+    facts = json.loads(get(page[0], "/arm")[1])
+    assert facts["joints"] == list(JOINTS["rig"]) and len(facts["links"]) == 2 and facts["shapes"]
+    q = np.array([0.4, -0.9])
+    rotation, place = np.eye(3), np.zeros(3)
+    for link, angle in zip(facts["links"], q, strict=True):  # the rig is a chain
+        place = place + rotation @ link["translation"]
+        turn = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        rotation = rotation @ np.reshape(link["rotation"], (3, 3)) @ turn
+    assert np.allclose(place, tip_of_rig(q), atol=1e-9)
+
+
+def tip_of_rig(q):
+    """Origin of the second link, by MuJoCo."""
+    import mujoco
+
+    from tauext.sim.arms import rig_arm
+
+    model = mujoco.MjModel.from_xml_string(rig_arm().xml)
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    return data.xanchor[1]
+
+
+def test_an_arm_without_shapes_or_model_is_drawn_nevertheless(tmp_path):
+    from tauext.robot.write import write_placeholder, write_robot
+    from tauext.sim.arms import rig_arm
+
+    assert arm_facts(None, ("a",))["links"] == []
+    assert arm_facts(write_placeholder(["a"], tmp_path), ("a",))["links"] == []
+    (tmp_path / "damaged.urdf").write_text("<robot")
+    assert arm_facts(tmp_path / "damaged.urdf", ("a",))["notes"]
+    (tmp_path / "rig.xml").write_text(rig_arm().xml)
+    bare = write_robot(tmp_path / "rig.xml", tmp_path, {})  # without shapes
+    facts = arm_facts(bare, JOINTS["rig"])
+    assert len(facts["shapes"]) >= 2 and all(one["radius"] > 0 for one in facts["shapes"])
+
+
+# --- What it sends.
+
+
+@pytest.mark.parametrize(
+    "path, body, sent",
+    [
+        ("/answer", {"what": "touched", "id": 17}, "touched 17"),
+        ("/answer", {"what": "nothing"}, "nothing"),
+        ("/reset", {}, "acknowledge"),
+        ("/learn", {"yes": True}, "learn yes"),
+        ("/learn", {"yes": False}, "learn no"),
+        (
+            "/push",
+            {"joint": "joint2", "point": [0, 0.1, 0.2], "force": [1, -40, 3.5]},
+            "sim push joint=joint2 force=1,-40,3.5 point=0,0.1,0.2 seconds=0.5",
+        ),
+    ],
+)
+def test_a_button_is_a_control_line(page, path, body, sent):
+    port, loop = page
+    assert post(port, path, body)[:2] == (200, b'{"answer": "ok"}')
+    assert loop.received[-1] == sent
+
+
+@pytest.mark.parametrize(
+    "path, body",
+    [
+        ("/answer", {}),
+        ("/answer", {"what": "stop"}),
+        ("/answer", {"what": "touched", "id": "17\nstop"}),
+        ("/answer", {"what": "touched", "id": 1.5}),
+        ("/answer", {"what": "touched", "id": True}),
+        ("/answer", {"what": "touched", "id": -1}),
+        ("/answer", {"what": ["touched"]}),
+        ("/reset", {"x": 1}),
+        ("/learn", {"yes": 1}),
+        ("/learn", {}),
+        ("/push", {"joint": "a\nstop", "point": [0, 0, 0], "force": [1, 0, 0]}),
+        ("/push", {"joint": "a b", "point": [0, 0, 0], "force": [1, 0, 0]}),
+        ("/push", {"joint": "a", "point": [0, 0], "force": [1, 0, 0]}),
+        ("/push", {"joint": "a", "point": [0, 0, 0], "force": [1e99, 0, 0]}),
+        ("/push", {"joint": "a", "point": [0, 0, 0], "force": [float("nan"), 0, 0]}),
+        ("/push", {"joint": "a", "point": [0, 0, True], "force": [0, 0, 0]}),
+        ("/nothing", {}),
+    ],
+)
+def test_any_other_request_sends_nothing(page, path, body):
+    port, loop = page
+    before = list(loop.received)
+    assert line_of(path, body) is None
+    assert post(port, path, body)[0] == 400 and loop.received == before
+
+
+def test_a_refusal_and_a_loop_that_is_gone_are_reported(tmp_path):
+    with served(tmp_path) as (port, loop):
+        loop.answer = "error: nothing: there was no alarm yet"
+        assert post(port, "/answer", {"what": "nothing"})[:2] == (409, json.dumps({"answer": loop.answer}).encode())
+        loop.close()
+        loop.control.unlink()
+        status, content, _ = post(port, "/answer", {"what": "nothing"})
+        assert status == 409 and b"nothing was changed" in content
+
+
+# --- The door.
+
+
+def test_only_its_own_page_may_send(page):
+    port, loop = page
+    before = list(loop.received)
+    body = {"what": "touched"}
+    for origin in ("http://evil.example", f"https://127.0.0.1:{port}", "http://127.0.0.1:1", "null", None, ""):
+        assert post(port, "/answer", body, Origin=origin)[0] == 403, origin
+    for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", None, ""):
+        assert post(port, "/answer", body, **{"Content-Type": kind})[0] == 415, kind
+    for length in ("1001", "-1", "x", "", "99999999999999999999"):
+        assert post(port, "/answer", body, **{"Content-Length": length})[0] == 413, length
+    for raw in (b"", b"[]", b"nul", b"\xff", b"[" * 900):
+        assert post(port, "/answer", raw)[0] == 400, raw
+    assert loop.received == before
+
+
+def test_a_name_that_another_host_could_own_is_turned_away(page):
+    """DNS rebinding: the browser believes that evil.example is this machine."""
+    port = page[0]
+    for name, status in (
+        ("evil.example", 403),
+        ("192.168.0.7", 403),
+        ("localhost", 200),
+        ("127.0.0.1", 200),
+        ("", 403),
+    ):
+        for path in ("/", "/state", "/?token=x"):
+            wanted = 303 if status == 200 and "?" in path else status
+            assert get(port, path, Host=f"{name}:{port}")[0] == wanted, (name, path)
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+        wire.sendall(b"GET /state HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: evil.example\r\n\r\n")
+        assert wire.recv(20).startswith(b"HTTP/1.0 403")
+
+
+def test_a_page_for_a_network_needs_the_token_everywhere(guarded):
+    port, loop = guarded
+    for path in ("/", "/state", "/arm", "/live", "/event/16"):
+        assert get(port, path)[0] == 403 and get(port, path, Cookie="tauext=wrong")[0] == 403, path
+    assert post(port, "/answer", {"what": "touched"})[0] == 403 and loop.received == []
+    assert get(port, "/?token=wrong")[0] == 403 and get(port, "/?token=")[0] == 403
+    status, _, headers = get(port, f"/?token={TOKEN}")
+    cookie = headers["Set-Cookie"]
+    assert (status, headers["Location"]) == (303, "/") and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    shown = {"Cookie": cookie.partition(";")[0]}
+    assert get(port, "/", **shown)[0] == 200
+    assert post(port, "/answer", {"what": "touched"}, **shown)[0] == 200 and loop.received == ["touched"]
+
+
+def test_bytes_that_are_no_http_end_their_connection_without_a_word(page, capfd):
+    port = page[0]
+    for raw in (b"\x16\x03\x01\x02garbage\r\n\r\n", b"\xff" * 5000, b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 500, b"\r\n"):
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+            wire.sendall(raw)
+            wire.shutdown(socket.SHUT_WR)
+            while wire.recv(4096):
+                pass
+    assert get(port)[0] == 200 and capfd.readouterr().err == ""
+
+
+def test_connections_that_wait_leave_the_others_room(tmp_path):
+    """One more than it may serve is closed at once; ended ones make room."""
+    with served(tmp_path) as (port, _):
+        held = []
+        for _ in range(MOST_CONNECTIONS):
+            wire = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+            wire.sendall(f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            assert wire.recv(10)
+            held.append(wire)
+        with pytest.raises((http.client.HTTPException, OSError)):
+            get(port)
+        for wire in held:
+            wire.close()
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            try:
+                assert get(port)[0] == 200
+                return
+            except (http.client.HTTPException, OSError):
+                time.sleep(0.05)
+        pytest.fail("no room was made")
+
+
+def test_the_stand_in_writes_lines_of_the_right_kind():
+    """The fields that the page reads are those of the loop."""
+    from tauext.commission.live import LiveSink
+
+    assert set(line("alarm", JOINTS["rig"], 0.0)) <= set(line_fields(LiveSink)), "the page reads what no loop sends"
+
+
+def line_fields(kind):
+    import ast
+    import inspect
+
+    tree = ast.parse(inspect.getsource(inspect.getmodule(kind)))
+    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}

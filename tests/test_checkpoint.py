@@ -19,7 +19,7 @@ from tauext.evaluate import comparison
 from tauext.evaluate.results_folder import evaluate_bundles
 from tauext.files import checkpoint
 from tauext.files.checkpoint import Checkpoint
-from tauext.train import held_peaks
+from tauext.train import error_scale
 from tauext.train.calibrate import recalibrate
 
 
@@ -123,7 +123,7 @@ def test_a_killed_calibration_goes_on_to_the_same_limits(place, at_once, monkeyp
 
     pid = os.fork()
     if pid == 0:
-        judged, calls = held_peaks.errors, []
+        judged, calls = error_scale.judge, []
 
         def killed(*arguments):
             calls.append(1)
@@ -131,14 +131,14 @@ def test_a_killed_calibration_goes_on_to_the_same_limits(place, at_once, monkeyp
                 os.kill(os.getpid(), signal.SIGKILL)
             return judged(*arguments)
 
-        held_peaks.errors = killed
+        error_scale.judge = killed
         calibrated("killed")
         os._exit(0)  # not reached
     assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
     kept = place / "killed" / "new.limits.half-done"
     assert kept.exists()
-    judged, again = held_peaks.errors, []
-    monkeypatch.setattr(held_peaks, "errors", lambda *a: (again.append(a[1].name), judged(*a))[1])
+    judged, again = error_scale.judge, []
+    monkeypatch.setattr(error_scale, "judge", lambda *a: (again.append(1), judged(*a))[1])
     resumed = calibrated("killed")
     assert 0 < len(again) < len(files) and not kept.exists()
     monkeypatch.undo()

@@ -301,7 +301,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
             self.followed.append((bundle.name, monitor))
 
     sink = Following()
-    (tmp_path / "profiles.toml").write_text("[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\n")
+    (tmp_path / "profiles.toml").write_text("[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n")
     profiles = load_profiles(tmp_path / "profiles.toml", JOINTS)
     samples = samples_of(pushed(seconds=4, pushes=((1.0, 0, 12.0), (3.0, 0, 12.0))))
     swap = Swap(saved(bundle_of("first"), tmp_path))
@@ -311,6 +311,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b""
     assert one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
+    assert loop.monitor.limit_factors == ([2.0, 2.0], [1.0, 1.0])
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
     assert all(v.estimates["health"][0] == OK for v in after)

@@ -370,7 +370,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
     assert all(v.estimates["health"][0] == OK for v in after)
-    assert before[-1].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
+    assert before[-1].alarm_id == after[0].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
 
 
 def test_no_monitor_answers_with_the_same_columns():

@@ -19,20 +19,21 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, NONE, OK, STALE, WARMING_UP
 from tauext.errors import ConfigError
 from tauext.monitor import exchange
-from tauext.monitor.changes import AlarmChange, HealthChange
+from tauext.monitor.changes import AlarmChange, DriftChange, HealthChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged, NoMonitor, Ring, why_not_exchange
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
+from tauext.monitor.replay import EventStream
 from tauext.monitor.source import Sample, settings_of
 
-QUIET_S = 1.0
+QUIET_S = 0.5
 ARM = settings_of(watching_bundle())
 
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
-    """A new monitor is quiet after a second, not fifty or ten."""
+    """A new monitor is quiet after half a second, not fifty or ten."""
     monkeypatch.setattr("tauext.monitor.loop.QUIET_S", QUIET_S)
     monkeypatch.setattr("tauext.monitor.loop.FIRST_QUIET_S", QUIET_S)
 
@@ -137,7 +138,7 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
     "rest": ({}, lambda samples: still(samples, 2000, 3500), {}),
     "a latched alarm": ({"pushes": ((2.0, 0, 12.0),)}, lambda samples: samples, {}),
     "a contact": ({"pushes": ((2.95, 0, 1.6),)}, lambda samples: samples, {}),
-    "lost samples": ({}, lambda samples: samples[:1500] + samples[1504:2200] + samples[2300:], {}),
+    "lost samples": ({}, lambda samples: samples[:1200] + samples[1204:1500] + samples[1600:], {}),
     "temperatures": ({}, with_temperature, {}),
     "the network's own rate": ({}, lambda samples: samples, {"own_rate": True}),
 }
@@ -145,7 +146,8 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
 
 @pytest.mark.parametrize("model", [3, 5])
 @pytest.mark.parametrize("phase", PHASES)
-def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path):
+def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path, monkeypatch):
+    monkeypatch.setattr(exchange, "RING_S", 2.0)  # what was learned before comes by the mark alone
     pushes, changed, settings = PHASES[phase]
     samples = changed(samples_of(pushed(seconds=5, **({"pushes": ()} | pushes))))
     swap = Swap(saved(bundle_of("new", model, 2.5), tmp_path))
@@ -171,12 +173,39 @@ def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, mod
     repeat(first, one.row)
     fresh.carry_alarm(one.left)
     assert_same(keeper.verdicts[one.row :], repeat(one.row, len(samples)))
+    drift = keeper.verdicts[one.row].estimates["drift"]
+    learned = _core.Monitor(_core.Bundle.load(str(swap.path)), settings.get("own_rate", False))
+    fresh, carried_on = learned, np.abs(drift).max()
+    repeat(first, one.row)
+    if model == 3 and phase == "motion":
+        assert np.abs(drift - repeat(one.row, one.row + 1)["drift"]).max() > 0.1 * carried_on > 0
     # the alarm goes on, and is told of once
     alarms = [change for change in keeper.changes if isinstance(change, AlarmChange) and change.was == NONE]
     assert len(alarms) == len(pushes) and loop.alarms == len(pushes)
     if phase == "a latched alarm":
         assert all(v.estimates["alarm"][0] == COLLISION and v.alarm_id == 1 for v in keeper.verdicts[one.row :])
         assert loop.monitor.last.alarm_t_ns == swap.old.last.alarm_t_ns
+
+
+def test_a_successor_repeats_missing_samples_and_what_was_done_at_their_row():
+    recording = pushed(seconds=3, pushes=())
+    ring, plain = Ring(2, 1_000_000), _core.Monitor(bundle_of("b"))
+    rows = list(zip(*signals_of(recording), strict=True))
+    for k, (t_ns, q, dq, tau) in enumerate(rows):
+        if k in (1000, 2500):
+            ring.act(lambda monitor: monitor.resume())
+            plain.resume()
+        if 1500 <= k < 1503 or 2000 <= k < 2040:
+            ring.miss(int(t_ns))
+            if k < 2000 + exchange.SILENT_ROWS:
+                plain.run_missing(int(t_ns))
+            continue
+        ring.add(int(t_ns), q, dq, tau, None, 0)
+        plain.run(np.array([t_ns]), q[None], dq[None], tau[None])
+    successor = exchange.Successor(bundle_of("b"), ring, False, None, QUIET_S)
+    while successor.follow(64):
+        pass
+    assert successor.monitor.save_state() == plain.save_state()
 
 
 def test_the_same_bundle_changes_next_to_nothing(tmp_path):
@@ -276,6 +305,29 @@ def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_pat
         Loop(None, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", JOINTS), arm=ARM)
 
 
+def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
+    recording = pushed()
+    monitor = _core.Monitor(bundle_of("old"))
+    row = monitor.run(*(signal[:1] for signal in signals_of(recording)))
+    used: list[str] = []
+
+    def places(name: str) -> SimpleNamespace:
+        return SimpleNamespace(find=lambda *signals: used.append(name) or [])
+
+    events = EventStream(monitor, places("old"))
+    saturated = row | {"drift_saturated": np.ones((1, 2), dtype=np.uint8)}
+
+    def find(estimates: dict, alarm: int) -> int:
+        now = estimates | {"alarm": np.full(1, alarm, dtype=np.uint8)}
+        found = events.find(0, recording.t_ns[:1], now, recording.q[:1], recording.dq[:1])
+        return sum(isinstance(change, DriftChange) for change in found)
+
+    assert [find(saturated, COLLISION), find(saturated, COLLISION)] == [2, 0]
+    events.exchange(_core.Monitor(bundle_of("new")), places("new"))
+    assert [find(saturated, COLLISION), find(saturated, NONE), find(row, NONE)] == [2, 0, 0]
+    assert used == ["old", "old", "old", "new", "new"]
+
+
 # What has no bundle yet, or another.
 
 
@@ -301,7 +353,9 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
             self.followed.append((bundle.name, monitor))
 
     sink = Following()
-    (tmp_path / "profiles.toml").write_text("[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\n")
+    (tmp_path / "profiles.toml").write_text(
+        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n"
+    )
     profiles = load_profiles(tmp_path / "profiles.toml", JOINTS)
     samples = samples_of(pushed(seconds=4, pushes=((1.0, 0, 12.0), (3.0, 0, 12.0))))
     swap = Swap(saved(bundle_of("first"), tmp_path))
@@ -311,10 +365,12 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b""
     assert one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
+    assert loop.monitor.limit_factors == ([2.0, 2.0], [1.0, 1.0])
+    assert loop._changes.monitor is loop.monitor and loop._changes._places is not None
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
     assert all(v.estimates["health"][0] == OK for v in after)
-    assert before[-1].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
+    assert before[-1].alarm_id == after[0].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
 
 
 def test_no_monitor_answers_with_the_same_columns():

@@ -70,6 +70,7 @@ class Simulation:
         self.truth: dict[int, list[tuple[int, int]]] = {}
         """Touches by epoch: first and last stamp."""
         self.first_s: float | None = None
+        self.in_charge: Path | None = None
         self.busy_s = 0.0
         self.alarms = self.block = 0
         self.peaks: list[tuple[int, float, float]] = []
@@ -112,8 +113,10 @@ class Simulation:
             self.peaks.append((sink.epoch, 1e-9 * int(made.t_ns[a]), round(peak, 2)))
         rows, monitored, begin = sink._rows, "", 0
         while begin < made.samples:
-            active, seconds = self.folder.active(), self.folder.seconds()
-            if active is not None and seconds >= self.busy_s:
+            seconds = self.folder.seconds()
+            if seconds >= self.busy_s:  # else the earlier bundle monitors while the training would still run
+                self.in_charge = self.folder.active()
+            if (active := self.in_charge) is not None:
                 if self.first_s is None:
                     self.first_s = seconds
                 if active.stem != monitored:  # between two recordings; a new monitor warms up on the 10 s before

@@ -1,8 +1,8 @@
 """Learning on the rig with touches that nobody reports: a fast simulation of `tauext commission` without a page.
 
-    python benchmarks/commission.py OUT [--days 3] [--hours 1.0] [--seed 0] [--every 600]
+    python benchmarks/commission.py OUT [--days 3] [--hours 1.0] [--seed 0] [--every 600] [--cold 1.3]
 
-The arm moves for --hours a day; each day it starts cold, with 1.3 times its friction that falls to 1 within 20 minutes.
+The arm moves for --hours a day. Each day it starts with --cold times its friction, which falls to 1 within 20 minutes.
 Every --every seconds something touches it, and nobody says so; alarms without a touch are answered `nothing`. The
 recorder, the training process and the monitor are those of the command. A training takes the simulated time that it
 takes here. It prints minutes until the first bundle, by day the touches that were detected and the promised and actual
@@ -39,7 +39,7 @@ from tauext.sim.config import RigConfig, changed_friction
 BLOCK_S = 60.0
 """Length of one simulated stretch of motion."""
 PAUSE_NS = 2_000_000_000
-COLD, WARM_S = 1.3, 1200.0
+WARM_S = 1200.0
 NEAR_NS = 500_000_000
 """An alarm so long after a touch is the touch's."""
 GIGABYTE = 1e9
@@ -59,8 +59,8 @@ class Day:
 class Simulation:
     """One arm, its folder, and what happened."""
 
-    def __init__(self, out: Path, seed: int, every_s: float):
-        self.seed, self.every_s = seed, every_s
+    def __init__(self, out: Path, seed: int, every_s: float, cold: float):
+        self.seed, self.every_s, self.cold = seed, every_s, cold
         self.folder = CommissionFolder.open(out, create=True)
         arm = rig_arm()
         (out / "robot.xml").write_text(arm.xml)
@@ -70,6 +70,7 @@ class Simulation:
         self.truth: dict[int, list[tuple[int, int]]] = {}
         """Touches by epoch: first and last stamp."""
         self.first_s: float | None = None
+        self.in_charge: Path | None = None
         self.busy_s = 0.0
         self.alarms = self.block = 0
         self.peaks: list[tuple[int, float, float]] = []
@@ -77,7 +78,7 @@ class Simulation:
 
     def motion(self, day_s: float) -> Recording:
         """The next stretch, with its touches."""
-        friction = 1 + (COLD - 1) * np.exp(-3 * day_s / WARM_S)
+        friction = 1 + (self.cold - 1) * np.exp(-3 * day_s / WARM_S)
         config = RigConfig()
         touches = round(BLOCK_S / self.every_s) if self.every_s <= BLOCK_S else int(
             (self.block + 1) * BLOCK_S // self.every_s - self.block * BLOCK_S // self.every_s
@@ -112,8 +113,10 @@ class Simulation:
             self.peaks.append((sink.epoch, 1e-9 * int(made.t_ns[a]), round(peak, 2)))
         rows, monitored, begin = sink._rows, "", 0
         while begin < made.samples:
-            active, seconds = self.folder.active(), self.folder.seconds()
-            if active is not None and seconds >= self.busy_s:
+            seconds = self.folder.seconds()
+            if seconds >= self.busy_s:  # else the earlier bundle monitors while the training would still run
+                self.in_charge = self.folder.active()
+            if (active := self.in_charge) is not None:
                 if self.first_s is None:
                     self.first_s = seconds
                 if active.stem != monitored:  # between two recordings; a new monitor warms up on the 10 s before
@@ -201,8 +204,9 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=float, default=600.0)
+    parser.add_argument("--cold", type=float, default=1.3)
     options = parser.parse_args()
-    simulation = Simulation(options.out, options.seed, options.every)
+    simulation = Simulation(options.out, options.seed, options.every, options.cold)
     titles = "day | monitored [h] | touches | detected | false collisions | promised an hour | bundles"
     print("\n".join(head(titles)), flush=True)
     for number in range(1, options.days + 1):

@@ -266,7 +266,7 @@ def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, 
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     out = ["--out", str(tmp_path / "b.tauext"), "--accept", "temperature-drift"]
     run(capsys, "train", "--data", str(copy.path), "--recipe", "prior", *out)
-    run(capsys, "calibrate", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
+    run(capsys, "calibrate", "--bundle", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
 
 
 def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):

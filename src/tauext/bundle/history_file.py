@@ -69,7 +69,7 @@ class Watch:
 
 
 def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
-    """Which bundle was in charge when, up to now: from its exchange on, which may come after its activation or never."""
+    """Which bundle was in charge when, up to now: from its exchange on, which follows its activation late or never."""
     begun = [one for one in history if one["kind"] == "exchange"]
     begun = begun or [one for one in history if one["kind"] == "activation"]
     for one, following in zip(begun, [*begun[1:], None], strict=True):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tauext.bundle.history_file import watches
 from tauext.commission import folder as folder_module
 from tauext.commission import keep
 from tauext.commission.folder import CommissionFolder, Segment, split_of
@@ -290,3 +291,10 @@ def test_the_index_survives_damage(tmp_path):
     assert [(one.number, one.set) for one in repaired(folder)] == [(1, "train"), (2, "train"), (3, "train")]
     assert json.loads((folder.path / "split.json").read_text())["test"] == []
     assert load_recording(folder.path / "seg-000003.parquet").samples == 250
+
+
+def test_a_bundle_is_in_charge_from_its_exchange_on():
+    lines = [{"kind": "activation", "bundle": name, "seconds": at} for name, at in (("b1", 100), ("b2", 200))]
+    assert [(one.bundle, one.to_s - one.from_s) for one in watches(lines, 300.0)] == [("b1", 100), ("b2", 100)]
+    lines.append({"kind": "exchange", "bundle": "b1", "seconds": 110})  # the other one was refused
+    assert [(one.bundle, one.to_s - one.from_s) for one in watches(lines, 300.0)] == [("b1", 190)]

@@ -17,13 +17,21 @@ from tauext.cli import main
 from tauext.commission import course, keep, trainer
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
-from tauext.commission.trainer import Ledger, Trainer
+from tauext.commission.trainer import Ledger, Trainer, named_steps
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels
 from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
+from tauext.sim.config import RigConfig, changed_friction
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_events():
+    """Fewer added forces than in use: most of the time would go there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tauext.evaluate.comparison.EVENTS", 100)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +90,7 @@ def test_a_killed_training_process_goes_on(copy):
 
 
 def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
+    monkeypatch.setattr(trainer, "STROKES_S", 1e9)
     assert Trainer(copy).step() == "train"  # two minutes are there
     pending = json.loads((copy.path / trainer.PENDING).read_text())
     assert pending["minutes"] == 2 and len(pending["trained_on"]) == 11
@@ -120,6 +129,7 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
 def quick(monkeypatch):
     """Limits from minutes of calibration."""
     monkeypatch.setattr(trainer, "SPARE_S", 0.0)
+    monkeypatch.setattr(trainer, "STROKES_S", 1e9)
     monkeypatch.setattr(course, "LEARN_S", 30.0)
     monkeypatch.setattr(course, "LIMITS_AT_H", (0.01, 0.02))
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
@@ -187,6 +197,52 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
 
 
+def colder(motion, factor: float):
+    """Another day with another friction."""
+    config = replace(RigConfig(), friction=changed_friction(RigConfig().friction, factor))
+    made = simulate_recording(config, "free", 130.0, 4, 1)
+    return replace(made, tau_ext=None, contact=None, contact_link=None, q_des=None, tau_ext_sensor=None)
+
+
+def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch):
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    Trainer(copy).step()  # the second epoch of the fixture
+    filled(copy.path, [colder(motion, 1.35)])
+    one = Trainer(copy)
+    assert one.step() == "morning" and trainer.base_of(copy, "b0002") == "b0001"
+    assert [one.step() for _ in range(2)] == ["judge", "nothing"]
+    (morning,) = [line for line in copy.history() if line["kind"] == "morning" and line["segment"] > 13]
+    assert all(1.15 < factor < 1.5 for factor in morning["friction"].values())
+    assert not copy.question_file.exists() and "refit" in [line["kind"] for line in copy.history()]
+
+
+@pytest.mark.parametrize("answer", ["learn", "leave"])
+def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monkeypatch, answer):
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    Trainer(copy).step()
+    other = colder(motion, 1.0)
+    filled(copy.path, [replace(other, tau=other.tau + np.sin(other.q) * [4.0, 0.0])])  # another load
+    one = Trainer(copy)
+    assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
+    question = json.loads(copy.question_file.read_text())
+    assert "load" in question["words"]
+    copy.question_file.write_text(json.dumps(question | {"answer": answer}))
+    assert one.step() == "answer" and not copy.question_file.exists()
+    assert one.facts().trained_min == (0 if answer == "learn" else 1) and active(copy) == "b0001"
+    if answer == "learn":
+        assert one.step() == "train" and json.loads((copy.path / trainer.PENDING).read_text())["bundle"] == "b0002"
+        names = json.loads((copy.path / trainer.PENDING).read_text())["trained_on"]
+        assert min(names) >= f"seg-{question['segment']:06d}.parquet"
+
+
+def test_steps_are_named_beyond_what_earlier_days_differ():
+    day = {"a": 1.0, "b": 1.0}
+    errors = {"a": 0.02, "b": 0.02}
+    assert not named_steps({"a": 1.4, "b": 0.8}, errors, [])
+    assert named_steps({"a": 1.4, "b": 0.5}, errors, [day]) == ["friction of b is 0.50 times that of earlier days"]
+    assert not named_steps({"a": 1.9, "b": 1.0}, errors, [day, {"a": 1.6, "b": 1.0}, {"a": 0.8, "b": 1.0}])
+
+
 def run(capsys, *words: str) -> str:
     assert main(list(words)) == 0, capsys.readouterr().err
     return capsys.readouterr().out
@@ -210,7 +266,7 @@ def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, 
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     out = ["--out", str(tmp_path / "b.tauext"), "--accept", "temperature-drift"]
     run(capsys, "train", "--data", str(copy.path), "--recipe", "prior", *out)
-    run(capsys, "calibrate", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
+    run(capsys, "calibrate", "--bundle", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
 
 
 def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
@@ -221,7 +277,9 @@ def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
     history = (tmp_path / "arms" / "cell1" / "history.jsonl").read_text()
     (tmp_path / "arms" / "cell1" / "history.jsonl").write_text(
         history.replace(time.strftime("%Y-", time.gmtime()), "2020-")
-        + json.dumps({"kind": "activation", "wall": "2021-01-02T03:04:05Z", "seconds": 9, "bundle": "b0001", "words": ""})
+        + json.dumps(
+            {"kind": "activation", "wall": "2021-01-02T03:04:05Z", "seconds": 9, "bundle": "b0001", "words": ""}
+        )
         + "\n"
     )
     visits = visits_of([tmp_path / "arms"])
@@ -230,4 +288,8 @@ def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
     ]  # fmt: skip
     run(capsys, "fleet", "report", str(tmp_path / "arms"), "--out", str(tmp_path / "report"))
     content = json.loads((tmp_path / "report" / "fleet-report.json").read_text())
-    assert [(one["serial"], len(one["visits"])) for one in content["arms"]] == [("cell1", 2), ("cell2", 1), ("cell3", 1)]
+    assert [(one["serial"], len(one["visits"])) for one in content["arms"]] == [
+        ("cell1", 2),
+        ("cell2", 1),
+        ("cell3", 1),
+    ]

@@ -69,8 +69,9 @@ class Watch:
 
 
 def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
-    """Which bundle was in charge when, up to now."""
-    begun = [one for one in history if one["kind"] == "activation"]
+    """Which bundle was in charge when, up to now: from its exchange on, which follows its activation late or never."""
+    begun = [one for one in history if one["kind"] == "exchange"]
+    begun = begun or [one for one in history if one["kind"] == "activation"]
     for one, following in zip(begun, [*begun[1:], None], strict=True):
         end = now_s if following is None else float(following.get("seconds") or 0.0)
         yield Watch(str(one.get("bundle")), float(one.get("seconds") or 0.0), end)

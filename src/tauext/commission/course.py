@@ -46,8 +46,10 @@ class Facts:
     """Whether the promise of the bundle in charge is broken, and its false alarms are learned."""
     promised_s: float = 0.0
     """Received motion at the newest comparison of the promise, [s]."""
+    is_asking: bool = False
+    """Whether a person is asked about a change of the arm; nothing is learned meanwhile."""
     is_answered: bool = False
-    """Whether a person has answered a question."""
+    """Whether a person has answered the question."""
     is_morning: bool = False
     """Whether a pause has ended and the first strokes after it are not compared yet."""
 
@@ -73,6 +75,8 @@ def next_step(facts: Facts) -> Step:
         return Step("check")
     if facts.unseen_s is not None and facts.unseen_s >= LEAST_TEST_S:
         return Step("judge")
+    if facts.is_asking:
+        return Step("nothing")
     due = max((minutes for minutes in SCHEDULE_MIN if 60 * minutes <= facts.kept_s), default=0)
     if due > facts.trained_min and (facts.unseen_s is None or facts.has_bundle):
         return Step("train", due)

@@ -152,7 +152,8 @@ def write_history(folder: Place, out: Place) -> Place:
     style = (
         "body{font:15px/1.5 system-ui,sans-serif;margin:2em auto;max-width:64em;padding:0 1em;color:#222;"
         "background:#fff}table{border-collapse:collapse}td,th{padding:.2em .8em .2em 0;text-align:left;"
-        "vertical-align:top;border-bottom:1px solid #8884}@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}"
+        "vertical-align:top;border-bottom:1px solid #8884}"
+        "@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}"
     )
     title = html.escape(f"{folder.name}: history of a commissioned arm")
     text = f'<!doctype html><meta charset="utf-8"><title>{title}</title><style>{style}</style><h1>{title}</h1>'

@@ -202,6 +202,10 @@ LOWERED = 0.98
 """Share of the bound to which recordings are dropped, so that this is seldom."""
 
 
+LEARN_FROM = "learn_from"
+"""Entry of commission.json: number of the first recording after a change of the arm that may be learned."""
+
+
 def set_of(number: int, is_news: bool, train_s: float) -> str:
     """Set of a kept recording; it never changes."""
     if number % EVERY == TEST:
@@ -429,7 +433,8 @@ class KeepSink(RecordSink):
         if self._save(columns, path, facts) is None:
             self._number -= 1
             return
-        train_s = sum(one.seconds for one in self._segments if one.set == "train")
+        begin = int(self._kept.facts.get(LEARN_FROM) or 0)
+        train_s = sum(one.seconds for one in self._segments if one.set == "train" and one.number >= begin)
         kept = Segment(
             path.name,
             self._number,

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict, replace
+from itertools import pairwise
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
@@ -20,7 +23,7 @@ from tauext.commission.connect import as_data, as_entries, facts_of_data, judge,
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.commission.history import kept_of
-from tauext.commission.keep import LEARNED
+from tauext.commission.keep import LEARN_FROM, LEARNED
 from tauext.commission.suspects import Suspect, find_suspects
 from tauext.config import PAPER_CASES, AlarmConfig, FreeMotionConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
@@ -43,6 +46,7 @@ from tauext.train.held_peaks import collect_peaks
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given
 from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.refit import refit_recordings
 from tauext.train.stage import accepted_settings, train_on_recordings
 
 THREADS = 1
@@ -61,6 +65,13 @@ MOST_ALARMED = 0.02
 """Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
 MOST_HITS_LOST = 0.05
 """A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
+PAUSE_S = 3600.0
+"""Pause after which the first strokes are compared with earlier days, [s]; so are those after every start."""
+STROKES_S = 60.0
+STEP, STEP_SPREADS = 0.5, 4.0
+"""A change of friction is named if its logarithm exceeds the first, and so many standard deviations of earlier days."""
+REFIT_FROM, REFIT_WORTH = 0.1, 0.95
+"""Change of friction from which a refit is tried, and the ratio of errors below which it is used."""
 BYTES_A_VALUE = 8 * 12
 """Memory of a training for each sample and joint, [bytes]."""
 
@@ -72,6 +83,8 @@ class Trainer:
         self.folder = folder
         self._checked_s = 0.0
         self._ledger: Ledger | None = None
+        self._bases: dict[str, str] = {}
+        """Names of bundles and of those whose model they have."""
         self._repair()
 
     def _repair(self) -> None:
@@ -96,15 +109,16 @@ class Trainer:
     def facts(self) -> Facts:
         """State of the folder."""
         folder = self.folder
-        coverage, history, segments = folder.coverage(), folder.history(), folder.segments()
-        seconds, pending, active = float(coverage.get("seconds") or 0.0), self._pending(), folder.active()
-        trained = [float(one.get("minutes") or 0.0) for one in history if one["kind"] == "training"]
+        history, segments, question = folder.history(), self._segments(), self._question()
+        seconds, pending, active = folder.seconds(), self._pending(), folder.active()
+        learned = max((k for k, one in enumerate(history) if one.get("learned")), default=0)
+        trained = [float(one.get("minutes") or 0.0) for one in history[learned:] if one["kind"] == "training"]
         promised = [float(one["seconds"]) for one in history if one["kind"] in ("promise", "activation")]
         ledger = self.ledger() if active is not None else None
         unlearned = self._unlearned(segments, ledger) if ledger else []
         return Facts(
             seconds=seconds,
-            kept_s=float(coverage.get("kept_s") or 0.0),
+            kept_s=sum(one.seconds for one in segments if one.set != "calibration"),
             checked_s=self._checked_s if "arm" in folder.facts else seconds,
             trained_min=max([*trained, float(pending.get("minutes") or 0.0)], default=0.0),
             unseen_s=sum(one.seconds for one in self._unseen(pending, segments)) if pending else None,
@@ -114,7 +128,35 @@ class Trainer:
             limits_h=ledger.limits_h if ledger else 0.0,
             is_broken=ledger is not None and self._is_broken(ledger),
             promised_s=max(promised, default=0.0),
+            is_asking=bool(question),
+            is_answered=question.get("answer") in ("learn", "leave"),
+            is_morning=active is not None and not pending and bool(self._morning_motion(segments, history)),
         )
+
+    def _segments(self) -> list[Segment]:
+        """Recordings of the arm as it is: since the last change that a person let it learn."""
+        begin = int(self.folder.facts.get(LEARN_FROM) or 0)
+        return [one for one in self.folder.segments() if one.number >= begin]
+
+    def _question(self) -> dict[str, Any]:
+        try:
+            content = json_of(read_text(self.folder.question_file))
+        except (OSError, ValueError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+    def _morning_motion(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
+        """The first strokes after the newest pause; empty while they are too short, or if they were compared before."""
+        begins = [k for k, (a, b) in enumerate(pairwise(segments), 1) if b.epoch != a.epoch or _pause(a, b) > PAUSE_S]
+        if not begins:
+            return []
+        first, motion, seconds = segments[begins[-1]], list[Segment](), 0.0
+        done = max((int(one.get("segment") or 0) for one in history if one["kind"] == "morning"), default=0)
+        for one in segments[begins[-1] :]:
+            if seconds < STROKES_S:
+                motion.append(one)
+                seconds += one.seconds
+        return motion if first.number > done and seconds >= STROKES_S else []
 
     def _pending(self) -> dict[str, Any]:
         try:
@@ -144,6 +186,8 @@ class Trainer:
             "learn": self._learn,
             "limits": self._limits,
             "promise": self._compare,
+            "morning": self._morning,
+            "answer": self._answer,
         }
         if step.what in work:
             try:
@@ -193,7 +237,7 @@ class Trainer:
 
     def _train(self, step: Step) -> None:
         """Train on all training motion, without touches that this training or an earlier one finds."""
-        folder, segments = self.folder, self.folder.segments()
+        folder, segments = self.folder, self._segments()
         training = [one for one in segments if one.set == "train"]
         out = folder.next_bundle()
         self._progress(f"training {out.stem} on {step.minutes:g} min")
@@ -227,8 +271,10 @@ class Trainer:
 
     def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
         """Label touches that nobody reported; returns them."""
-        found = find_suspects(bundle, recordings, THREADS)
-        ids = [one.id for one in self.folder.labels()]
+        labels = self.folder.labels()
+        told = [one for one in labels if one.answer == "nothing"]
+        found = [one for one in find_suspects(bundle, recordings, THREADS) if not any(_meets(one, of) for of in told)]
+        ids = [one.id for one in labels]
         number = min([0, *(one for one in ids if one < 0 and one % 2 == 0)])
         for one in found:
             number -= 2
@@ -244,11 +290,14 @@ class Trainer:
         """Put the waiting bundle in charge if it passes on motion outside of its training, and is no worse."""
         folder, pending = self.folder, self._pending()
         name, minutes = str(pending["bundle"]), float(pending["minutes"])
-        unseen = self._unseen(pending, folder.segments())
+        unseen = self._unseen(pending, self._segments())
         self._progress(f"judging {name}")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
         self._suspect(candidate, self._load(unseen))
         facts, why = self._judged(name, unseen)
+        if pending.get("refit"):
+            self._judge_refit(name, facts, why)
+            return
         passed = not why
         words = f"{name}, trained on {minutes:g} min of motion, " + ("passed" if passed else f"did not pass: {why}")
         folder.note("training", folder.seconds(), words, bundle=name, minutes=minutes, passed=passed, why=why, **facts)
@@ -292,10 +341,94 @@ class Trainer:
             "promised_per_hour": free.promised_per_hour,
             "test_minutes": round(60 * (free.hours or 0.0), 3),
         }
+        if before is not None and before.free_motion.hours:
+            old_free = before.free_motion
+            facts["before"] = (old_free.false_collisions or 0) / before.free_motion.hours
+            ratios = [a / b for a, b in zip(free.l2_nm, old_free.l2_nm, strict=True) if a is not None and b]
+            facts["error_ratio"] = round(float(np.mean(ratios)), 4) if ratios else 1.0
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"
         return facts, why_not(new, before)
+
+    # Days: the first strokes after a pause are compared with those of earlier days.
+
+    def _morning(self, step: Step) -> None:
+        """Refit to the first strokes; name what is not explained by friction, or is far beyond the earlier days."""
+        folder, active = self.folder, self.folder.active()
+        assert active is not None
+        history = folder.history()
+        motion = self._morning_motion(self._segments(), history)
+        self._progress("comparing the first strokes with earlier days")
+        facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
+        bundle = load_bundle(active)
+        try:
+            refitted = refit_recordings(bundle, self._load(motion), THREADS)
+        except TauextError as error:
+            if not bundle.prior.terms:
+                folder.note(
+                    "morning", folder.seconds(), f"{active.stem} has no friction that could be refitted", **facts
+                )
+                return
+            why = " ".join(str(error).split())
+            self._ask(f"the arm is not as before, and no friction explains it (tool, load or damage?): {why}", facts)
+            return
+        factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
+        facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
+        earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
+        if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
+            self._ask(f"{'; '.join(steps)}: a replaced gear, wear, damage or another load?", facts)
+            return
+        words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
+        folder.note(
+            "morning", folder.seconds(), f"friction of the first strokes, times that of training: {words}", **facts
+        )
+        if any(abs(np.log(one.coulomb[0])) > max(REFIT_FROM, 2 * one.coulomb[1]) for one in refitted.joints):
+            out = folder.next_bundle()
+            about = json.loads(bundle.provenance or "{}")
+            about["refitted"] = provenance("tauext commission", {"bundle": active.name}, seed=None) | refitted.facts()
+            about["calibrated"] = about.get("calibrated", {}) | {"base": base_of(folder, active.stem)}
+            refitted.bundle.name = out.stem
+            write_bundle(refitted.bundle, out, about, [], WallTimes())
+            content = {"bundle": out.stem, "minutes": 0, "refit": True, "trained_on": [one.name for one in motion]}
+            write_synced(folder.path / PENDING, json.dumps(content) + "\n")
+
+    def _factor(self, bundle: str, joint: str) -> float:
+        """Factor of a joint's friction that a refit has put into the bundle already."""
+        try:
+            about = json.loads(load_bundle(self.folder.bundles / f"{bundle}.tauext").provenance or "{}")
+        except (TauextError, ValueError):
+            return 1.0
+        joints = (about.get("refitted") or {}).get("joints") or []
+        return float(next((one["coulomb"][0] for one in joints if one["joint"] == joint), 1.0))
+
+    def _judge_refit(self, name: str, facts: dict[str, Any], why: str) -> None:
+        """A refit monitors if it passes and is better: fewer false alarms, or smaller errors."""
+        folder = self.folder
+        better = facts.get("error_ratio", 1.0) < REFIT_WORTH or facts.get("per_hour", 0.0) < facts.get("before", 0.0)
+        why = why or ("" if better else "the drift tracker does as well")
+        words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
+        folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
+        if not why:
+            folder.activate(name, "friction of the first strokes of the day", folder.seconds())
+        (folder.path / PENDING).unlink(missing_ok=True)
+
+    def _ask(self, words: str, facts: dict[str, Any]) -> None:
+        """Name a change and ask a person whether it may be learned."""
+        self.folder.note("morning", self.folder.seconds(), words, **facts)
+        self.folder.note("step", self.folder.seconds(), words, segment=facts["segment"])
+        content = {"words": words, "asked": wall(), "segment": facts["segment"]}
+        write_synced(self.folder.question_file, json.dumps(content) + "\n")
+
+    def _answer(self, step: Step) -> None:
+        """learn: train on motion since the change alone. leave: the bundle in charge stays, and the motion is used."""
+        folder, question = self.folder, self._question()
+        learns = question["answer"] == "learn"
+        if learns:
+            folder.save(**{LEARN_FROM: int(question.get("segment") or 0)})
+        words = "the change is learned: training begins again" if learns else "the change is not learned"
+        folder.note("step", folder.seconds(), f"{words} ({question.get('words')})", learned=learns)
+        folder.question_file.unlink(missing_ok=True)
 
     # Limits from calibration motion.
 
@@ -303,7 +436,9 @@ class Trainer:
         """Peaks of the calibration motion for the model of the bundle in charge."""
         active = self.folder.active()
         assert active is not None
-        base = base_of(self.folder, active.stem)
+        if active.stem not in self._bases:
+            self._bases[active.stem] = base_of(self.folder, active.stem)
+        base = self._bases[active.stem]
         if self._ledger is None or self._ledger.base != base:
             self._ledger = Ledger.load(self.folder, base)
         return self._ledger
@@ -319,7 +454,7 @@ class Trainer:
     def _learn(self, step: Step) -> None:
         """Collect the peaks of new calibration motion, and of alarms that were answered with `nothing`."""
         ledger = self.ledger()
-        segments = self.folder.segments()
+        segments = self._segments()
         fresh = self._unlearned(segments, ledger)
         self._progress(f"learning from {sum(one.seconds for one in fresh) / 60:.0f} min of motion")
         ledger.learn(fresh, segments)
@@ -332,9 +467,9 @@ class Trainer:
         out = folder.next_bundle()
         self._progress(f"limits of {out.stem}")
         started = time.monotonic()
-        segments = folder.segments()
+        segments = self._segments()
         ledger.learn([], segments)
-        bundle = load_bundle(active)
+        bundle = load_bundle(folder.bundles / f"{ledger.base}.tauext")  # without the refit of a morning
         alarm = AlarmConfig()
         try:
             with no_freeze(bundle):
@@ -424,12 +559,35 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
 
 
 def base_of(folder: CommissionFolder, bundle: str) -> str:
-    """The bundle whose model a bundle with other limits has."""
+    """The bundle whose model a bundle with other limits, or with today's friction, comes from."""
     try:
         facts = json.loads(load_bundle(folder.bundles / f"{bundle}.tauext").provenance or "{}")
     except (TauextError, ValueError):
         return bundle
     return str((facts.get("calibrated") or {}).get("base") or bundle)
+
+
+def named_steps(
+    now: Mapping[str, float], errors: Mapping[str, float], earlier: Sequence[Mapping[str, float]]
+) -> list[str]:
+    """Joints whose friction is far from that of earlier days, in words.
+
+    Args:
+        now: friction of the first strokes, times that of training. errors: its standard errors.
+        earlier: the same of earlier days.
+    """
+    found = []
+    for joint, factor in now.items():
+        logs = np.log([one[joint] for one in earlier if one.get(joint, 0.0) > 0] or [1.0])
+        usual, spread = float(np.median(logs)), float(np.std(logs))
+        apart = abs(float(np.log(factor)) - usual)
+        if apart > max(STEP, STEP_SPREADS * float(np.hypot(spread, errors[joint]))):
+            found.append(f"friction of {joint} is {factor / np.exp(usual):.2f} times that of earlier days")
+    return found
+
+
+def _pause(before: Segment, after: Segment) -> float:
+    return 1e-9 * (after.from_ns - before.to_ns)
 
 
 # --- Peaks of all calibration motion, also of recordings that the disk no longer holds.
@@ -513,8 +671,8 @@ class Ledger:
             self.forgotten[label.id] = span
 
 
-def _meets(segment: Segment, label: Label) -> bool:
-    return segment.epoch == label.epoch and segment.from_ns <= label.to_ns and segment.to_ns >= label.from_ns
+def _meets(one: Segment | Suspect, label: Label) -> bool:
+    return one.epoch == label.epoch and one.from_ns <= label.to_ns and one.to_ns >= label.from_ns
 
 
 # --- The process.

@@ -26,13 +26,13 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
 from tauext.monitor.source import Sample, settings_of
 
-QUIET_S = 1.0
+QUIET_S = 0.5
 ARM = settings_of(watching_bundle())
 
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
-    """A new monitor is quiet after a second, not fifty or ten."""
+    """A new monitor is quiet after half a second, not fifty or ten."""
     monkeypatch.setattr("tauext.monitor.loop.QUIET_S", QUIET_S)
     monkeypatch.setattr("tauext.monitor.loop.FIRST_QUIET_S", QUIET_S)
 
@@ -137,7 +137,7 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
     "rest": ({}, lambda samples: still(samples, 2000, 3500), {}),
     "a latched alarm": ({"pushes": ((2.0, 0, 12.0),)}, lambda samples: samples, {}),
     "a contact": ({"pushes": ((2.95, 0, 1.6),)}, lambda samples: samples, {}),
-    "lost samples": ({}, lambda samples: samples[:1500] + samples[1504:2200] + samples[2300:], {}),
+    "lost samples": ({}, lambda samples: samples[:1200] + samples[1204:1500] + samples[1600:], {}),
     "temperatures": ({}, with_temperature, {}),
     "the network's own rate": ({}, lambda samples: samples, {"own_rate": True}),
 }
@@ -145,7 +145,8 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
 
 @pytest.mark.parametrize("model", [3, 5])
 @pytest.mark.parametrize("phase", PHASES)
-def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path):
+def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path, monkeypatch):
+    monkeypatch.setattr(exchange, "RING_S", 2.0)  # what was learned before comes by the mark alone
     pushes, changed, settings = PHASES[phase]
     samples = changed(samples_of(pushed(seconds=5, **({"pushes": ()} | pushes))))
     swap = Swap(saved(bundle_of("new", model, 2.5), tmp_path))
@@ -171,12 +172,39 @@ def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, mod
     repeat(first, one.row)
     fresh.carry_alarm(one.left)
     assert_same(keeper.verdicts[one.row :], repeat(one.row, len(samples)))
+    drift = keeper.verdicts[one.row].estimates["drift"]
+    learned = _core.Monitor(_core.Bundle.load(str(swap.path)), settings.get("own_rate", False))
+    fresh, carried_on = learned, np.abs(drift).max()
+    repeat(first, one.row)
+    if model == 3 and phase == "motion":
+        assert np.abs(drift - repeat(one.row, one.row + 1)["drift"]).max() > 0.1 * carried_on > 0
     # the alarm goes on, and is told of once
     alarms = [change for change in keeper.changes if isinstance(change, AlarmChange) and change.was == NONE]
     assert len(alarms) == len(pushes) and loop.alarms == len(pushes)
     if phase == "a latched alarm":
         assert all(v.estimates["alarm"][0] == COLLISION and v.alarm_id == 1 for v in keeper.verdicts[one.row :])
         assert loop.monitor.last.alarm_t_ns == swap.old.last.alarm_t_ns
+
+
+def test_a_successor_repeats_missing_samples_and_what_was_done_at_their_row():
+    recording = pushed(seconds=3, pushes=())
+    ring, plain = Ring(2, 1_000_000), _core.Monitor(bundle_of("b"))
+    rows = list(zip(*signals_of(recording), strict=True))
+    for k, (t_ns, q, dq, tau) in enumerate(rows):
+        if k in (1000, 2500):
+            ring.act(lambda monitor: monitor.resume())
+            plain.resume()
+        if 1500 <= k < 1503 or 2000 <= k < 2040:
+            ring.miss(int(t_ns))
+            if k < 2000 + exchange.SILENT_ROWS:
+                plain.run_missing(int(t_ns))
+            continue
+        ring.add(int(t_ns), q, dq, tau, None, 0)
+        plain.run(np.array([t_ns]), q[None], dq[None], tau[None])
+    successor = exchange.Successor(bundle_of("b"), ring, False, None, QUIET_S)
+    while successor.follow(64):
+        pass
+    assert successor.monitor.save_state() == plain.save_state()
 
 
 def test_the_same_bundle_changes_next_to_nothing(tmp_path):
@@ -301,7 +329,9 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
             self.followed.append((bundle.name, monitor))
 
     sink = Following()
-    (tmp_path / "profiles.toml").write_text("[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\n")
+    (tmp_path / "profiles.toml").write_text(
+        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n"
+    )
     profiles = load_profiles(tmp_path / "profiles.toml", JOINTS)
     samples = samples_of(pushed(seconds=4, pushes=((1.0, 0, 12.0), (3.0, 0, 12.0))))
     swap = Swap(saved(bundle_of("first"), tmp_path))
@@ -311,6 +341,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     assert swap.answer == "" and one.replaced == "" and one.carried == one.left == b""
     assert one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
+    assert loop.monitor.limit_factors == ([2.0, 2.0], [1.0, 1.0])
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
     assert all(v.estimates["health"][0] == OK for v in after)

@@ -8,11 +8,8 @@ Needs Chromium and the websockets of tauext[live]; takes four minutes.
 from __future__ import annotations
 
 import argparse
-import base64
 import io
-import itertools
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -20,75 +17,17 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
-from websockets.sync.client import connect
 
-CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from made_browser import Browser, Page
+
 SIZES = {"phone": (390, 1500), "desktop": (1280, 1000)}
 """Width and height of the pictures."""
 PORT = 8795
 PUSH = "sim push joint=joint2 force=0,0,-60 seconds=0.4"
-
-
-class Browser:
-    """Chromium without a window, by its DevTools protocol."""
-
-    def __init__(self, folder: Path):
-        words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"]
-        words += ["--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]
-        self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        port = folder / "DevToolsActivePort"
-        while not port.is_file() or len(port.read_text().splitlines()) < 2:
-            if self._process.poll() is not None:
-                raise SystemExit(f"{CHROMIUM} does not start")
-            time.sleep(0.1)
-        number, path = port.read_text().splitlines()[:2]
-        self._wire = connect(f"ws://127.0.0.1:{number}{path}", max_size=None)
-        self._numbers = itertools.count(1)
-
-    def close(self) -> None:
-        self._wire.close()
-        self._process.kill()
-        self._process.wait()
-
-    def call(self, method: str, session: str = "", **parameters: object) -> dict:
-        number = next(self._numbers)
-        request = {"id": number, "method": method, "params": parameters}
-        self._wire.send(json.dumps(request | ({"sessionId": session} if session else {})))
-        while True:
-            answer = json.loads(self._wire.recv())
-            if answer.get("id") == number:
-                return answer["result"]
-
-    @contextmanager
-    def page(self, url: str, size: str, scheme: str) -> Iterator[Page]:
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        width, height = SIZES[size]
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == "phone"}
-        self.call("Emulation.setDeviceMetricsOverride", session, **metrics)
-        media = [{"name": "prefers-color-scheme", "value": scheme}]
-        self.call("Emulation.setEmulatedMedia", session, features=media)
-        self.call("Page.navigate", session, url=url)
-        yield Page(self, session)
-        self.call("Target.closeTarget", targetId=target)
-
-
-class Page:
-    """One page of the browser."""
-
-    def __init__(self, browser: Browser, session: str):
-        self._browser, self._session = browser, session
-
-    def take(self, path: Path) -> None:
-        """A picture with few colours, so that it is small."""
-        data = self._browser.call("Page.captureScreenshot", self._session, format="png")["data"]
-        picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
-        picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def first_use(out: Path, browser: Browser, arm: str) -> str:
@@ -117,14 +56,14 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
             wait_for(lambda: state_of(folder) == "monitoring")
             time.sleep(20)
             photograph(browser, url, out, "monitoring")
-            shown = {size: browser.page(url, size, scheme) for size, scheme in LOOKS}
+            shown = {size: browser.page(url, *SIZES[size], scheme) for size, scheme in LOOKS}
             pages = {size: page.__enter__() for size, page in shown.items()}
             time.sleep(15)
             ask(folder, PUSH)
             lines.append(f"{time.monotonic() - began:6.0f} s  (the arm is pushed with 60 N for 0.4 s)")
             time.sleep(1.0)
             for size, page in pages.items():
-                page.take(out / f"asking-{size}.png")
+                save(page, out / f"asking-{size}.png")
                 shown[size].__exit__(None, None, None)
             lines.append(f"{time.monotonic() - began:6.0f} s  key t: {ask(folder, 'touched')}")
             command.send_signal(signal.SIGINT)
@@ -138,12 +77,18 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
 LOOKS = (("phone", "light"), ("desktop", "dark"))
 
 
+def save(page: Page, path: Path) -> None:
+    """A picture with few colours, so that it is small."""
+    picture = Image.open(io.BytesIO(page.picture())).convert("RGB")
+    picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
 def photograph(browser: Browser, url: str, out: Path, name: str, settle_s: float = 8.0) -> None:
     """The page on a phone and on a desktop."""
     for size, scheme in LOOKS:
-        with browser.page(url, size, scheme) as page:
+        with browser.page(url, *SIZES[size], scheme) as page:
             time.sleep(settle_s)
-            page.take(out / f"{name}-{size}.png")
+            save(page, out / f"{name}-{size}.png")
 
 
 def wait_for(true, patience_s: float = 600.0) -> None:

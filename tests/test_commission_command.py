@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tauext.cli import main
-from tauext.cli.commission import answer
+from tauext.cli.commission import answer, keys
 from tauext.commission.folder import CommissionFolder
 from tauext.data.labels import read_labels
 from tauext.errors import ConfigError
@@ -79,6 +79,38 @@ def test_keys_are_answers(capsys):
         answer(Asked(), key)
     assert Asked.given == [("touched", "key"), ("touched", "key"), ("learn", "key"), ("leave", "key")]
     assert "there is no alarm without an answer" in capsys.readouterr().out
+
+
+def test_a_key_of_a_terminal_is_read_at_once_and_the_terminal_is_as_before(monkeypatch):
+    import pty
+    import termios
+
+    class Asked:
+        given = []
+
+        def answer(self, what, by, alarm=None):
+            self.given.append((what, by))
+
+    far, near = pty.openpty()
+    with open(near, closefd=False) as terminal:
+        before = termios.tcgetattr(near)
+        monkeypatch.setattr("sys.stdin", terminal)
+        with keys() as listen:
+            listen(Asked())
+            os.write(far, b"t")  # without a line's end
+            until(lambda: Asked.given == [("touched", "key")], "the answer", 10)
+        assert termios.tcgetattr(near) == before
+    os.close(far)
+    os.close(near)
+
+
+def test_without_a_terminal_nothing_is_read(monkeypatch, tmp_path):
+    (tmp_path / "lines").write_text("t\nt\n")
+    with (tmp_path / "lines").open() as file:
+        monkeypatch.setattr("sys.stdin", file)
+        with keys() as listen:
+            listen(None)
+        assert file.read() == "t\nt\n"
 
 
 # --- The whole command, on a simulated arm.

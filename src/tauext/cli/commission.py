@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import sys
 import threading
@@ -122,18 +123,24 @@ def keys() -> Iterator[Callable[[Steering], None]]:
 
     file = sys.stdin.fileno()
     before, ended = termios.tcgetattr(file), threading.Event()
+    reading: list[threading.Thread] = []
 
     def listen(steering: Steering) -> None:
         def work() -> None:
             while not ended.is_set():
                 if not select.select([file], [], [], 0.2)[0]:
                     continue
-                key = sys.stdin.read(1)
-                if not key:
+                try:
+                    typed = os.read(file, 100).decode(errors="ignore")
+                except OSError:  # the terminal is gone
                     return
-                answer(steering, key)
+                if not typed:
+                    return
+                for key in typed:
+                    answer(steering, key)
 
-        threading.Thread(target=work, name="keys", daemon=True).start()
+        reading.append(threading.Thread(target=work, name="keys", daemon=True))
+        reading[0].start()
         say("keys: t touched, n nothing there")
 
     tty.setcbreak(file)
@@ -141,7 +148,10 @@ def keys() -> Iterator[Callable[[Steering], None]]:
         yield listen
     finally:
         ended.set()
-        termios.tcsetattr(file, termios.TCSADRAIN, before)
+        for thread in reading:
+            thread.join(1.0)
+        with suppress(termios.error):
+            termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
 def answer(steering: Steering, key: str) -> None:

@@ -1,0 +1,111 @@
+"""The live page in Chromium: what it shows in each state, on a phone and on a desktop, light and dark."""
+
+import time
+
+import pytest
+
+pytest.importorskip("websockets.sync.client")
+from made_browser import CHROMIUM, Browser
+from test_live_page import served
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}"),
+]
+PATIENCE_S = 30.0
+RED = {
+    "connecting": "learning: 40 s more",
+    "learning": "learning: 40 s more",
+    "silent": "no news from the loop",
+    "lost": "the source is silent: no sample for 12 s",
+}
+"""States in which nothing is monitored, and why."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    one = Browser(tmp_path_factory.mktemp("chromium"))
+    yield one
+    one.close()
+
+
+def until(true, what):
+    end = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < end, what
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), [(390, 844, "light"), (1280, 900, "dark")])
+@pytest.mark.parametrize(
+    ("state", "arm"),
+    [
+        ("connecting", "none"),
+        ("learning", "none"),
+        ("monitoring", "rig"),
+        ("alarm", "seven"),
+        ("unanswered", "rig"),
+        ("question", "seven"),
+        ("silent", "rig"),
+        ("lost", "rig"),
+    ],
+)
+def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
+    with (
+        served(tmp_path, state, arm) as (port, loop),
+        browser.page(f"http://127.0.0.1:{port}/", width, height, scheme) as page,
+    ):
+
+        def text():
+            return page.value("document.body.innerText")
+
+        def banner():
+            return page.value("banner.className + ': ' + banner.innerText")
+
+        shown = f"bad: NOTHING IS MONITORED\n{RED[state]}" if state in RED else "good: Monitored by b0004"
+        until(lambda: banner().startswith(shown), shown)
+        until(lambda: arm == "none" or page.value("!!(arm && shown && shown.drawn.length)"), "the arm")
+        assert page.value("document.documentElement.scrollWidth") <= width  # nothing hangs over
+        if state == "alarm":
+            until(lambda: "The alarm stands until" in text(), "the alarm")
+            page.value("document.getElementById('nothing').click()")
+            until(lambda: loop.received == ["nothing 17"], "the answer")
+        if state == "unanswered":
+            until(lambda: "No answer is also allowed" in text(), "the question")
+            page.value("document.getElementById('touched').click()")
+            until(lambda: loop.received == ["touched 16"], "the answer")
+        if state == "question":
+            until(lambda: "Shall the monitor learn this?" in text(), "the question")
+            page.value("document.querySelector('#question button').click()")
+            until(lambda: loop.received == ["learn yes"], "the answer")
+        if state == "connecting":
+            until(lambda: "wrong sign" in text() and "500 samples a second" in text(), "the findings")
+
+
+PRESS = """(() => {
+  const s = shown.drawn.at(-1), x = (s.pa[0] + s.pb[0]) / 2, y = (s.pa[1] + s.pb[1]) / 2;
+  const c = arm_canvas, r = c.getBoundingClientRect();
+  const send = (kind, x, y) => c.dispatchEvent(
+    new PointerEvent(kind, { clientX: r.left + x, clientY: r.top + y, pointerId: 1 }));
+  c.setPointerCapture = () => {};
+  send("pointerdown", x, y);
+  send("pointermove", x + 60, y);
+})()"""
+SHOW = "[...document.querySelectorAll('button')].find(b => b.textContent === 'show trace').click()"
+
+
+def test_a_link_is_pushed_with_the_pointer_and_a_trace_is_drawn(browser, tmp_path):
+    with (
+        served(tmp_path, "monitoring", "rig") as (port, loop),
+        browser.page(f"http://127.0.0.1:{port}/", 1280, 900, "light") as page,
+    ):
+        until(lambda: page.value("!!(shown && shown.drawn.length && state.commission)"), "the arm")
+        page.value(PRESS)
+        until(lambda: any(one.startswith("sim push joint=joint") for one in loop.received), "the push")
+        page.value("arm_canvas.dispatchEvent(new PointerEvent('pointerup', { pointerId: 1 }))")
+        time.sleep(0.3)
+        count = len(loop.received)
+        time.sleep(0.5)
+        assert len(loop.received) == count  # it is not renewed any more
+        page.value(SHOW)
+        until(lambda: page.value("document.querySelectorAll('canvas.trace').length") == 1, "the trace")

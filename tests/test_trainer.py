@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import shutil
 import time
 from dataclasses import replace
@@ -21,6 +22,7 @@ from tauext.commission.trainer import Ledger, Trainer, named_steps
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels
+from tauext.errors import ConfigError
 from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig, changed_friction
@@ -87,6 +89,27 @@ def test_a_killed_training_process_goes_on(copy):
     assert [line["kind"] for line in copy.history()].count("activation") == 1
     assert json.loads(copy.progress_file.read_text())["doing"] == ""
     assert one.facts().has_bundle and one.facts().trained_min == 1
+
+
+@pytest.mark.slow
+def test_kill_9_during_a_training_costs_that_training_alone(copy):
+    spawn = multiprocessing.get_context("spawn")
+    mine, its = spawn.Pipe()
+    process = spawn.Process(target=trainer.run_trainer, args=(its, copy.path), daemon=True)
+    process.start()
+    end = time.monotonic() + 120
+    while "training b0002" not in copy.progress_file.read_text():
+        assert time.monotonic() < end and process.is_alive()
+        time.sleep(0.01)
+    with pytest.raises(ConfigError, match="another"), copy.locked("trainer.lock"):
+        pass
+    process.kill()
+    process.join()
+    mine.close()
+    with copy.locked("trainer.lock"):
+        one = Trainer(copy)
+    assert active(copy) == "b0001" and [path.name for path in copy.bundles.glob("*.tauext")] == ["b0001.tauext"]
+    assert one.step() == "train" and one.facts().trained_min == 2
 
 
 def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
@@ -266,7 +289,8 @@ def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, 
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     out = ["--out", str(tmp_path / "b.tauext"), "--accept", "temperature-drift"]
     run(capsys, "train", "--data", str(copy.path), "--recipe", "prior", *out)
-    run(capsys, "calibrate", "--bundle", str(copy.active()), "--data", str(copy.path), "--out", str(tmp_path / "c.tauext"))
+    bundle, limits = str(copy.active()), str(tmp_path / "c.tauext")
+    run(capsys, "calibrate", "--bundle", bundle, "--data", str(copy.path), "--out", limits)
 
 
 def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):

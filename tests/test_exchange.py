@@ -19,11 +19,12 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, NONE, OK, STALE, WARMING_UP
 from tauext.errors import ConfigError
 from tauext.monitor import exchange
-from tauext.monitor.changes import AlarmChange, HealthChange
+from tauext.monitor.changes import AlarmChange, DriftChange, HealthChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged, NoMonitor, Ring, why_not_exchange
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
+from tauext.monitor.replay import EventStream
 from tauext.monitor.source import Sample, settings_of
 
 QUIET_S = 0.5
@@ -304,6 +305,29 @@ def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_pat
         Loop(None, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", JOINTS), arm=ARM)
 
 
+def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
+    recording = pushed()
+    monitor = _core.Monitor(bundle_of("old"))
+    row = monitor.run(*(signal[:1] for signal in signals_of(recording)))
+    used: list[str] = []
+
+    def places(name: str) -> SimpleNamespace:
+        return SimpleNamespace(find=lambda *signals: used.append(name) or [])
+
+    events = EventStream(monitor, places("old"))
+    saturated = row | {"drift_saturated": np.ones((1, 2), dtype=np.uint8)}
+
+    def find(estimates: dict, alarm: int) -> int:
+        now = estimates | {"alarm": np.full(1, alarm, dtype=np.uint8)}
+        found = events.find(0, recording.t_ns[:1], now, recording.q[:1], recording.dq[:1])
+        return sum(isinstance(change, DriftChange) for change in found)
+
+    assert [find(saturated, COLLISION), find(saturated, COLLISION)] == [2, 0]
+    events.exchange(_core.Monitor(bundle_of("new")), places("new"))
+    assert [find(saturated, COLLISION), find(saturated, NONE), find(row, NONE)] == [2, 0, 0]
+    assert used == ["old", "old", "old", "new", "new"]
+
+
 # What has no bundle yet, or another.
 
 
@@ -342,10 +366,11 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
     assert one.replayed == 2800 and one.alarms > 0
     assert sink.followed == [("first", loop.monitor)]
     assert loop.monitor.limit_factors == ([2.0, 2.0], [1.0, 1.0])
+    assert loop._changes.monitor is loop.monitor and loop._changes._places is not None
     before, after = keeper.verdicts[:2800], keeper.verdicts[2800:]
     assert all(v.estimates["health"][0] == WARMING_UP and np.isnan(v.estimates["tau_ext"]).all() for v in before)
     assert all(v.estimates["health"][0] == OK for v in after)
-    assert before[-1].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
+    assert before[-1].alarm_id == after[0].alarm_id == 0 and after[-1].alarm_id == loop.alarms == 1
 
 
 def test_no_monitor_answers_with_the_same_columns():

@@ -318,9 +318,11 @@ class Successor:
         for _, act in self._ring.acts(self.row, self.row + 1):  # since the last sample
             act(self.monitor)
         self.monitor.set_limit_factors(*(np.array(factors) for factors in old.limit_factors))
-        if left := old.carried():
-            self.monitor.carry_alarm(left)
-        self.left = left
+        self.left = old.carried()
+        if self.left:
+            self.monitor.carry_alarm(self.left)
+        else:  # what it raised over the repeated samples is past
+            self.monitor.acknowledge()
         return ""
 
 

@@ -80,7 +80,7 @@ LOOKS = (("phone", "light"), ("desktop", "dark"))
 def save(page: Page, path: Path) -> None:
     """A picture with few colours, so that it is small."""
     picture = Image.open(io.BytesIO(page.picture())).convert("RGB")
-    picture.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def photograph(browser: Browser, url: str, out: Path, name: str, settle_s: float = 8.0) -> None:

@@ -179,6 +179,7 @@ class Commission:
 
     def run(self) -> None:
         self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
+        self._live.says = "connecting: the arm is looked at for some seconds before anything is recorded"
         with self._until_signal():
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
@@ -337,7 +338,7 @@ class Commission:
         if (now := self._stamp()) != self._active:
             self._active = now
             if (path := self._folder.active()) is not None:
-                loop.exchange(path, lambda why: self._note(f"{path.stem} does not take over: {why}") if why else None)
+                loop.exchange(path, lambda why: self._refused(path.stem, why))
         while self._exchanges:
             self._exchanged(self._exchanges.popleft())
         self._keep_carried(loop, time.monotonic())
@@ -349,6 +350,10 @@ class Commission:
         if (now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S) and (carried := loop.carried):
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
+
+    def _refused(self, bundle: str, why: str) -> None:
+        if why and not self._by:
+            self._note(f"{bundle} does not take over: {why}")
 
     def _exchanged(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)
@@ -384,7 +389,7 @@ class Commission:
             needs_s = self._folder.coverage().get("needs_s")
             live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
         elif loop is not None:
-            live.says = ""
+            live.says = "waiting for the first sample" if state == "connecting" else ""
         if state != live.state:
             live.state = state
             self._folder.save(state=state)

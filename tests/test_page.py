@@ -16,8 +16,8 @@ from tauext.errors import ConfigError
 from tauext.page import bundles as demo_bundles
 from tauext.page import workers
 from tauext.page.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
-from tauext.page.headless import describe, scripted_pushes
 from tauext.page.door import free_port
+from tauext.page.headless import describe, scripted_pushes
 from tauext.page.page import open_server
 from tauext.page.simulation import RESUME_RAD, RESUME_S, Simulation
 from tauext.robot.load import load_tree

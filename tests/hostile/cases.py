@@ -54,8 +54,19 @@ GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/flee
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
 GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
-GOOD += ("commission --source replay:data/free-006.parquet --out out/cell", "commission --source sim:rig --out out/cell")
-RARE = {"commission": 0.1, "reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
+GOOD += (
+    "commission --source replay:data/free-006.parquet --out out/cell",
+    "commission --source sim:rig --out out/cell",
+)
+RARE = {
+    "commission": 0.1,
+    "reproduce": 0.1,
+    "demo": 0.1,
+    "report": 0.2,
+    "evaluate": 0.4,
+    "calibrate": 0.3,
+    "check": 0.4,
+}
 RARE |= {"fleet prior": 0.1, "fleet run": 0.4}
 RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
 """Commands and readers whose good lines take seconds come so much less often."""

@@ -94,7 +94,7 @@ class Windows:
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Recording, threads: int) -> Windows:
         """Run the bundle on the recording."""
-        estimates, error, counted = judge(bundle, recording, threads, FreeMotionConfig())
+        _, estimates, error, counted = judge(bundle, recording, threads, FreeMotionConfig())
         counted &= recording.time_s >= WARM_S
         rows = max(1, round(WINDOW_S * recording.rate_hz))
         at = np.arange(0, recording.samples, rows)

@@ -19,8 +19,8 @@ from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, tor
 from tauext.bundle.estimates import OK as HEALTHY
 from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
-from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
 from tauext.monitor.control_lines import alarm_of_text
+from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
 from tauext.monitor.sink import Control, Event, LoopReport, Verdict
 from tauext.monitor.source import Sample
 from tauext.sources.ros2_messages import (

@@ -19,7 +19,7 @@ from tauext.commission.folder import CommissionFolder
 from tauext.data.labels import read_labels
 from tauext.errors import ConfigError
 
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 # --- Options.
@@ -159,11 +159,11 @@ def live(folder: Path) -> dict:
 
 
 def of_state(folder: Path, state: str, bundle: str | None = None):
-    """The line of the loop once it is in this state, with this bundle."""
+    """The line of the loop once it is in one of these states, with this bundle."""
 
     def reached():
         line = live(folder)
-        return line if (line["state"], line["bundle"]) == (state, bundle) and line.get("t_ns") else None
+        return line if line["state"] in state.split() and line["bundle"] == bundle and line.get("t_ns") else None
 
     return until(reached, f"{state} with {bundle}")
 
@@ -199,6 +199,10 @@ def put_bundle(folder: Path, bundle: Path) -> None:
     there.activate(bundle.stem, "it passes", there.seconds())
 
 
+WATCHED = "monitoring asking"
+"""States with a bundle: limits from less than a minute may raise an alarm at any time."""
+
+
 @pytest.mark.slow
 def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path):
     folder = tmp_path / "cell"
@@ -215,12 +219,12 @@ def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path
     with running(folder, "--no-page") as process:
         of_state(folder, "learning")
         put_bundle(folder, trained)
-        of_state(folder, "monitoring", "b0001")
+        of_state(folder, WATCHED, "b0001")
         kill(process)
     with running(folder, "--no-page") as process:
-        of_state(folder, "monitoring", "b0001")
+        of_state(folder, WATCHED, "b0001")
         assert control(folder, "sim push joint=joint2 force=0,0,-60 seconds=0.5") == "ok"
-        asked = of_state(folder, "asking", "b0001")
+        asked = until(lambda: (line := live(folder)) and line["alarm"] and line, "the alarm")
         time.sleep(4.0)  # two copies of what is carried
         kill(process)
     with running(folder, "--no-page") as process:
@@ -232,11 +236,11 @@ def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path
     labels = {label.id: label.answer for label in read_labels(folder)}
     assert labels[number] == "nothing"
     with running(folder, "--no-page") as process:
-        of_state(folder, "monitoring", "b0001")
+        of_state(folder, WATCHED, "b0001")
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
     epochs = {label.epoch for label in read_labels(folder)}
-    assert len(epochs) == 2 and json.loads((folder / "commission.json").read_text())["epoch"] >= 5
+    assert len(epochs) >= 2 and json.loads((folder / "commission.json").read_text())["epoch"] >= 5
 
 
 @pytest.mark.slow

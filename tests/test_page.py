@@ -12,6 +12,7 @@ from made_bundles import SEVEN_AXIS
 from made_page import SHORT
 
 from tauext.cli import main
+from tauext.commission.processes import start_worker
 from tauext.errors import ConfigError
 from tauext.page import bundles as demo_bundles
 from tauext.page import workers
@@ -389,7 +390,7 @@ def test_the_clock_gives_up_time_that_is_lost(monkeypatch):
 
 
 def test_the_simulation_runs_in_a_process_that_ends_with_its_pipe(trained):
-    process, pipe = workers.start_worker(workers.run_simulation, "rig", 0)
+    process, pipe = start_worker(workers.run_simulation, "rig", 0)
     pipe.send(("watch_with", {name: str(path) for name, path in trained.items()}, "tauext"))
     pipe.send(("no_such_command",))
     pipe.send((workers.SNAPSHOT,))
@@ -414,7 +415,7 @@ def test_a_busy_port_is_passed_over(monkeypatch):
         busy.listen()
         port = busy.getsockname()[1]
         assert free_port("127.0.0.1", port) > port
-        monkeypatch.setattr("tauext.page.page.PORTS", 1)
+        monkeypatch.setattr("tauext.page.door.PORTS", 1)
         with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
             free_port("127.0.0.1", port)
     with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):

@@ -17,6 +17,7 @@ import os
 import sys
 import tempfile
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = bundles(Path(folder))
         for beside in (False, True):
-            training = multiprocessing.get_context("spawn").Process(target=train, daemon=True)
+            alive, held = multiprocessing.get_context("spawn").Pipe(duplex=False)
+            training = multiprocessing.get_context("spawn").Process(target=train, args=(alive,), daemon=True)
             if beside:
                 training.start()
+                alive.close()  # the training has the only reading end
             try:
                 watch = Watch(paths, options.exchanges)
                 settings = LoopSettings(core=options.core, priority=options.priority)
                 watch.run(settings)
             finally:
+                held.close()
                 if beside:
                     training.kill()
                     training.join()
@@ -95,12 +99,15 @@ def copy(bundle: _core.Bundle) -> _core.Bundle:
     return _core.Bundle.from_bytes(bundle.to_bytes())
 
 
-def train() -> None:
-    """Steps of a network's training on one thread, until killed."""
+def train(alive: Connection) -> None:
+    """Steps of a network's training on one thread, until killed or the other end of this pipe is gone."""
+    if hasattr(os, "SCHED_OTHER"):  # a process inherits the loop's priority and core
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
     os.nice(19)
     setup, windows = made_windows(len(JOINTS), 30_000)
     step = in_the_loop(CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=1), windows.ends[:BATCH])
-    while True:
+    while not alive.poll():
         step()
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import contextmanager
+from threading import Barrier
+
 import pytest
 
-from tauext.cli.reproduce import SCALES, trainings
+from tauext.cli.reproduce import SCALES, together, trainings
 from tauext.config import PAPER_CASES
+from tauext.errors import TrainingError
 from tauext.evaluate.results import bundle_label, place
 
 CASES = tuple(PAPER_CASES)
@@ -33,6 +38,59 @@ def test_full_trains_every_case_by_the_whole_recipe_of_the_paper():
 
 def test_the_two_hundred_collisions_are_the_same_at_both_scales():
     assert SCALES["quick"].collision_recordings == SCALES["full"].collision_recordings == 20
+
+
+class Heard:
+    def __init__(self):
+        self.said, self.shown = [], []
+
+    def say(self, sentence):
+        self.said.append(sentence)
+
+    @contextmanager
+    def progress(self, title):
+        yield lambda done, total, note: self.shown.append((done, total, note))
+
+
+def test_trainings_at_the_same_time_have_one_bar():
+    both, heard = Barrier(2, timeout=20.0), Heard()
+
+    def train(name, report):
+        both.wait()  # none goes on before the other has begun
+        with report.progress(f"train {name}") as show:
+            show(1, 2, "loss 1")
+        with report.progress("limits") as show:
+            show(1, 10, "")
+        report.say(f"{name} done")
+
+    together(train, ["exact", "none"], 2, heard)
+    assert sorted(heard.said) == ["exact done", "none done"]
+    assert [entry[:2] for entry in heard.shown] == [(50, 200), (100, 200)]
+    assert heard.shown[0][2] in ("% (exact: loss 1)", "% (none: loss 1)")
+
+
+@pytest.mark.parametrize("error", [TrainingError("the loss diverges"), KeyboardInterrupt()])
+def test_what_stops_one_training_stops_all_and_none_begins(error):
+    begun, stopped = [], []
+    both = Barrier(2, timeout=20.0)
+
+    def train(name, report):
+        begun.append(name)
+        both.wait()
+        if name == "exact":
+            raise error
+        try:
+            with report.progress("train mass") as show:
+                for _ in range(2000):
+                    show(1, 2, "")
+                    time.sleep(0.01)
+        except KeyboardInterrupt:  # where a network writes its checkpoint
+            stopped.append(name)
+            raise
+
+    with pytest.raises(type(error)):
+        together(train, ["exact", "mass", "com", "none"], 2, Heard())
+    assert sorted(begun) == ["exact", "mass"] and stopped == ["mass"]
 
 
 @pytest.mark.parametrize("scale", SCALES)

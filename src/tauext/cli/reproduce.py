@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Lock
 from typing import Literal
 
 from tauext.cli.place_argument import PlaceArg, print_replaced
@@ -13,7 +17,7 @@ from tauext.cli.results import command_line
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
 from tauext.files.copies import staged
 from tauext.files.preflight import expect_folder
-from tauext.progress import SILENT, Reporter, WallTimes
+from tauext.progress import SILENT, Reporter, Show, WallTimes
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,8 @@ def reproduce_paper(
 ) -> Path:
     """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated.
 
-    The wall time of each phase, and of each training, is reported and written to wall_time_s.json.
+    Trainings run at the same time, one a core; no result depends on it. The wall time of each phase is reported and
+    written to wall_time_s.json, that of a training by its own reports and files.
 
     Args:
         command: what is run, for the report.
@@ -116,11 +121,16 @@ def reproduce_paper(
         case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
         with times.phase("check"):
             checked = check_data(dataset, Given(robot, case, training, validation), config, (), report)
-        for name in missing:
+        cores = os.cpu_count() or 1
+        threads = max(1, cores // len(missing))
+
+        def train(name: str, report: Reporter) -> None:
             case, config = jobs[name]
             given = Given(robot, case, training, validation)
-            with times.phase(name):
-                train_on_recordings(given, config, bundles[name], report=report, checked=checked)
+            train_on_recordings(given, replace(config, threads=threads), bundles[name], report=report, checked=checked)
+
+        with times.phase("train"):
+            together(train, missing, min(cores, len(missing)), report)
     with times.phase("evaluate"):
         evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     with times.phase("report"):
@@ -128,6 +138,73 @@ def reproduce_paper(
     write_json(times.facts(), out / "wall_time_s.json")
     report.say(times.sentence())
     return page
+
+
+# --- Trainings at the same time: a step of one network is too short to be worth several threads.
+
+
+class Together:
+    """Reporter of trainings in several threads: one bar for all of them, and a way to stop them.
+
+    Args:
+        trainings: how many there are.
+    """
+
+    def __init__(self, report: Reporter, show: Show, trainings: int):
+        self._report, self._show, self._trainings = report, show, trainings
+        self._lock = Lock()
+        self.stopped_by: BaseException | None = None
+        self._done: dict[str, float] = {}
+
+    def stop(self, reason: BaseException) -> None:
+        """Interrupt every training at its next report, so that it writes its checkpoint; the first reason counts."""
+        with self._lock:
+            self.stopped_by = self.stopped_by or reason
+
+    def expect_running(self) -> None:
+        """Raise KeyboardInterrupt if the trainings are to stop."""
+        if self.stopped_by is not None:
+            raise KeyboardInterrupt
+
+    def say(self, sentence: str) -> None:
+        self.expect_running()
+        with self._lock:
+            self._report.say(sentence)
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Show]:
+        def show(done: int, total: int, note: str) -> None:
+            self.expect_running()
+            if title.startswith("train "):
+                with self._lock:
+                    self._done[title] = done / total
+                    percent = round(100 * sum(self._done.values()))
+                    self._show(percent, 100 * self._trainings, f"% ({title.removeprefix('train ')}: {note})")
+
+        yield show
+
+
+def together(train: Callable[[str, Reporter], None], names: Sequence[str], workers: int, report: Reporter) -> None:
+    """Call train for every name, so many at a time. The first error, or Ctrl-C, stops all and is raised."""
+    with report.progress("train") as show, ThreadPoolExecutor(workers) as pool:
+        reporter = Together(report, show, len(names))
+
+        def run(name: str) -> None:
+            reporter.expect_running()
+            try:
+                train(name, reporter)
+            except BaseException as error:
+                reporter.stop(error)
+                raise
+
+        futures = [pool.submit(run, name) for name in names]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException as error:
+            reporter.stop(error)
+    if reporter.stopped_by is not None:
+        raise reporter.stopped_by
 
 
 # --- The command.

@@ -33,7 +33,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "train": ("train.train", "train a bundle on a dataset's free motion"),
         "calibrate": ("train.calibrate", "set other limits in a trained bundle"),
         "refit": ("train.refit", "update a bundle's friction with a minute of today's motion"),
-        "show": ("show.show", "print the contents of a bundle, a recording or a fleet prior"),
+        "show": ("show.show", "print a bundle, a recording, a fleet prior or a commissioned arm"),
     },
     "Monitor": {
         "commission": (
@@ -47,7 +47,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Results": {
         "evaluate": ("results.evaluate", "measure errors, false alarms and delays of bundles on a dataset"),
-        "report": ("results.report", "draw an HTML page of results, or of one flight"),
+        "report": ("results.report", "draw an HTML page of results, one flight or a commissioned arm"),
         "reproduce": ("reproduce.reproduce", "repeat the paper's experiment: simulate, train, evaluate and report"),
     },
     "Many arms": {

@@ -93,7 +93,8 @@ def test_every_command_step_by_step_works_as_written(workplace):
 
 def test_the_readme_is_short_and_its_commands_are_among_those_that_were_run():
     assert len(README.splitlines()) <= 107
-    assert commands(README) and set(commands(README)) <= set(commands(STEP_BY_STEP))
+    endless = {line for line in commands(README) if line.startswith("tauext commission ")}  # test_commission_command.py
+    assert commands(README) and set(commands(README)) - endless <= set(commands(STEP_BY_STEP))
 
 
 def test_the_python_of_the_readme_runs(workplace, monkeypatch):

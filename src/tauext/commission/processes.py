@@ -60,7 +60,7 @@ class Child:
         self._arguments = (os.getpid(), is_low, target, arguments)
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
-        self._wait_s, self._due_s, self._began_s = 1.0, 0.0, 0.0
+        self._wait_s, self._due_s, self._began_s = 0.5, 0.0, 0.0
 
     @property
     def pid(self) -> int | None:

@@ -53,14 +53,14 @@ def run_child(pipe: Connection, parent: int, is_low: bool, target: Any, argument
 
 
 class Child:
-    """A worker that is started again, after 1, 2, 4 ... 60 s, when it ends by itself."""
+    """A worker that is started again, after 2, 4 ... 60 s, when it ends by itself."""
 
     def __init__(self, name: str, target: Any, arguments: tuple[Any, ...], is_low: bool = False):
         self.name = name
         self._arguments = (os.getpid(), is_low, target, arguments)
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
-        self._wait_s, self._due_s, self._began_s = 0.5, 0.0, 0.0
+        self._wait_s, self._due_s, self._began_s = 1.0, 0.0, 0.0
 
     @property
     def pid(self) -> int | None:

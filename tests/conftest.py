@@ -8,9 +8,11 @@ fixtures of session scope make on each of them costs little.
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
+from made_robot_libraries import Arm, franka_library, rtde_library
 
 # As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -93,3 +95,21 @@ def rig_bundles(tmp_path_factory) -> dict[str, Path]:
     from tauext.sim.arms import rig_arm
 
     return train_bundles(rig_arm(), "exact", SHORT, 0, tmp_path_factory.mktemp("demos"))
+
+
+# --- Libraries of makers, replaced by stand-ins.
+
+
+@pytest.fixture
+def ur(monkeypatch):
+    arm = Arm(6, 0.002)
+    monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
+    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
+    return arm
+
+
+@pytest.fixture
+def franka(monkeypatch):
+    arm = Arm(7, 0.001)
+    monkeypatch.setitem(sys.modules, "pylibfranka", franka_library(arm))
+    return arm

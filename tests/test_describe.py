@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 from made_bundles import pushed
 from made_live import ScriptedSource, samples_of
-from made_robot_libraries import Arm, franka_library, rtde_library
 from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, patient, sts3215, x_series
 
 from tauext import _core
@@ -32,21 +30,6 @@ from tauext.sources.ur import UrSource
 
 WAIT_S = 20.0
 """For what must come, however busy the machine is."""
-
-
-@pytest.fixture
-def ur(monkeypatch):
-    arm = Arm(6, 0.002)
-    monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
-    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
-    return arm
-
-
-@pytest.fixture
-def franka(monkeypatch):
-    arm = Arm(7, 0.001)
-    monkeypatch.setitem(sys.modules, "pylibfranka", franka_library(arm))
-    return arm
 
 
 # --- Robots of known makers.

@@ -11,7 +11,6 @@ import pytest
 from made_arms import prismatic_mass
 from made_bundles import JOINTS, pushed
 from made_live import Keeper, ScriptedSource, samples_of
-from made_robot_libraries import Arm, franka_library, rtde_library
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -27,21 +26,6 @@ from tauext.sources.ur import UrSource
 UR_JOINTS = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 FRANKA_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 CONSTANTS = {name: 2.0 + k for k, name in enumerate(UR_JOINTS)}
-
-
-@pytest.fixture
-def ur(monkeypatch):
-    arm = Arm(6, 0.002)
-    monkeypatch.setitem(sys.modules, "rtde_receive", rtde_library(arm))
-    monkeypatch.setattr("tauext.sources.ur.expect_controller", lambda host: None)
-    return arm
-
-
-@pytest.fixture
-def franka(monkeypatch):
-    arm = Arm(7, 0.001)
-    monkeypatch.setitem(sys.modules, "pylibfranka", franka_library(arm))
-    return arm
 
 
 @pytest.fixture

@@ -28,6 +28,9 @@ PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3
   for (const Term& t : terms_)
     if (is_load(t)) load_form_[static_cast<std::size_t>(t.a)] = t.form;
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
+  uses_angles_ = corrects_model() || std::ranges::any_of(terms_, [](const Term& t) {
+    return t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum;
+  });
   for (const Term& t : terms_) {
     if (t.kind != TermKind::coulomb && t.kind != TermKind::load) {
       slide_of_.push_back(0);
@@ -44,7 +47,7 @@ void PriorTerms::compute(std::span<const double> q, std::span<const double> dq, 
   q_ = q;
   dq_ = dq;
   beta_ = beta;
-  angles_.compute(q);
+  if (uses_angles_) angles_.compute(q);
   presliding_ = &presliding;
   for (Slide& one : slides_) one.value = std::tanh(dq[static_cast<std::size_t>(one.joint)] / one.speed);
   if (corrected_)

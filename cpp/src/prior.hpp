@@ -89,7 +89,8 @@ class PriorTerms {
   std::vector<Slide> slides_;
   std::vector<std::uint32_t> slide_of_;  // of each term that needs one
   std::span<const double> q_, dq_, beta_;
-  Angles angles_;
+  bool uses_angles_ = false;
+  Angles angles_;  // of q, if some term or the corrected model needs them
   const Presliding* presliding_ = nullptr;
 };
 

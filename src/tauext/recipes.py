@@ -18,7 +18,7 @@ at every step. samples: no memory at all, a feed-forward network on x(k), drawn 
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a network is taught by sequences that are drawn at random."""
+    """How a network is trained on sequences that are drawn at random."""
 
     speed_factor: float = 1.0
     """Factor on joint speeds as the optimiser sees them. Friction changes its sign within a hundredth of the largest
@@ -62,7 +62,7 @@ class Recipe:
     """Network that is trained in steps. After a fit, which alone makes a bundle, the network is kept only if it
     helps."""
     drawing: Drawing = Drawing()
-    """How the network is taught, if it is taught by what is drawn at random."""
+    """How the network is trained, if on sequences that are drawn at random."""
     chooses_gain: bool = False
     """By default, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False

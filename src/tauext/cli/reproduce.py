@@ -223,7 +223,7 @@ def reproduce(
 
     Args:
         out: folder for data, bundles, results and report.
-        scale: amount of data and training. smoke: seconds; the numbers have no meaning. quick: two minutes on two
+        scale: amount of data and training. smoke: seconds; the numbers have no meaning. quick: three minutes on two
             cores; every model case with 20,000 steps of recipe dense, the exact model also with recipe tauext from 10
             minutes of motion. full: every model case with recipe dense (5 minutes), then with recipe paper (15
             minutes each on two idle cores, one after another).

@@ -243,7 +243,7 @@ WAIT_S = 10.0
 
 @dataclass(frozen=True)
 class Connected:
-    """What a source said of itself, and what its first samples show."""
+    """How a source describes itself, and what its first samples show."""
 
     facts: SourceFacts
     lives: list[Live]
@@ -424,7 +424,7 @@ def write_arm(facts: SourceFacts, robot: Path | None, folder: Path) -> Arm:
 def description(facts: SourceFacts, model: str) -> str:
     """Text of an arm.toml about the recordings of a live source, which hold every signal as its column."""
     settings, servo = facts.settings, facts.settings.servo
-    lines = ["# Written by `tauext commission` from what the source said of itself.", "", "[robot]"]
+    lines = ["# Written by `tauext commission` from the description that the source gives of itself.", "", "[robot]"]
     lines += [f"model = {json.dumps(model)}", f"joints = {json.dumps(list(settings.joints))}", ""]
     lines += ["[time]", 'column = "t_ns"', 'unit = "ns"', f"rate_hz = {1e9 / settings.period_ns!r}"]
     made = servo is not None and servo.on and servo.torque_from.name != "torque"

@@ -277,5 +277,5 @@ def joined(recordings: list[Recording]) -> Recording:
 
 
 def wall() -> str:
-    """Date and time, UTC, for people."""
+    """Date and time as every file of the folder states them, UTC."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

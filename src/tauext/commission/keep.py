@@ -147,7 +147,6 @@ class Coverage:
             "bytes_most": bytes_most,
             "needs_s": needs_s,
             "joints": joints,
-            "missing": [],
         }
 
     def _speeds(self, j: int) -> np.ndarray:
@@ -206,6 +205,12 @@ LEARN_FROM = "learn_from"
 """Entry of commission.json: number of the first recording after a change of the arm that may be learned."""
 
 
+def training_s(folder: CommissionFolder, segments: Sequence[Segment]) -> float:
+    """Training motion of the arm as it is, [s]: since the last change that may be learned."""
+    begin = int(folder.facts.get(LEARN_FROM) or 0)
+    return sum(one.seconds for one in segments if one.set == "train" and one.number >= begin)
+
+
 def set_of(number: int, is_news: bool, train_s: float) -> str:
     """Set of a kept recording; it never changes."""
     if number % EVERY == TEST:
@@ -234,8 +239,10 @@ def to_drop(
         if seconds < FRESH_S:
             fresh.add(one.number)
         seconds += one.seconds
-    told = {(one.epoch, one.from_ns - NEAR_NS, one.to_ns + NEAR_NS) for one in labels if one.answer != "suspect"}
-    near = {epoch: np.array([span[1:] for span in told if span[0] == epoch]) for epoch in {span[0] for span in told}}
+    labelled = {(one.epoch, one.from_ns - NEAR_NS, one.to_ns + NEAR_NS) for one in labels if one.answer != "suspect"}
+    near = {
+        epoch: np.array([span[1:] for span in labelled if span[0] == epoch]) for epoch in {span[0] for span in labelled}
+    }
     test_bytes, spare = sum(one.bytes for one in segments if one.set == "test"), set()
     for one in segments:
         if one.set == "test" and one.number > first_test and test_bytes > TEST_SHARE * most_bytes:
@@ -419,7 +426,7 @@ class KeepSink(RecordSink):
         self._coverage.seconds += seconds
         is_news = news >= NEWS
         stands = bool((np.abs(segment["dq"]) < SPEEDS_RAD_S[0]).mean() > 0.99)
-        if stands and not is_news and not self._is_told(t_ns):
+        if stands and not is_news and not self._is_near_label(t_ns):
             self._coverage.dropped_s += seconds
         else:
             self._keep(segment, seconds, is_news, flat)
@@ -433,8 +440,7 @@ class KeepSink(RecordSink):
         if self._save(columns, path, facts) is None:
             self._number -= 1
             return
-        begin = int(self._kept.facts.get(LEARN_FROM) or 0)
-        train_s = sum(one.seconds for one in self._segments if one.set == "train" and one.number >= begin)
+        train_s = training_s(self._kept, self._segments)
         kept = Segment(
             path.name,
             self._number,
@@ -451,8 +457,7 @@ class KeepSink(RecordSink):
             self._coverage.kept_s += seconds
         self._kept.add_segment(kept)
 
-    def _is_told(self, t_ns: np.ndarray) -> bool:
-        """Whether a label is near."""
+    def _is_near_label(self, t_ns: np.ndarray) -> bool:
         return any(
             one.epoch == self._writing and one.from_ns - NEAR_NS <= t_ns[-1] and one.to_ns + NEAR_NS >= t_ns[0]
             for one in list(self._labels.values())
@@ -517,7 +522,7 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
         try:
             recording = load_recording(path)
             if not one.set:
-                train_s = sum(other.seconds for other in good if other.set == "train")
+                train_s = training_s(folder, good)
                 one = Segment(
                     one.name,
                     one.number,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import select
 import socket
 import threading
@@ -20,9 +19,11 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES
 from tauext.bundle.units import short
+from tauext.commission.folder import wall
 from tauext.files.plain_file import FORMAT
 from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
+from tauext.monitor.control_lines import listen_at
 from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
@@ -33,11 +34,6 @@ OVER_S = 0.5
 """Time within all limits after which a touch is over."""
 MOST_CHANGES = 1000
 """Verdicts with changes that wait for the thread: those of a thousand alarms."""
-
-
-def wall() -> str:
-    """Date and time as every file of the folder states them."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
 class AlarmBook:
@@ -152,13 +148,7 @@ class LiveSink:
         self._readers: dict[socket.socket, bytes] = {}
         self._wake, self._ended = threading.Event(), False
         path.unlink(missing_ok=True)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        before = os.umask(0o177)
-        try:
-            self._socket.bind(str(path))
-        finally:
-            os.umask(before)
-        self._socket.listen()
+        self._socket = listen_at(path)
         self._socket.setblocking(False)
         self._thread = threading.Thread(target=self._work, name="live", daemon=True)
         self._thread.start()

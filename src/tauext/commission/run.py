@@ -23,9 +23,9 @@ from tauext import _core
 from tauext.bundle.history_file import ACTIVE
 from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
 from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, write_arm
-from tauext.commission.folder import CommissionFolder
+from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.keep import KeepSink
-from tauext.commission.live import LiveSink, wall
+from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import ConfigError, TauextError
@@ -195,7 +195,7 @@ class Commission:
     def _connect(self) -> tuple[Source, SourceFacts, tuple[Sink, ...]] | None:
         """The source, not open yet, what it delivers and its publishers; None if the run ends before the arm answers.
 
-        A new arm is looked at for some seconds, and its description written. An arm that the folder knows need not
+        A new arm is checked for some seconds, and its description written. An arm that the folder describes need not
         answer at once: the loop waits for it.
         """
         known = self._folder.facts.get("arm")

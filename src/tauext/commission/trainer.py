@@ -245,7 +245,7 @@ class Trainer:
             robot = self._robot()
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
-            if (active := folder.active()) is not None:  # it knows the arm without the newest touches
+            if (active := folder.active()) is not None:  # it was trained without the newest touches
                 self._suspect(load_bundle(active), self._load(learning))
             config = self._config(step.minutes)
             for number in range(ROUNDS):
@@ -272,8 +272,10 @@ class Trainer:
     def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
         """Label touches that nobody reported; returns them."""
         labels = self.folder.labels()
-        told = [one for one in labels if one.answer == "nothing"]
-        found = [one for one in find_suspects(bundle, recordings, THREADS) if not any(_meets(one, of) for of in told)]
+        nothing = [one for one in labels if one.answer == "nothing"]
+        found = [
+            one for one in find_suspects(bundle, recordings, THREADS) if not any(_meets(one, of) for of in nothing)
+        ]
         ids = [one.id for one in labels]
         number = min([0, *(one for one in ids if one < 0 and one % 2 == 0)])
         for one in found:

@@ -96,6 +96,21 @@ def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: Text
     return thread
 
 
+def listen_at(path: Path) -> socket.socket:
+    """A listening socket at this path that only its owner may connect to; OSError if there is none."""
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o177)
+    try:
+        made.bind(str(path))
+        made.listen()
+    except OSError:
+        made.close()
+        raise
+    finally:
+        os.umask(before)
+    return made
+
+
 class ControlSocket:
     """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
@@ -106,18 +121,11 @@ class ControlSocket:
         """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none."""
         self._changing = threading.Lock()
         self._closed = False
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and not listened_to(path):
                 path.unlink()  # left by a killed monitor
-            before = os.umask(0o177)
-            try:
-                self._socket.bind(str(path))
-            finally:
-                os.umask(before)
-            self._socket.listen()
+            self._socket = listen_at(path)
         except OSError as error:
-            self._socket.close()
             raise ConfigError(f"{path}: no control socket ({error.strerror or error})") from error
         threading.Thread(target=self._work, name="control socket", daemon=True).start()
 

@@ -54,7 +54,7 @@ class SourceCounts:
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """Settings of a source: of the bundle or, before one exists, what it said of itself."""
+    """Settings of a source: of the bundle or, before one exists, its own description."""
 
     joints: tuple[str, ...]
     """Names of the joints, in the order of the samples."""

@@ -42,7 +42,7 @@ class LastingSource:
         """Args:
         first: not open yet.
         again: makes a new one; may raise ConfigError.
-        facts: what the arm said of itself, and must say again.
+        facts: description of the arm, which must stay the same.
         robot: robot file, as describe() got it.
         """
         self.name = first.name

@@ -18,7 +18,8 @@ from tauext.cli import main
 from tauext.commission import course, keep, trainer
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
-from tauext.commission.trainer import Ledger, Trainer, named_steps
+from tauext.commission.ledger import Ledger
+from tauext.commission.trainer import Trainer, named_steps
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels

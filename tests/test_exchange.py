@@ -435,7 +435,12 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
         5800: "load mass=0.4 com=0,0,0.05",
     }
     keeper = Keeper(lambda verdict: verdict.row in lines and obey(lines[verdict.row], keeper.control, "a line"))
-    script = [*samples[:PICKED], early, *samples[PICKED:5500], swap, *samples[5500:]]
+    expired = time.monotonic() + 30.0
+
+    def arrived() -> bool:  # the loop takes samples far faster than in real time
+        return early.answer is not None or time.monotonic() > expired
+
+    script = [*samples[:PICKED], early, *samples[PICKED:5400], arrived, *samples[5400:5500], swap, *samples[5500:]]
     settings = LoopSettings(missing_after_s=60.0)
     loop = Loop(bundle, ScriptedSource(script), [keeper], settings=settings, arm=settings_of(bundle))
     exchanged = []

@@ -201,7 +201,12 @@ GIVE_UP_S = 600.0
 PIECE_ROWS = 64
 """Samples in one go: half a millisecond."""
 CAUGHT_UP_ROWS, CATCH_UP_ROWS = 8, 32
-"""Samples left when the loop is asked to take over, and the most that its thread then repeats itself."""
+"""Samples left when the loop is asked to take over, and the most that its thread then repeats itself.
+
+A loop whose samples come faster than in real time has no deadline: its thread repeats all that are left.
+"""
+FASTER, MEASURED_S = 2.0, 0.1
+"""Such a loop receives samples at this multiple of the sample rate, measured over at least MEASURED_S."""
 WAIT_S = 0.05
 
 
@@ -240,6 +245,7 @@ class Successor:
         """Raises ConfigError if the bundle lacks the frame, or CoreError if it refuses the load."""
         self.bundle, self._ring, self._own_rate = bundle, ring, own_rate
         self._quiet_s = quiet_s
+        self._made_s, self._made_at = time.monotonic(), ring.count
         self.model = bundle.model_digest
         self.places = PlaceFinder(bundle, wrench)
         self.alarms = 0
@@ -298,6 +304,12 @@ class Successor:
         after = int(np.flatnonzero(own)[-1]) + 1 if own.any() else 0
         self.quiet_s += float(healthy_s[after:].sum())
 
+    @property
+    def has_time(self) -> bool:
+        """Whether the loop's samples come faster than in real time."""
+        elapsed_s = time.monotonic() - self._made_s
+        return elapsed_s > MEASURED_S and (self._ring.count - self._made_at) * self._period_s > FASTER * elapsed_s
+
     def why_not_yet(self) -> str:
         """Reason why it cannot take over now; empty: it can."""
         if self.monitor.last.health != _core.Health.ok:
@@ -308,9 +320,10 @@ class Successor:
 
     def finish(self, old: AnyMonitor) -> str:
         """In the loop's thread: repeat the last samples and continue what the old monitor holds, or why not yet."""
-        if self._ring.count - self.row > CATCH_UP_ROWS:
+        left = self._ring.count - self.row
+        if left > CATCH_UP_ROWS and not self.has_time:
             return "the replay is late"
-        self.follow(CATCH_UP_ROWS)
+        self.follow(left)
         if old.weighing or holds_back(old.last.load_phase.value):
             return "a load is expected or being weighed"
         if reason := self.why_not_yet():
@@ -378,8 +391,9 @@ def exchange(
             return reason
         while not (reason := stop()):
             started = time.monotonic()
-            left = successor.follow(PIECE_ROWS)
-            if left > CAUGHT_UP_ROWS:  # leave the core and the interpreter to the loop for as long
+            has_time = successor.has_time
+            left = successor.follow(ring.rows if has_time else PIECE_ROWS)
+            if left > CAUGHT_UP_ROWS and not has_time:  # leave the core and the interpreter to the loop for as long
                 time.sleep(min(time.monotonic() - started, WAIT_S))
                 continue
             if not (reason := successor.why_not_yet() or take_over(successor)):

@@ -13,6 +13,7 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.commission.arm_change import LoadChange, change_words, find_change
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
+from tauext.robot.model_case import chosen_case
 from tauext.sim.arms import DemoArm, rig_arm, seven_axis_arm
 from tauext.sim.config import changed_friction
 from tauext.sim.source import DrivenArm, command_of
@@ -34,7 +35,9 @@ def moved(arm: DemoArm, seconds: float, seed: int, load_kg: float = 0.0) -> Reco
 def trained(arm: DemoArm, load_kg: float, path: Path) -> _core.Bundle:
     (path / "robot.xml").write_text(arm.xml)
     config = accepted_settings(TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0)), (), None)
-    given = Given(path / "robot.xml", PAPER_CASES["perfect"], [moved(arm, 60.0, 1, load_kg)])
+    given = Given(
+        path / "robot.xml", PAPER_CASES[chosen_case(None, path / "robot.xml")[0]], [moved(arm, 60.0, 1, load_kg)]
+    )
     train_on_recordings(given, config, path / "arm.tauext")
     return load_bundle(path / "arm.tauext")
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
+from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
-from tauext.monitor.weighing import expect_weighable, identify, load_frame, see
+from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_frame, see
 
 MOST_LEFT = 0.3
 """Largest share of the squared errors that a named load leaves. On two simulated arms, loads of 0.3 kg and more left
@@ -20,6 +21,7 @@ ERRORS, SHARE = 2.0, 0.05
 USUAL, ODD = 2.0, 5.0
 """Error of a joint, divided by that of training: up to the first the joint is as before; from the second it is not."""
 ONE_SIGMA = 0.683
+LEAST_FREE_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class LoadChange:
 def find_change(
     bundle: _core.Bundle, recordings: Sequence[Recording], threads: int
 ) -> tuple[LoadChange | None, dict[str, float]]:
-    """Weigh what the arm carries beside the load of training, in all motion, also in alarms without an answer.
+    """Weigh what the arm carries beside the load of training, in motion without labelled touches.
+
+    An alarm that stands all the time leaves none; all motion is then weighed.
 
     Returns:
         The load; None if no load explains the torques. The error of each joint, divided by that of training; empty if
@@ -49,6 +53,9 @@ def find_change(
     try:
         expect_weighable(bundle)
         parts, where = [see(bundle, one, threads) for one in recordings], load_frame(bundle)
+        free = [one.part(free_samples(one.recording)[one.samples]) for one in parts]
+        if sum(one.rows for one in free) * ROW_S >= LEAST_FREE_S:
+            parts = free
         # As if the largest load were set: the arm may carry less than in training, too.
         found = identify(bundle, where, parts, settings.largest_reach_m, beside=_core.Load(settings.largest_mass_kg))
     except TauextError:  # torques in amperes, or too little motion

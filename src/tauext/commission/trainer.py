@@ -18,6 +18,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.check.preflight import WORTH_A_WARNING
+from tauext.commission.arm_change import change_words, find_change
 from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
@@ -357,23 +358,25 @@ class Trainer:
         motion = self._morning_motion(self._segments(), history)
         self._progress("comparing the first strokes with earlier days")
         facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
-        bundle = load_bundle(active)
+        bundle, recordings = load_bundle(active), self._load(motion)
         try:
-            refitted = refit_recordings(bundle, self._load(motion), THREADS)
+            refitted = refit_recordings(bundle, recordings, THREADS)
         except TauextError as error:
             if not bundle.prior.terms:
                 folder.note(
                     "morning", folder.seconds(), f"{active.stem} has no friction that could be refitted", **facts
                 )
                 return
-            why = " ".join(str(error).split())
-            self._ask(f"the arm is not as before, and no friction explains it (tool, load or damage?): {why}", facts)
+            change = find_change(bundle, recordings, THREADS)
+            self._ask(change_words(*change, " ".join(str(error).split())), facts)
             return
         factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
         earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
         if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
-            self._ask(f"{'; '.join(steps)}: a replaced gear, wear, damage or another load?", facts)
+            load, errors = find_change(bundle, recordings, THREADS)
+            causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
+            self._ask(change_words(load, {}, "") if load else f"{'; '.join(steps)}: {causes}?", facts)
             return
         words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
         folder.note(

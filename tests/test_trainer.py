@@ -250,9 +250,9 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [another_day(ball_kg=1.5)])
-    if answer == "leave":  # the alarm stands for the whole time, and its motion is left out of a refit
-        epoch = copy.facts["epoch"]
-        append_label(copy.path, Label(1, epoch, 0, 130_000_000_000, "unanswered", "nobody", "", "b0001"))
+    epoch = copy.facts["epoch"]  # the alarm stands for the whole time, and its motion is left out of a refit
+    append_label(copy.path, Label(1, epoch, 0, 130_000_000_000, "unanswered", "nobody", "", "b0001"))
+    append_label(copy.path, Label(2, epoch, 70_000_000_000, 72_000_000_000, "touched", "page", "", "b0001"))
     one = Trainer(copy)
     assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
     question = json.loads(copy.question_file.read_text())
@@ -265,6 +265,9 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
         assert one.step() == "train" and json.loads((copy.path / trainer.PENDING).read_text())["bundle"] == "b0002"
         names = json.loads((copy.path / trainer.PENDING).read_text())["trained_on"]
         assert min(names) >= f"seg-{question['segment']:06d}.parquet"
+        assert [label.answer for label in copy.labels() if label.id > 0] == ["touched"]  # the arm raised it itself
+    else:
+        assert [label.answer for label in copy.labels() if label.id > 0] == ["unanswered", "touched"]
 
 
 def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):

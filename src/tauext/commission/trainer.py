@@ -52,8 +52,9 @@ PENDING = "pending.json"
 """The bundle that waits to be judged, and what it was trained on."""
 MOST_TEST_S = 180.0
 """Newest motion outside of training that judges a bundle, [s]."""
-ROUNDS = 3
-"""Most trainings of one bundle: after each, touches that nobody reported are looked for and left out of the next."""
+ROUNDS, FIRST_ROUNDS = 2, 3
+"""Most trainings of one bundle: after each, touches that nobody reported are looked for and left out of the next. No
+bundle has looked for them before the first one."""
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
 SPARE_S = 660.0
@@ -242,10 +243,16 @@ class Trainer:
             robot = self._robot()
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
-            if (active := folder.active()) is not None:  # it was trained without the newest touches
+            if self._is_changed():
+                self._withdraw(learning)
+                rounds = FIRST_ROUNDS
+            elif (active := folder.active()) is not None:  # it was trained without the newest touches
                 self._suspect(load_bundle(active), self._load(learning))
+                rounds = ROUNDS
+            else:
+                rounds = FIRST_ROUNDS
             config = self._config(step.minutes)
-            for number in range(ROUNDS):
+            for number in range(rounds):
                 recordings = self._load(training)
                 if not recordings:
                     raise ConfigError("no training motion is left")
@@ -256,7 +263,7 @@ class Trainer:
                 checked = check_data(dataset, given, config, (), SILENT)
                 report = Share(lambda share: self._progress(f"training {out.stem}", share))
                 train_on_recordings(given, config, out, report, checked)
-                if number == ROUNDS - 1 or not self._suspect(load_bundle(out), self._load(learning)):
+                if number == rounds - 1 or not self._suspect(load_bundle(out), self._load(learning)):
                     break
         except TauextError as error:
             why = " ".join(str(error).split())
@@ -265,6 +272,17 @@ class Trainer:
             return
         content = {"bundle": out.stem, "minutes": step.minutes, "trained_on": [one.name for one in training]}
         write_synced(folder.path / PENDING, json.dumps(content) + "\n")
+
+    def _is_changed(self) -> bool:
+        """Whether the bundle in charge is of the arm before a change that may be learned."""
+        kinds = [one["kind"] for one in self.folder.history() if one["kind"] == "activation" or one.get("learned")]
+        return bool(kinds) and kinds[-1] != "activation"
+
+    def _withdraw(self, segments: Sequence[Segment]) -> None:
+        """Withdraw labels of alarms without an answer: the changed arm itself raises them under the earlier bundle."""
+        for label in self.folder.labels():
+            if label.answer == "unanswered" and any(meets(one, label) for one in segments):
+                self.folder.append_label(replace(label, answer="withdrawn", by="trainer", wall=wall()))
 
     def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
         """Label touches that nobody reported; returns them."""
@@ -290,6 +308,8 @@ class Trainer:
         unseen = self._unseen(pending, self._segments())
         self._progress(f"judging {name}")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
+        if self._is_changed():
+            self._withdraw(unseen)
         self._suspect(candidate, self._load(unseen))
         facts, why = self._judged(name, unseen)
         if pending.get("refit"):

@@ -542,7 +542,8 @@ class Loop:
 
     def _answer(self, what: AnswerKind, by: str, alarm: int | None) -> None:
         about_alarm = what in ("touched", "nothing")
-        known = (self._alarm_id if alarm is None else alarm) if about_alarm else 0
+        asked = 0 if self._alarm_id == self._answered_id else self._alarm_id
+        known = (asked if alarm is None else alarm) if about_alarm else 0
         answer = Answer(what, by, known, self.samples, self._last_ns)
         self._each_sink(lambda sink: sink.answered(answer) if isinstance(sink, HearsAnswers) else None)
         if known and known == self._alarm_id:

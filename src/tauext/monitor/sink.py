@@ -227,7 +227,7 @@ class Control(Protocol):
         While the touch lasts, the acknowledgement waits for its end, so that the touch raises no second alarm.
 
         Args:
-            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands, or none.
+            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands without an answer, or none.
 
         Raises:
             ConfigError: nothing keeps answers, or there was no such alarm.

@@ -66,7 +66,7 @@ def reactions_file(folder: Path, *lines: str) -> Path:
 @pytest.mark.parametrize(
     ("source", "lines", "error"),
     [
-        ("sim:rig", ["stop = true", "publish = true"], "stop and publish are given"),
+        ("sim:rig", ["stop = true", "publish = true"], "publish and stop are given"),
         ("sim:rig", ["joints = 3", "stop = true"], "joints = 3 must be a list of joints"),
         ("sim:rig", ['command = ["no-such-program"]'], "there is no program 'no-such-program'"),
         ("sim:rig", ["publish = true"], "publishes nothing"),

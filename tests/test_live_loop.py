@@ -21,6 +21,7 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import TEMPLATE, load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
+from tauext.monitor.sink import EventFinder
 from tauext.monitor.source import SourceCounts, Stoppable, settings_of
 from tauext.sources.reader import SampleQueue
 from tauext.sources.replay import ReplaySource
@@ -311,6 +312,9 @@ def test_a_touch_that_lasts_when_it_is_answered_raises_no_second_alarm(bundle, p
     ids = np.array([verdict.alarm_id for verdict in keeper.verdicts])
     first = np.flatnonzero(ids == 1)
     assert 1000 < first[0] < 1100 and len(first) == first[-1] + 1 - first[0] and 3000 < first[-1] < 3600
+    finder = EventFinder(loop.joints, {})
+    events = [event.kind for verdict in keeper.verdicts[:4400] for event in finder.find(verdict) if event.news]
+    assert events.count("cleared") == 1 and events[-1] == "cleared"  # not while it is touched
     if push_nm > 5:  # latched, so that nothing but the answer ends it
         over = np.array([np.abs(verdict.estimates["tau_ext"][0]).max() > 1.0 for verdict in keeper.verdicts])
         assert ended == [np.flatnonzero(over[:4000])[-1] + 201] == [first[-1] + 1]

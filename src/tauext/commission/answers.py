@@ -157,10 +157,10 @@ class EventKeeper:
                 error = failed.strerror or str(failed)
                 self._note(f"an event is not stored: {error}")
             if isinstance(one, Answer | Label):
-                is_answer = isinstance(one, Answer)
-                kind, about = (one.what, one.alarm) if is_answer else (one.answer, one.id)
+                kind, about = (one.what, one.alarm) if isinstance(one, Answer) else (one.answer, one.id)
                 with self._news:
-                    self._done.append((self.done + 1, kind, one.by, about, error if is_answer else ""))
+                    why = error if isinstance(one, Answer) else ""
+                    self._done.append((self.done + 1, kind, one.by, about, why))
                     self._news.notify_all()
 
     def _changed(self, event: dict[str, Any]) -> None:

@@ -521,9 +521,9 @@ def test_answers_reach_the_sinks_that_keep_them_and_acknowledge_their_own_alarm(
     said: dict[str, str] = {}
     lines = {
         100: ["nothing", "touched", "touched 1", "learn yes"],
-        2500: ["touched 2", "touched 0", "touched x", "learn maybe", "nothing 1"],
+        2700: ["touched 2", "touched 0", "touched x", "learn maybe", "nothing 1"],
         3000: ["nothing 1"],
-        4500: ["nothing 1", "touched"],
+        4700: ["nothing 1", "touched"],
     }
 
     def ask(verdict):
@@ -537,15 +537,15 @@ def test_answers_reach_the_sinks_that_keep_them_and_acknowledge_their_own_alarm(
     row = "a line"
     assert heard.answers == [
         ("touched", row, 0, 101), ("learn", row, 0, 101),
-        ("nothing", row, 1, 2501), ("nothing", row, 1, 3001),
-        ("nothing", row, 1, 4501), ("touched", row, 2, 4501),
+        ("nothing", row, 1, 2701), ("nothing", row, 1, 3001),
+        ("nothing", row, 1, 4701), ("touched", row, 2, 4701),
     ]  # fmt: skip
     ended = [c.row for c in heard.changes if isinstance(c, AlarmChange) and c.acknowledged]
-    assert ended == [2501, 4501] and loop.alarms == 2
+    assert ended == [2701, 4701] and loop.alarms == 2
     assert said["100 nothing"] == "error: nothing: there was no alarm yet"
     assert said["100 touched 1"] == "error: touched: there was no alarm 1 yet; the last was 0"
-    assert "must be the number of an alarm" in said["2500 touched x"] == said["2500 touched 0"].replace("'0'", "'x'")
-    assert said["2500 learn maybe"].startswith("error: 'learn maybe' must be")
+    assert "must be the number of an alarm" in said["2700 touched x"] == said["2700 touched 0"].replace("'0'", "'x'")
+    assert said["2700 learn maybe"].startswith("error: 'learn maybe' must be")
     plain = Loop(bundle_of("b"), ScriptedSource([]), [Keeper()])
     assert obey("touched", plain, "x") == "error: touched: answers are kept by `tauext commission` only"
     assert obey("sim push j1", plain, "x") == "error: 'push j1': source script takes no commands; sim:ARM does"

@@ -482,6 +482,19 @@ def test_a_new_loop_goes_on_from_what_was_carried(tmp_path):
     assert Loop(None, ScriptedSource([]), arm=ARM).start_from(carried, 3) == exchange.NO_BUNDLE
 
 
+@pytest.mark.parametrize("is_answered", [True, False])
+def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(is_answered):
+    bundle, samples = bundle_of("old"), samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
+    first, _, _ = looped(bundle, samples)
+    keeper = Keeper()
+    loop = Loop(bundle, ScriptedSource(samples[:2000]), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM)
+    assert loop.start_from(first.monitor.carried(), 17, is_answered) == ""
+    loop.run()
+    healthy = next(v.row for v in keeper.verdicts if v.estimates["health"][0] == OK)
+    ended = [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
+    assert ended == ([healthy + 200] if is_answered else []) and loop.alarms == 17
+
+
 # The ring.
 
 

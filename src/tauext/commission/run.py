@@ -296,7 +296,8 @@ class Commission:
             live.follow(bundle, loop.monitor)
             with suppress(FileNotFoundError):
                 carried = (folder.path / CARRIED).read_bytes()
-                if reason := loop.start_from(carried, self._keeper.newest):
+                newest = self._keeper.newest
+                if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
                 if loop.monitor.last.alarm != _core.Alarm.none:
                     live.stand(self._keeper.event(loop.alarms))

@@ -280,11 +280,12 @@ class Loop:
         """What the monitor carried at the newest second, for start_from(); empty: nothing yet."""
         return b"" if self._ring is None else self._ring.carried
 
-    def start_from(self, carried: bytes, alarms: int) -> str:
+    def start_from(self, carried: bytes, alarms: int, is_answered: bool = False) -> str:
         """Before run(): continue what an earlier loop's `carried` holds; returns "" or the reason why it cannot.
 
         Args:
             alarms: number of the newest alarm, which is the one that stands if one does.
+            is_answered: whether that alarm is answered, so that it ends with its touch.
         """
         self.alarms = alarms
         if not isinstance(self.monitor, _core.Monitor):
@@ -298,6 +299,7 @@ class Loop:
         alarm = self.monitor.last.alarm
         if alarm != _core.Alarm.none:
             self.alarms = self._alarm_id = max(alarms, 1)
+            self._answered_id = self._alarm_id if is_answered else 0
             self._changes.stand(alarm.value)
         return ""
 
@@ -550,7 +552,7 @@ class Loop:
             if self._is_touch_over:
                 self._end_alarm(self.monitor.acknowledge, f"{what}, by {by}: acknowledged")
             else:  # the monitor would raise another alarm for the same touch
-                self._end_after_touch(known)
+                self._answered_id = known
                 self.note(f"{what}, by {by}: acknowledged once the touch is over")
 
     def _switch(self, name: str, by: str) -> None:
@@ -606,15 +608,12 @@ class Loop:
         """Whether all torques have been within their limits for TOUCH_OVER_S; False before the first sample."""
         return self._touched_ns is not None and self._last_ns - self._touched_ns >= TOUCH_OVER_S * 1e9
 
-    def _end_after_touch(self, alarm: int) -> None:
-        """Acknowledge this alarm, which stands and is answered, once its touch is over, or when it is due."""
-        self._answered_id = alarm
-        if self._due_ns is None and self._settings.acknowledge_after_s is not None:  # of a contact that lasts
-            self._due_ns = self._last_ns + round(self._settings.acknowledge_after_s * 1e9)
-
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._answered_id and self._answered_id != self._alarm_id:  # it has ended by itself
             self._answered_id, self._due_ns = 0, None
+        after_s = self._settings.acknowledge_after_s
+        if self._answered_id and self._due_ns is None and after_s is not None:  # a contact that lasts
+            self._due_ns = t_ns + round(after_s * 1e9)
         is_due = self._due_ns is not None and t_ns >= self._due_ns
         if is_due or (self._answered_id and self._is_touch_over):
             self._end_alarm(self.monitor.acknowledge)

@@ -52,9 +52,9 @@ PENDING = "pending.json"
 """The bundle that waits to be judged, and what it was trained on."""
 MOST_TEST_S = 180.0
 """Newest motion outside of training that judges a bundle, [s]."""
-ROUNDS, FIRST_ROUNDS = 2, 3
-"""Most trainings of one bundle: after each, touches that nobody reported are looked for and left out of the next. No
-bundle has looked for them before the first one."""
+FIRST_ROUNDS = 3
+"""Most trainings of an arm's first bundle: after each, touches that nobody reported are looked for and left out of the
+next. Before a later training, the bundle in charge looks for them in motion that it was not trained on."""
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
 SPARE_S = 660.0
@@ -243,14 +243,12 @@ class Trainer:
             robot = self._robot()
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
+            active, rounds = folder.active(), FIRST_ROUNDS
             if self._is_changed():
                 self._withdraw(learning)
-                rounds = FIRST_ROUNDS
-            elif (active := folder.active()) is not None:  # it was trained without the newest touches
+            elif active is not None:
                 self._suspect(load_bundle(active), self._load(learning))
-                rounds = ROUNDS
-            else:
-                rounds = FIRST_ROUNDS
+                rounds = 1
             config = self._config(step.minutes)
             for number in range(rounds):
                 recordings = self._load(training)

@@ -1,4 +1,4 @@
-"""Chromium without a window, by its DevTools protocol: it needs nothing but the websockets of tauext[live]."""
+"""Chromium without a window, by its DevTools protocol: it needs nothing but websockets, of the extra `dev`."""
 
 from __future__ import annotations
 

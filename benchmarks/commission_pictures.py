@@ -56,15 +56,19 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
             wait_for(lambda: state_of(folder) == "monitoring")
             time.sleep(20)
             photograph(browser, url, out, "monitoring")
-            looks = {name_of(size, scheme): browser.page(url, *SIZES[size], scheme) for size, scheme in (*LOOKS, FRONT)}
-            pages = {name: page.__enter__() for name, page in looks.items()}
+            shown = {size: browser.page(url, *SIZES[size], scheme) for size, scheme in LOOKS}
+            pages = {size: page.__enter__() for size, page in shown.items()}
             time.sleep(15)
             ask(folder, PUSH)
             lines.append(f"{time.monotonic() - began:6.0f} s  (the arm is pushed with 60 N for 0.4 s)")
             time.sleep(1.0)
-            for name, page in pages.items():
-                save(page, out / f"asking-{name}.png")
-                looks[name].__exit__(None, None, None)
+            for size, page in pages.items():
+                save(page, out / f"asking-{size}.png")
+            pages["desktop"].show("light")
+            time.sleep(0.3)
+            save(pages["desktop"], out / "asking-desktop-light.png")  # for the first page of the documentation
+            for page in shown.values():
+                page.__exit__(None, None, None)
             lines.append(f"{time.monotonic() - began:6.0f} s  key t: {ask(folder, 'touched')}")
             command.send_signal(signal.SIGINT)
             command.wait(60)
@@ -75,12 +79,6 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
 
 
 LOOKS = (("phone", "light"), ("desktop", "dark"))
-FRONT = "desktop", "light"
-"""Of the picture on the first page of the documentation."""
-
-
-def name_of(size: str, scheme: str) -> str:
-    return size if (size, scheme) in LOOKS else f"{size}-{scheme}"
 
 
 def save(page: Page, path: Path) -> None:

@@ -48,7 +48,7 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
         reading.start()
         try:
             url = f"http://127.0.0.1:{PORT}/"
-            wait_for(lambda: "connecting" in "".join(lines))
+            wait_for(answers)
             photograph(browser, url, out, "connecting", settle_s=2.0)
             wait_for(lambda: state_of(folder) == "learning")
             wait_for(lambda: len(list(folder.glob("seg-*.parquet"))) >= 4)
@@ -108,6 +108,15 @@ def state_of(folder: Path) -> str:
         return json.loads((folder / "commission.json").read_text()).get("state", "")
     except (OSError, ValueError):
         return ""
+
+
+def answers() -> bool:
+    """Whether the page is served."""
+    try:
+        socket.create_connection(("127.0.0.1", PORT), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
 
 
 def ask(folder: Path, line: str) -> str:

@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from tauext.commission import course, keep, trainer
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
 from tauext.commission.ledger import Ledger
-from tauext.commission.trainer import Trainer, named_steps
+from tauext.commission.trainer import Trainer, named_steps, why_not
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels
@@ -277,6 +278,33 @@ def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
     assert Trainer(copy).step() == "morning"
     asked = json.loads(copy.question_file.read_text())["words"]
     assert asked.startswith("friction of joint1 is 2.") and asked.endswith("a replaced gear, wear or damage?")
+
+
+def judged(false: int, seen: int, kept: bool = True, rejected: float = 0.0):
+    """Results of an hour with so many false alarms, and so many of 100 hits detected."""
+    return SimpleNamespace(
+        name="old",
+        free_motion=SimpleNamespace(hours=1.0, false_collisions=false, promise_kept=kept, promised_per_hour=3.0),
+        rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
+        injected=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("new", "is_rarer", "why"),
+    [
+        (judged(1, 80), False, ""),
+        (judged(1, 76), False, ""),
+        (judged(1, 70), False, "it detects 70% of the hits, old 80%"),
+        (judged(1, 70), True, ""),  # limits for rarer false alarms are higher
+        (judged(0, 70), False, ""),
+        (judged(3, 90), True, "3 false alarms, 1 with old"),
+        (judged(5, 80, kept=False), True, "5 false alarms in 60.0 min, where its limits allow 3 an hour"),
+        (judged(1, 80, rejected=0.03), True, "it rejects 3.0% of the motion (clock 3.0%)"),
+    ],
+)
+def test_a_bundle_is_replaced_by_none_that_is_worse(new, is_rarer, why):
+    assert why_not(new, judged(1, 80), is_rarer) == why
 
 
 def test_steps_are_named_beyond_what_earlier_days_differ():

@@ -77,7 +77,7 @@ def commission(
     from tauext.page.live_server import serve
     from tauext.sources.open import SourceOptions
 
-    token, found = "", port
+    token, found, address = "", port, ""
     if not no_page:
         found = free_port(host, port)
         token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
@@ -85,13 +85,14 @@ def commission(
             say(f"port {port} is in use; this one is {found}")
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         reach = "this machine alone can open it" if host in LOOPBACK else "whoever has this address can answer"
-        say(f"http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach}; Ctrl-C ends)")
+        address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach}; Ctrl-C ends)"
     chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     options = Options(
         robot=robot,
         source=chosen,
         reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
         page=None if no_page else serve,
+        address=address,
         host=host,
         port=found,
         token=token,

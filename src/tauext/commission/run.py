@@ -70,6 +70,8 @@ class Options:
     """Reads the rules of a reactions file for these joints; None: they are not known yet."""
     page: Callable[..., None] | None = None
     """Target of the page's process; None: no page."""
+    address: str = ""
+    """Line about the page's address, printed when source and folder are accepted."""
     host: str = "127.0.0.1"
     port: int = 8080
     token: str = ""
@@ -183,6 +185,8 @@ class Commission:
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
 
     def run(self) -> None:
+        if self._options.address:
+            self._echo(self._options.address)
         self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
         self._live.says = "connecting: the arm is looked at for some seconds before anything is recorded"
         with self._until_signal():

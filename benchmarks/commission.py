@@ -34,6 +34,7 @@ from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
 from tauext.commission.keep import KeepSink
 from tauext.commission.trainer import Trainer
+from tauext.data.dataset import load_split
 from tauext.data.free_motion import cut, free_samples
 from tauext.data.labels import Label
 from tauext.data.recording import Recording, runs_of
@@ -85,6 +86,19 @@ class Outcome:
     """Motion from the start of the part, or from the answer to its question, until a bundle of it monitors."""
 
 
+@dataclass(frozen=True)
+class Touch:
+    """One touch."""
+
+    t_ns: np.ndarray
+    tau_ext: np.ndarray
+    """True torque at its samples, (samples, joints)."""
+
+    @property
+    def span(self) -> tuple[int, int]:
+        return int(self.t_ns[0]), int(self.t_ns[-1])
+
+
 class Simulation:
     """One arm, its folder, and what happened."""
 
@@ -100,8 +114,7 @@ class Simulation:
         self.settings = arm.facts.settings
         self.trainer = Trainer(self.folder)
         self.outcomes: list[Outcome] = []
-        self.truth: list[tuple[int, int, float]] = []
-        """First and last stamp and largest torque of every touch."""
+        self.truth: list[Touch] = []
         self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
         self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
         self.sink.patient = True
@@ -138,12 +151,14 @@ class Simulation:
     def stretch(self, made: Recording) -> None:
         """Send a stretch in recordings of 10 s to monitor and recorder, and let the training process work between."""
         assert made.contact is not None and made.tau_ext is not None
-        spans = []
+        found: list[tuple[int, int]] = []
         for a, b in runs_of(made.contact == 1).tolist():
-            if spans and made.t_ns[a] - spans[-1][1] < NEAR_NS:
-                a = int(np.searchsorted(made.t_ns, spans.pop()[0]))
-            spans.append((int(made.t_ns[a]), int(made.t_ns[b - 1]), float(np.abs(made.tau_ext[a:b]).max())))
-        self.truth += spans
+            if found and made.t_ns[a] - made.t_ns[found[-1][1] - 1] < NEAR_NS:
+                a = found.pop()[0]
+            found.append((a, b))
+        touches = [Touch(made.t_ns[a:b], made.tau_ext[a:b]) for a, b in found]
+        spans = [one.span for one in touches]
+        self.truth += touches
         rows = self.sink._rows
         for begin in range(0, made.samples, rows):
             part = cut(made, slice(begin, begin + rows))
@@ -218,7 +233,7 @@ class Simulation:
 
     # The monitor.
 
-    def watch(self, part: Recording, spans: list[tuple[int, int, float]]) -> None:
+    def watch(self, part: Recording, spans: list[tuple[int, int]]) -> None:
         """Monitor 10 s; alarms become events and labels."""
         assert self.monitor is not None
         outcome, hours = self.outcomes[-1], part.samples / part.rate_hz / 3600
@@ -234,7 +249,7 @@ class Simulation:
             beyond = (np.abs(chunk.estimates["tau_ext"]) > chunk.estimates["contact_limit_nm"]).any(axis=1)
             over.append(chunk.t_ns[beyond])
             found += [one for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm != NONE]
-        for a, b, _ in spans:
+        for a, b in spans:
             if part.t_ns[0] <= a <= part.t_ns[-1]:
                 outcome.touches += 1
                 outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
@@ -243,7 +258,7 @@ class Simulation:
             if one.was != NONE:
                 continue
             self.alarms += 1
-            true = any(a <= one.t_ns <= b + NEAR_NS for a, b, _ in spans)
+            true = any(a <= one.t_ns <= b + NEAR_NS for a, b in spans)
             collides = any(other.alarm == COLLISION and 0 <= other.t_ns - one.t_ns < 2e9 for other in found)
             outcome.false += collides and not true
             outcome.false_promised += collides and not true and promised is not None
@@ -259,22 +274,27 @@ class Simulation:
     # Afterwards.
 
     def trained_on(self) -> dict[str, float]:
-        """Touched seconds in training recordings: all, and those that labels do not leave out."""
-        touched = used = 0.0
+        """Touched seconds in training recordings: all and trained on; the same of samples beyond a limit."""
+        active = self.folder.active()
+        limits = np.full(len(self.settings.joints), np.inf) if active is None else load_bundle(active).sliding_limit_nm
+        sums = np.zeros(4)
         for one in self.folder.segments():
-            if one.set != "train":
+            near = [touch for touch in self.truth if touch.t_ns[0] <= one.to_ns and touch.t_ns[-1] >= one.from_ns]
+            if one.set != "train" or not near:
                 continue
             recording = load_recording(self.folder.path / one.name)
-            true = np.zeros(recording.samples, dtype=bool)
-            for a, b, _ in self.truth:
-                true |= (recording.t_ns >= a) & (recording.t_ns <= b)
-            touched += float(true.sum()) / recording.rate_hz
-            used += float((true & free_samples(recording)).sum()) / recording.rate_hz
+            used = free_samples(recording)
+            for touch in near:
+                at = np.isin(recording.t_ns, touch.t_ns)
+                strong = np.isin(recording.t_ns, touch.t_ns[(np.abs(touch.tau_ext) > limits).any(axis=1)])
+                sums += np.array([at.sum(), (at & used).sum(), strong.sum(), (strong & used).sum()]) / recording.rate_hz
         suspects = [one for one in self.folder.labels() if one.answer == "suspect"]
         found = sum(
-            any(a - NEAR_NS <= one.to_ns and b + NEAR_NS >= one.from_ns for a, b, _ in self.truth) for one in suspects
+            any(touch.span[0] - NEAR_NS <= one.to_ns and touch.span[1] + NEAR_NS >= one.from_ns for touch in self.truth)
+            for one in suspects
         )
-        return {"touched_s": touched, "trained_on_s": used, "suspects": len(suspects), "suspects_touches": found}
+        names = ("touched_s", "trained_on_s", "beyond_s", "beyond_trained_on_s")
+        return dict(zip(names, sums.tolist(), strict=True)) | {"suspects": len(suspects), "suspects_touches": found}
 
     def compare(self, part: Part, out: Path) -> dict[str, Any]:
         """Detections and false alarms of the bundle in charge and of one that `tauext train` makes of the same data."""
@@ -284,10 +304,13 @@ class Simulation:
         shutil.rmtree(data, ignore_errors=True)
         shutil.copytree(self.folder.path, data)
         tauext("train", "--data", data, "--recipe", "prior", "--out", out / "trained.tauext", printed=out / "train.txt")
-        tauext("calibrate", "--bundle", out / "trained.tauext", "--data", data, "--out", out / "eight.tauext",
-               printed=out / "calibrate.txt")  # fmt: skip
+        bundle = out / "trained.tauext"
+        if load_split(data).calibration:
+            words = ("--bundle", bundle, "--data", data, "--out", out / "eight.tauext")
+            tauext("calibrate", *words, printed=out / "calibrate.txt")
+            bundle = out / "eight.tauext"
         shutil.rmtree(data)
-        bundles = {"commission": load_bundle(active), "eight commands": load_bundle(out / "eight.tauext")}
+        bundles = {"commission": load_bundle(active), "eight commands": load_bundle(bundle)}
         made = [
             self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, TEST_TOUCHES if k % 2 else 0)
             for k in range(TEST_STRETCHES)
@@ -393,13 +416,15 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
                     "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
                 ))  # fmt: skip
         lines += ["", "## Touches while learning, first part", ""]
-        lines += head("arm | touched motion in training recordings [s] | trained on [s] | suspects | of them touches")
+        lines += head(
+            "arm | touched, in training recordings [s] | trained on [s] | beyond a limit [s] | trained on [s] | "
+            "suspects | of them touches"
+        )
         for one in compared:
             found = one["learning"]
-            share = found["trained_on_s"] / found["touched_s"] if found["touched_s"] else 0.0
             lines.append(table_row(
-                called(one), f"{found['touched_s']:.1f}", f"{found['trained_on_s']:.2f} ({share:.1%})",
-                found["suspects"], found["suspects_touches"],
+                called(one), f"{found['touched_s']:.2f}", f"{found['trained_on_s']:.2f}", f"{found['beyond_s']:.2f}",
+                f"{found['beyond_trained_on_s']:.2f}", found["suspects"], found["suspects_touches"],
             ))  # fmt: skip
     if weeks := [one for one in results if one["plan"] == "week"]:
         lines += ["", "## Promises day by day", ""]

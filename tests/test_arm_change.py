@@ -14,7 +14,7 @@ from tauext.commission.arm_change import LoadChange, change_words, find_change
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.robot.model_case import chosen_case
-from tauext.sim.arms import DemoArm, rig_arm, seven_axis_arm
+from tauext.sim.arms import GearedArm, rig_arm, seven_axis_arm
 from tauext.sim.config import changed_friction
 from tauext.sim.source import DrivenArm, command_of
 from tauext.train.preparation import Given
@@ -23,7 +23,7 @@ from tauext.train.stage import accepted_settings, train_on_recordings
 WHY = "no reason"
 
 
-def moved(arm: DemoArm, seconds: float, seed: int, load_kg: float = 0.0) -> Recording:
+def moved(arm: GearedArm, seconds: float, seed: int, load_kg: float = 0.0) -> Recording:
     """The arm's own motion with a ball in its hand."""
     moving = DrivenArm(arm, seed)
     moving.obey(command_of(f"load mass={load_kg}", arm.joints))
@@ -32,7 +32,7 @@ def moved(arm: DemoArm, seconds: float, seed: int, load_kg: float = 0.0) -> Reco
     return Recording("moved", arm.joints, t_ns, q, dq, tau, 1000.0, "held", "test", "")
 
 
-def trained(arm: DemoArm, load_kg: float, path: Path) -> _core.Bundle:
+def trained(arm: GearedArm, load_kg: float, path: Path) -> _core.Bundle:
     (path / "robot.xml").write_text(arm.xml)
     config = accepted_settings(TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0)), (), None)
     given = Given(

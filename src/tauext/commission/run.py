@@ -390,6 +390,8 @@ class Commission:
             live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
         elif loop is not None:
             live.says = "waiting for the first sample" if state == "connecting" else ""
+        if (record := self._record) is not None and record.is_losing:
+            live.says = f"RECORDING LOSES SAMPLES: {record.count.error}"
         if state != live.state:
             live.state = state
             self._folder.save(state=state)

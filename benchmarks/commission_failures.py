@@ -37,7 +37,7 @@ from made_browser import Browser
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import ALARMS, HEALTHS, NONE
-from tauext.bundle.history_file import active_bundle, read_events, read_history
+from tauext.bundle.history_file import active_bundle, read_events, read_history, watches
 from tauext.commission.answers import ASKING_S
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
@@ -54,6 +54,8 @@ PUSH = "sim push joint=joint2 force=0,0,-60 seconds=0.4"
 PATIENCE_S = 240.0
 AGAIN_S = 30.0
 """Longest time from the command to health ok, [s]."""
+SETTLE_S = 6.0
+"""From the opening of a page to its picture, [s]."""
 CARRIED_S = 3.0
 """After an alarm, its copy for the next process is on the disk, [s]."""
 SPARE_BYTES = 24 << 20
@@ -124,9 +126,8 @@ class Command:
         words = ["commission", "--source", f"sim:{arm}", "--out", str(folder), "--port", str(PORT)]
         report.line(f"$ tauext commission --source sim:{arm} --out {folder.name}")
         self.folder, self.lines, self.began = folder, list[str](), time.monotonic()
-        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         command = [sys.executable, "-m", "tauext", *words]
-        self.process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
 
         def read() -> None:
             for line in self.process.stdout or ():
@@ -361,7 +362,7 @@ def kills(report: Report, folder: Path, arm: str, out: Path, browser: Browser) -
         report.check("learning: state after the restart", state, state == "learning")
         kept.check("learning")
         wait_for(command.is_served, "the page")
-        photograph(browser, command.url, out, "failures-learning", 3.0)
+        photograph(browser, command.url, out, "failures-learning", SETTLE_S)
         kill_training(report, command)
         command.is_monitored()
         kept.clear(command)
@@ -378,7 +379,7 @@ def kills(report: Report, folder: Path, arm: str, out: Path, browser: Browser) -
         number, answer = (line["alarm"] or {}).get("id"), (line["alarm"] or {}).get("answer")
         measured = f"alarm {number}, answer {answer or 'none'}"
         report.check(f"asking: alarm {alarm} stands and is asked about", measured, (number, answer) == (alarm, None))
-        photograph(browser, command.url, out, "failures-asking", 3.0)
+        photograph(browser, command.url, out, "failures-asking", SETTLE_S)
         report.check(
             "asking: the answer is stored when it is confirmed", *yes(kept.answer(command, f"touched {alarm}"))
         )
@@ -490,7 +491,7 @@ def fill(report: Report, command: Command, kept: Confirmed, dummy: Path, out: Pa
     report.check("the loss is reported", *within(began, 15.0))
     line = command.reach(lambda line: line["says"], "the page's report of lost samples", 15.0)
     report.check("the page reports the loss", f"`{line['says']}`", "LOSES SAMPLES" in line["says"])
-    photograph(browser, command.url, out, "failures-disk", 3.0)
+    photograph(browser, command.url, out, "failures-disk", SETTLE_S)
     done = int(kept.answer(command, f"touched {command.alarm()}"))
     for _ in range(4):
         time.sleep(5.0)
@@ -552,7 +553,7 @@ def silence(report: Report, folder: Path, arm: str, out: Path, browser: Browser)
         line = command.reach(lambda line: line["lost"], "a report", 15.0)
         taken, soon = within(began, 5.0)
         report.check("the page reports the silence", f"{taken}: `{line['lost']}`", soon)
-        photograph(browser, command.url, out, "failures-silent", 3.0)
+        photograph(browser, command.url, out, "failures-silent", SETTLE_S)
         line = command.live()
         report.check("state meanwhile", line["state"], line["state"] == "monitoring")
         measured = f"{line['health']} ({', '.join(line['causes'])})"
@@ -613,7 +614,7 @@ class Watching:
 
 def silent_hour(report: Report, trained: Path, work: Path, arm: str) -> None:
     """An hour without a sample, as fast as the loop takes the samples."""
-    before_s, after_s = 35.0, 40.0
+    before_s, after_s = 35.0, 42.0
     path = work / "hour"
     shutil.copytree(trained, path, ignore=shutil.ignore_patterns("*.sock"))
     folder = CommissionFolder.open(path)
@@ -656,8 +657,8 @@ def silent_hour(report: Report, trained: Path, work: Path, arm: str) -> None:
 # --- A clock that jumps.
 
 CLOCK = """\
-The source's clock is set back by an hour, then forward by an hour. Received and monitored hours come from
-`tauext show --json`."""
+The source's clock is set back by an hour, then forward by an hour. Received hours come from
+`tauext show --json`; a promise is compared with monitored hours."""
 
 
 def jumps(report: Report, folder: Path, arm: str) -> None:
@@ -701,13 +702,13 @@ def jump(report: Report, command: Command, seconds: float) -> None:
 
 
 def hours(folder: Path) -> dict[str, float]:
-    """Received and monitored hours, [h]."""
-    from tauext.commission.history import kept_of
-
+    """Received hours, and those of all bundles that a promise is compared with, [h]."""
     words = [sys.executable, "-m", "tauext", "show", str(folder), "--json"]
     shown = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
-    monitored = kept_of(folder, shown["bundle"], CommissionFolder(folder).seconds()).hours
-    return {"received hours": shown["received_hours"], "monitored hours of the promise": monitored}
+    monitored_s = sum(
+        one.to_s - one.from_s for one in watches(read_history(folder), CommissionFolder(folder).seconds())
+    )
+    return {"received hours": shown["received_hours"], "monitored hours": monitored_s / 3600}
 
 
 # --- The page of results.

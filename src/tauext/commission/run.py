@@ -29,7 +29,7 @@ from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import ConfigError, TauextError
-from tauext.files.append_file import write_synced
+from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import json_of
 from tauext.monitor.control_lines import ControlSocket
@@ -272,7 +272,9 @@ class Commission:
                 if reason := loop.start_from(carried, self._keeper.newest):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
                 if loop.monitor.last.alarm != _core.Alarm.none:
-                    live.stand(self._keeper.event(loop.alarms))
+                    live.stand(event := self._keeper.event(loop.alarms))
+                    if event is not None and event.get("answer"):  # given after the copy of what is carried
+                        loop.acknowledge("an answer before this start")
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.steering.loop = loop
         if self._by:  # stopped meanwhile
@@ -391,7 +393,7 @@ class Commission:
         elif loop is not None:
             live.says = "waiting for the first sample" if state == "connecting" else ""
         if (record := self._record) is not None and record.is_losing:
-            live.says = f"RECORDING LOSES SAMPLES: {record.count.error}"
+            live.says = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
         if state != live.state:
             live.state = state
             self._folder.save(state=state)
@@ -446,5 +448,9 @@ class Commission:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Replace a small file at once; without waiting for the disk, since an older one serves as well."""
-    with atomic_write(path) as part:
-        part.write_bytes(content)
+
+    def write() -> None:
+        with atomic_write(path) as part:
+            part.write_bytes(content)
+
+    write_reserved(path.parent, write)

@@ -439,7 +439,8 @@ def kill_page(report: Report, command: Command) -> None:
 
 DISK = """\
 The folder lies on a small disk of its own, which another file fills to the last byte while the arm is monitored. After
-half a minute the main process is killed, and the same command is started on the full disk. The file is then removed."""
+half a minute the main process is killed, and the same command is started on the full disk. The file is then removed.
+Lost flights of faults come from late samples: other work uses the same two cores."""
 
 
 def full_disk(report: Report, trained: Path, work: Path, arm: str, out: Path, browser: Browser) -> None:

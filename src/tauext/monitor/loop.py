@@ -369,6 +369,8 @@ class Loop:
     def _sample(self, sample: Sample) -> None:
         if self._servo is not None:
             sample = self._servo.made(sample)
+        if self._due_ns is not None and self._last is not None and sample.t_ns < self._last.t_ns:
+            self._due_ns += sample.t_ns - self._last.t_ns  # the clock was set back
         self._acknowledge_when_due(sample.t_ns)
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)
@@ -486,8 +488,10 @@ class Loop:
         verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._alarm_id)
         for event in self._events.find(verdict):
             self._reactions.put(event)
-        if estimates["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
-            self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
+        after_s = self._settings.acknowledge_after_s
+        if estimates["alarm"][0] == COLLISION and after_s is not None and self._due_ns is None:
+            since_ns = min(self.monitor.last.alarm_t_ns, t_ns)  # a carried alarm may have risen by a later clock
+            self._due_ns = since_ns + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:

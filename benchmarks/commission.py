@@ -1,25 +1,35 @@
-"""Learning on the rig with touches that nobody reports: a fast simulation of `tauext commission` without a page.
+"""Days of `tauext commission` on simulated arms, with touches that nobody reports: a fast simulation without a page.
 
-    python benchmarks/commission.py OUT [--days 3] [--hours 1.0] [--seed 0] [--every 600] [--cold 1.3]
+    python benchmarks/commission.py OUT --arm offset_wrist [--no-model] [--plan loads|week] [--hours H] [--seed 0]
+    python benchmarks/commission.py OUT --tables      the page of all results in OUT
 
-The arm moves for --hours a day. Each day it starts with --cold times its friction, which falls to 1 within 20 minutes.
-Every --every seconds something touches it, and nobody says so; alarms without a touch are answered `nothing`. The
-recorder, the training process and the monitor are those of the command. A training takes the simulated time that it
-takes here. It prints minutes until the first bundle, by day the touches that were detected and the promised and actual
-false alarms, and the share of touched motion that was trained on.
+Plan `loads`: four parts of --hours (6), each after a pause of two hours and from a cold start: bare, with one load,
+with a heavier one, with another tool. Plan `week`: seven days of --hours (4) each. Something touches the arm once in
+ten minutes, and nobody says so. Alarms without a touch are answered `nothing`; a question about a change of the arm is
+answered `learn` after two minutes. Recorder, training process and monitor are those of the command; a training takes
+the simulated time that it takes here. After the first part of `loads`, `tauext train` and `tauext calibrate` make a
+bundle of the same recordings, and both bundles are evaluated on an hour of new motion with 150 touches.
+OUT/ARM-PLAN gets the folder, OUT/ARM-PLAN.json the result.
 """
 
+from __future__ import annotations
+
 import json
+import shutil
 import time
-from dataclasses import dataclass, field, replace
+from collections import deque
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from common import head, table_row
+from common import arguments, head, table_row, tauext, write_page
+from unseen.working import NAMES, STRETCH_S, Part, Working, working
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
+from tauext.commission.connect import as_data, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
 from tauext.commission.keep import KeepSink
@@ -28,206 +38,396 @@ from tauext.data.free_motion import cut, free_samples
 from tauext.data.labels import Label
 from tauext.data.recording import Recording, runs_of
 from tauext.data.recording_file import load_recording
-from tauext.files.append_file import append_line
+from tauext.data.servo import RAW_SIGNALS
+from tauext.evaluate.comparison import evaluate
+from tauext.files.append_file import append_line, write_synced
+from tauext.files.plain_file import json_of
+from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.replay import replay as replayed
-from tauext.monitor.source import SourceSettings
-from tauext.sim.arms import rig_arm
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig, changed_friction
 
-BLOCK_S = 60.0
-"""Length of one simulated stretch of motion."""
-PAUSE_NS = 2_000_000_000
-WARM_S = 1200.0
+PAUSE_NS, JOIN_NS = round(2 * 3.6e12), 2_000_000_000
+"""Between two parts, and between two stretches of one."""
 NEAR_NS = 500_000_000
 """An alarm so long after a touch is the touch's."""
+ANSWER_S = 120.0
+REPEATED_S = 60.0
+"""What a new bundle's monitor repeats before it takes over."""
 GIGABYTE = 1e9
+BUSY_S, SELDOM = 1800.0, 6
+"""So long after its last bundle the training process is asked after every sixth recording only, to save time here."""
+TEST_STRETCHES, TEST_TOUCHES = 6, 50
+COLLISION = 2
 
 
 @dataclass
-class Day:
+class Outcome:
+    """What happened in one part."""
+
+    name: str
     hours: float = 0.0
     """Monitored."""
+    received_h: float = 0.0
     touches: int = 0
     detected: int = 0
     false: int = 0
-    promised: list[float] = field(default_factory=list)
+    """Collisions without a touch."""
+    promised: list[float | None] = field(default_factory=list)
+    """False alarms an hour that the first and the last bundle of the part promise."""
+    allowed: float = 0.0
+    """Sum of promised rates over the hours in which one was promised."""
+    promised_h: float = 0.0
+    false_promised: int = 0
+    """False collisions while a rate was promised."""
     bundles: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    waited_s: float | None = None
+    """Motion from the start of the part, or from the answer to its question, until a bundle of it monitors."""
 
 
 class Simulation:
     """One arm, its folder, and what happened."""
 
-    def __init__(self, out: Path, seed: int, every_s: float, cold: float):
-        self.seed, self.every_s, self.cold = seed, every_s, cold
+    def __init__(self, out: Path, arm: Working, seed: int, disk_bytes: float):
+        self.arm, self.seed = arm, seed
         self.folder = CommissionFolder.open(out, create=True)
-        arm = rig_arm()
-        (out / "robot.xml").write_text(arm.xml)
-        self.settings = SourceSettings(arm.joints, 1_000_000, ("N m",) * len(arm.joints), "held")
+        robot = arm.robot
+        if arm.robot_text:
+            robot = out.with_suffix(".xml")
+            robot.write_text(arm.robot_text)
+        write_arm(arm.facts, robot, out)
+        self.folder.save(arm=as_data(arm.facts), source="simulated")
+        self.settings = arm.facts.settings
         self.trainer = Trainer(self.folder)
-        self.days: list[Day] = []
-        self.truth: dict[int, list[tuple[int, int]]] = {}
-        """Touches by epoch: first and last stamp."""
+        self.outcomes: list[Outcome] = []
+        self.truth: list[tuple[int, int, float]] = []
+        """First and last stamp and largest torque of every touch."""
+        self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
+        self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
+        self.sink.patient = True
         self.first_s: float | None = None
-        self.in_charge: Path | None = None
-        self.busy_s = 0.0
-        self.alarms = self.block = 0
-        self.peaks: list[tuple[int, float, float]] = []
-        """Epoch, begin and largest torque of every touch."""
+        self.busy_s = self.asked_s = 0.0
+        self.monitor: _core.Monitor | None = None
+        self.bundle = ""
+        self.model = 0
+        self.recent: deque[tuple[Recording, bytes]] = deque()
+        """The last REPEATED_S, and what the monitor carried before each of its recordings."""
+        self.alarms = self.number = self.parts = 0
+        self.now_ns = self.newest_s = 0
+        self.most_bytes = 0
+        self.training_s: list[tuple[str, float]] = []
 
-    def motion(self, day_s: float) -> Recording:
-        """The next stretch, with its touches."""
-        friction = 1 + (self.cold - 1) * np.exp(-3 * day_s / WARM_S)
-        config = RigConfig()
-        touches = round(BLOCK_S / self.every_s) if self.every_s <= BLOCK_S else int(
-            (self.block + 1) * BLOCK_S // self.every_s - self.block * BLOCK_S // self.every_s
-        )  # fmt: skip
-        config = replace(
-            config, friction=changed_friction(config.friction, float(friction)), collisions_per_recording=touches
-        )
-        self.block += 1
-        return simulate_recording(config, "pulses" if touches else "free", BLOCK_S, self.seed, self.block)
+    # Motion.
 
-    def day(self, hours: float) -> None:
-        """One day: an epoch of its own."""
-        self.days.append(Day())
-        sink = KeepSink(self.folder, self.settings, "sim:rig", 5 * GIGABYTE)
-        sink.open(self.settings.joints, None)  # type: ignore[arg-type]
-        sink.patient = True
-        start_ns = 0
-        while start_ns < hours * 3.6e12:
-            made = self.motion(1e-9 * start_ns)
-            moved = replace(made, t_ns=made.t_ns + start_ns)
-            self.stretch(moved, sink)
-            start_ns = int(moved.t_ns[-1]) + PAUSE_NS
-        sink.close()
+    def part(self, part: Part) -> None:
+        """One part: it starts cold."""
+        self.outcomes.append(Outcome(part.name))
+        begun_ns, begun_s = self.now_ns, self.folder.seconds()
+        self.learned_s = begun_s
+        while self.now_ns - begun_ns < part.hours * 3.6e12 - 1e9:
+            made = self.arm.stretch(self.seed, self.number, part, 1e-9 * (self.now_ns - begun_ns), 1)
+            self.number += 1
+            self.stretch(replace(made, t_ns=made.t_ns + self.now_ns))
+            self.now_ns += round(STRETCH_S * 1e9) + JOIN_NS
+            self.most_bytes = max(
+                self.most_bytes, sum(one.stat().st_size for one in self.folder.path.rglob("*") if one.is_file())
+            )
+        self.outcomes[-1].received_h = (self.folder.seconds() - begun_s) / 3600
+        self.now_ns += PAUSE_NS
 
-    def stretch(self, made: Recording, sink: KeepSink) -> None:
+    def stretch(self, made: Recording) -> None:
         """Send a stretch in recordings of 10 s to monitor and recorder, and let the training process work between."""
-        touched = runs_of(made.contact == 1)
-        spans = [(int(made.t_ns[a]), int(made.t_ns[b - 1])) for a, b in touched.tolist()]
-        self.truth.setdefault(sink.epoch, []).extend(spans)
-        for a, b in touched.tolist():
-            peak = float(np.abs(made.tau_ext[a:b]).max())
-            self.peaks.append((sink.epoch, 1e-9 * int(made.t_ns[a]), round(peak, 2)))
-        rows, monitored, begin = sink._rows, "", 0
-        while begin < made.samples:
+        assert made.contact is not None and made.tau_ext is not None
+        spans = []
+        for a, b in runs_of(made.contact == 1).tolist():
+            if spans and made.t_ns[a] - spans[-1][1] < NEAR_NS:
+                a = int(np.searchsorted(made.t_ns, spans.pop()[0]))
+            spans.append((int(made.t_ns[a]), int(made.t_ns[b - 1]), float(np.abs(made.tau_ext[a:b]).max())))
+        self.truth += spans
+        rows = self.sink._rows
+        for begin in range(0, made.samples, rows):
+            part = cut(made, slice(begin, begin + rows))
             seconds = self.folder.seconds()
             if seconds >= self.busy_s:  # else the earlier bundle monitors while the training would still run
-                self.in_charge = self.folder.active()
-            if (active := self.in_charge) is not None:
-                if self.first_s is None:
-                    self.first_s = seconds
-                if active.stem != monitored:  # between two recordings; a new monitor warms up on the 10 s before
-                    monitored, monitor = active.stem, _core.Monitor(load_bundle(active))
-                    if begin:
-                        before = cut(made, slice(begin - rows, begin))
-                        monitor.run(before.t_ns, before.q, before.dq, before.tau)
-                self.watch(monitor, monitored, cut(made, slice(begin, begin + rows)), spans, sink.epoch)
-            part = cut(made, slice(begin, begin + rows))
-            signals = {name: getattr(part, name) for name in ("t_ns", "q", "dq", "tau")}
-            sink._labels = {one.id: one for one in self.folder.labels()}
-            sink._waiting.put(signals | {"contact": np.zeros(part.samples, dtype=np.int8)})
+                self.take_over(seconds)
+            carried = b""
+            if self.monitor is not None:
+                carried = self.monitor.carried()
+                self.watch(part, spans)
+            self.recent.append((part, carried))
+            if len(self.recent) > REPEATED_S * made.rate_hz / rows:
+                self.recent.popleft()
+            names = ("t_ns", "q", "dq", "tau", *RAW_SIGNALS)
+            signals = {name: getattr(part, name) for name in names if getattr(part, name) is not None}
+            self.sink._labels = {one.id: one for one in self.folder.labels()}
+            self.sink._waiting.put(signals | {"contact": np.zeros(part.samples, dtype=np.int8)})
             while self.folder.seconds() < seconds + 0.9 * part.samples / made.rate_hz:
-                time.sleep(0.002)
-            begin += rows
-            while self.folder.seconds() >= self.busy_s:
-                started = time.monotonic()
-                if self.trainer.step() == "nothing":
-                    break
-                self.busy_s = self.folder.seconds() + time.monotonic() - started
+                time.sleep(0.001)
+            self.answer(seconds)
+            if seconds < self.newest_s + BUSY_S or (begin // rows) % SELDOM == 0:
+                self.train()
 
-    def watch(self, monitor: _core.Monitor, name: str, part: Recording, spans: list, epoch: int) -> None:
+    def train(self) -> None:
+        """Let the training process work, in the simulated time that this takes here."""
+        while self.folder.seconds() >= self.busy_s:
+            started = time.monotonic()
+            if (what := self.trainer.step()) == "nothing":
+                return
+            took_s = time.monotonic() - started
+            self.training_s.append((what, took_s))
+            self.busy_s = self.folder.seconds() + took_s
+
+    def take_over(self, seconds: float) -> None:
+        """Let the bundle in charge monitor, after a replay of the last motion."""
+        active = self.folder.active()
+        if active is None or active.stem == self.bundle:
+            return
+        bundle, outcome = load_bundle(active), self.outcomes[-1]
+        monitor = _core.Monitor(bundle)
+        if self.model == bundle.model_digest and self.recent and self.recent[0][1]:
+            monitor.carry(self.recent[0][1])
+        for part, _ in self.recent:
+            monitor.run(part.t_ns, part.q, part.dq, part.tau)
+        monitor.acknowledge()
+        if self.monitor is not None:
+            monitor.set_limit_factors(*(np.array(factors) for factors in self.monitor.limit_factors))
+        self.monitor, self.bundle, self.model = monitor, active.stem, bundle.model_digest
+        self.first_s = seconds if self.first_s is None else self.first_s
+        if outcome.waited_s is None:
+            outcome.waited_s = seconds - self.learned_s
+        self.newest_s = int(seconds)
+        outcome.bundles.append(active.stem)
+        print(f"  {seconds / 60:7.1f} min  {self.folder.history()[-1]['words'][:110]}", flush=True)
+
+    def answer(self, seconds: float) -> None:
+        """A person lets every change of the arm be learned, after two minutes."""
+        path = self.folder.question_file
+        if not path.exists():
+            self.asked_s = 0.0
+            return
+        if not self.asked_s:
+            self.asked_s = seconds
+            words = str(json_of(path.read_text())["words"])
+            self.outcomes[-1].asked.append(words)
+            print(f"  {seconds / 60:7.1f} min  asked: {words[:160]}", flush=True)
+        elif seconds > self.asked_s + ANSWER_S:
+            question = json_of(path.read_text())
+            write_synced(path, json.dumps(question | {"answer": "learn", "by": "sim", "answered": wall()}) + "\n")
+            self.outcomes[-1].waited_s, self.learned_s = None, seconds
+            self.newest_s = int(seconds)
+
+    # The monitor.
+
+    def watch(self, part: Recording, spans: list[tuple[int, int, float]]) -> None:
         """Monitor 10 s; alarms become events and labels."""
-        day = self.days[-1]
-        day.hours += part.samples / part.rate_hz / 3600
-        if name not in day.bundles:
-            day.bundles.append(name)
-        promised = promise_of(self.folder.path, name)[0]
-        day.promised.append(np.nan if promised is None else promised)
+        assert self.monitor is not None
+        outcome, hours = self.outcomes[-1], part.samples / part.rate_hz / 3600
+        outcome.hours += hours
+        promised = promise_of(self.folder.path, self.bundle)[0]
+        outcome.promised = [*outcome.promised[:1], promised]
+        if promised is not None:
+            outcome.promised_h += hours
+            outcome.allowed += promised * hours
         found: list[AlarmChange] = []
         over = []
-        for chunk in replayed(monitor, part, acknowledge_after_s=2.0):
+        for chunk in replayed(self.monitor, part, acknowledge_after_s=2.0):
             beyond = (np.abs(chunk.estimates["tau_ext"]) > chunk.estimates["contact_limit_nm"]).any(axis=1)
             over.append(chunk.t_ns[beyond])
             found += [one for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm != NONE]
-        for a, b in spans:
+        for a, b, _ in spans:
             if part.t_ns[0] <= a <= part.t_ns[-1]:
-                day.touches += 1
-                day.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
+                outcome.touches += 1
+                outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
+        later = np.concatenate(over)
         for one in found:
             if one.was != NONE:
                 continue
             self.alarms += 1
-            true = any(a <= one.t_ns <= b + NEAR_NS for a, b in spans)
-            collides = any(other.alarm == 2 and 0 <= other.t_ns - one.t_ns < 2e9 for other in found)
-            day.false += collides and not true
+            true = any(a <= one.t_ns <= b + NEAR_NS for a, b, _ in spans)
+            collides = any(other.alarm == COLLISION and 0 <= other.t_ns - one.t_ns < 2e9 for other in found)
+            outcome.false += collides and not true
+            outcome.false_promised += collides and not true and promised is not None
             answer = None if true else "nothing"
             level = "collision" if collides else "contact"
-            content = {"id": self.alarms, "epoch": epoch, "t_ns": one.t_ns, "wall": wall(), "level": level}
-            append_line(self.folder.events_file, content | {"bundle": name, "answer": answer})
-            later = np.concatenate(over)
+            content = {"id": self.alarms, "epoch": self.sink.epoch, "t_ns": one.t_ns, "wall": wall(), "level": level}
+            append_line(self.folder.events_file, content | {"bundle": self.bundle, "answer": answer})
             end = int(later[(later >= one.t_ns) & (later < one.t_ns + 2_000_000_000)].max(initial=one.t_ns))
-            label = Label(self.alarms, epoch, one.t_ns, end, answer or "unanswered", "sim", wall(), name)
-            self.folder.append_label(label)
+            self.folder.append_label(
+                Label(self.alarms, self.sink.epoch, one.t_ns, end, answer or "unanswered", "sim", wall(), self.bundle)
+            )
 
-    def trained_on(self) -> tuple[float, float]:
+    # Afterwards.
+
+    def trained_on(self) -> dict[str, float]:
         """Touched seconds in training recordings: all, and those that labels do not leave out."""
         touched = used = 0.0
-        self.left: list[tuple[int, float, float]] = []
-        """Epoch, time and seconds of touches that were trained on."""
         for one in self.folder.segments():
             if one.set != "train":
                 continue
             recording = load_recording(self.folder.path / one.name)
             true = np.zeros(recording.samples, dtype=bool)
-            for a, b in self.truth[one.epoch]:
+            for a, b, _ in self.truth:
                 true |= (recording.t_ns >= a) & (recording.t_ns <= b)
-            touched += true.sum() / recording.rate_hz
-            trained = true & free_samples(recording)
-            used += trained.sum() / recording.rate_hz
-            if trained.any():
-                place = int(trained.argmax())
-                self.left.append(
-                    (one.epoch, round(1e-9 * int(recording.t_ns[place]), 2), float(trained.sum() / recording.rate_hz))
-                )
-        return touched, used
+            touched += float(true.sum()) / recording.rate_hz
+            used += float((true & free_samples(recording)).sum()) / recording.rate_hz
+        suspects = [one for one in self.folder.labels() if one.answer == "suspect"]
+        found = sum(
+            any(a - NEAR_NS <= one.to_ns and b + NEAR_NS >= one.from_ns for a, b, _ in self.truth) for one in suspects
+        )
+        return {"touched_s": touched, "trained_on_s": used, "suspects": len(suspects), "suspects_touches": found}
+
+    def compare(self, part: Part, out: Path) -> dict[str, Any]:
+        """Detections and false alarms of the bundle in charge and of one that `tauext train` makes of the same data."""
+        active, data = self.folder.active(), out / "data"
+        assert active is not None
+        out.mkdir(exist_ok=True)
+        shutil.rmtree(data, ignore_errors=True)
+        shutil.copytree(self.folder.path, data)
+        tauext("train", "--data", data, "--recipe", "prior", "--out", out / "trained.tauext", printed=out / "train.txt")
+        tauext("calibrate", "--bundle", out / "trained.tauext", "--data", data, "--out", out / "eight.tauext",
+               printed=out / "calibrate.txt")  # fmt: skip
+        shutil.rmtree(data)
+        bundles = {"commission": load_bundle(active), "eight commands": load_bundle(out / "eight.tauext")}
+        made = [
+            self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, TEST_TOUCHES if k % 2 else 0)
+            for k in range(TEST_STRETCHES)
+        ]
+        made = [replace(one, name=f"test-{k}", provenance={}) for k, one in enumerate(made)]
+        loaders = [lambda one=one: one for one in made]
+        results = evaluate(bundles, loaders[::2], loaders[1::2], out / "estimates", 0, 1, keep_free_estimates=0)
+        shutil.rmtree(out / "estimates", ignore_errors=True)
+        found = {}
+        for one in results.bundles:
+            free, latched = one.free_motion, one.latched
+            assert latched is not None
+            found[one.name] = {
+                "touches": latched.collisions,
+                "detected": latched.latched,
+                "delay_ms": None if latched.delay_median_s is None else 1000 * latched.delay_median_s,
+                "false": free.false_collisions,
+                "hours": free.hours,
+                "promised_per_hour": free.promised_per_hour,
+                "limits": list(one.limits.sliding_nm),
+            }
+        return found
+
+
+PLANS = {
+    "loads": [("bare", 0, False), ("first load", 1, False), ("second load", 2, False), ("another tool", 0, True)],
+    "week": [(f"day {number}", 0, False) for number in range(1, 8)],
+}
+HOURS = {"loads": 6.0, "week": 4.0}
 
 
 def main() -> None:
-    import argparse
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--days", type=int, default=3)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--every", type=float, default=600.0)
-    parser.add_argument("--cold", type=float, default=1.3)
+    parser = arguments(__doc__, "out")
+    parser.add_argument("--arm", choices=NAMES, default="rig")
+    parser.add_argument("--no-model", action="store_true", help="the integrator has no robot file")
+    parser.add_argument("--plan", choices=PLANS, default="loads")
+    parser.add_argument("--hours", type=float, help="of each part, default: 6 (loads) or 4 (week)")
+    parser.add_argument("--disk-gb", type=float, default=2.0, help="bound of the folder, default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of arm, motion and touches")
+    parser.add_argument("--tables", action="store_true", help="write OUT/README.md from the results in OUT")
     options = parser.parse_args()
-    simulation = Simulation(options.out, options.seed, options.every, options.cold)
-    titles = "day | monitored [h] | touches | detected | false collisions | promised an hour | bundles"
-    print("\n".join(head(titles)), flush=True)
-    for number in range(1, options.days + 1):
-        simulation.day(options.hours)
-        day = simulation.days[-1]
-        promised = "–" if not day.promised else f"{day.promised[0]:.3g} → {day.promised[-1]:.3g}"
-        bundles = ", ".join(day.bundles)
-        print(table_row(str(number), f"{day.hours:.2f}", str(day.touches), str(day.detected), str(day.false),
-                        promised, bundles), flush=True)  # fmt: skip
-    touched, used = simulation.trained_on()
-    first = "none" if simulation.first_s is None else f"{simulation.first_s / 60:.1f} min"
-    suspects = [one for one in simulation.folder.labels() if one.answer == "suspect"]
-    true = sum(any(a - NEAR_NS <= one.to_ns and b + NEAR_NS >= one.from_ns for a, b in simulation.truth[one.epoch])
-               for one in suspects)  # fmt: skip
-    print(f"\nfirst bundle after {first} of received motion; suspects: {len(suspects)}, of them touches: {true}")
-    print(f"touched motion in training recordings: {touched:.2f} s, trained on: {used:.2f} s")
-    print("trained on (epoch, at s, for s, peak Nm):", [
-        (*one, next(peak for epoch, at, peak in simulation.peaks if epoch == one[0] and at - 2 < one[1] < at + 2))
-        for one in simulation.left
-    ])  # fmt: skip
-    print(json.dumps({"first_s": simulation.first_s, "touched_s": touched, "trained_on_s": used}))
+    if options.tables:
+        write_page(
+            options.out / "README.md",
+            tables([json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]),
+        )
+        return
+    name = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
+    options.out.mkdir(parents=True, exist_ok=True)
+    arm = working(options.arm, options.seed, not options.no_model)
+    simulation = Simulation(options.out / name, arm, options.seed, options.disk_gb * GIGABYTE)
+    hours = options.hours or HOURS[options.plan]
+    result: dict[str, Any] = {
+        "arm": options.arm, "model": not options.no_model, "plan": options.plan, "seed": options.seed, "hours": hours,
+        "disk_gb": options.disk_gb,
+    }  # fmt: skip
+    for title, load, tool in PLANS[options.plan]:
+        part = Part(title, hours, load, tool)
+        simulation.part(part)
+        outcome = simulation.outcomes[-1]
+        print(f"{name}: {asdict(outcome)}", flush=True)
+        if options.plan == "loads" and len(simulation.outcomes) == 1 and simulation.folder.active():
+            result["compared"] = simulation.compare(part, options.out / f"{name}-compared")
+            print(f"{name}: {result['compared']}", flush=True)
+            result["learning"] = simulation.trained_on()
+        result |= {
+            "first_s": simulation.first_s,
+            "parts": [asdict(one) for one in simulation.outcomes],
+            "most_bytes": simulation.most_bytes,
+            "training_s": sum(took for what, took in simulation.training_s if what == "train"),
+            "work_s": sum(took for _, took in simulation.training_s),
+        }
+        (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+    simulation.sink.close()
+    result["all"] = simulation.trained_on()
+    (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+
+
+def tables(results: list[dict[str, Any]]) -> list[str]:
+    """The page of all results."""
+    lines = ["# Simulated days of `tauext commission`", ""]
+    lines += head(
+        "arm | part | received [h] | bundle after [min] | touches detected | false collisions | in [h] | asked"
+    )
+    for one in results:
+        for part in one["parts"]:
+            waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
+            lines.append(table_row(
+                called(one), part["name"], f"{part['received_h']:.1f}", waited,
+                f"{part['detected']} of {part['touches']}", part["false"], f"{part['hours']:.1f}", len(part["asked"]),
+            ))  # fmt: skip
+    if compared := [one for one in results if "compared" in one]:
+        lines += ["", "## Compared with the separate commands", ""]
+        lines += head(
+            "arm | bundle | touches detected | median delay [ms] | false collisions | in [h] | promised an hour"
+        )
+        for one in compared:
+            for bundle, found in one["compared"].items():
+                share = found["detected"] / found["touches"]
+                lines.append(table_row(
+                    called(one), bundle, f"{found['detected']} of {found['touches']} ({share:.1%})",
+                    f"{found['delay_ms']:.0f}", found["false"], f"{found['hours']:.1f}",
+                    "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
+                ))  # fmt: skip
+        lines += ["", "## Touches while learning, first part", ""]
+        lines += head("arm | touched motion in training recordings [s] | trained on [s] | suspects | of them touches")
+        for one in compared:
+            found = one["learning"]
+            share = found["trained_on_s"] / found["touched_s"] if found["touched_s"] else 0.0
+            lines.append(table_row(
+                called(one), f"{found['touched_s']:.1f}", f"{found['trained_on_s']:.2f} ({share:.1%})",
+                found["suspects"], found["suspects_touches"],
+            ))  # fmt: skip
+    if weeks := [one for one in results if one["plan"] == "week"]:
+        lines += ["", "## Promises day by day", ""]
+        lines += head(
+            "arm | day | promised an hour, first → last | hours | allowed | happened | 95 % interval [1/h] | kept"
+        )
+        for one in weeks:
+            for part in one["parts"]:
+                shown = " → ".join("none" if rate is None else f"{rate:.3g}" for rate in part["promised"])
+                hours, false = part["promised_h"], part["false_promised"]
+                low, high = rate_interval(false, hours) if hours else (0.0, 0.0)
+                kept = "–" if not hours else "yes" if is_kept(false, hours, part["allowed"] / hours) else "NO"
+                lines.append(table_row(
+                    called(one), part["name"], shown, f"{hours:.1f}", f"{part['allowed']:.2f}", false,
+                    f"{low:.2g} to {high:.2g}", kept,
+                ))  # fmt: skip
+        lines += [
+            "",
+            *(
+                f"Disk of {called(one)}: {one['most_bytes'] / 1e9:.2f} GB at most, bound {one['disk_gb']:g} GB."
+                for one in weeks
+            ),
+        ]
+    return lines
+
+
+def called(one: dict[str, Any]) -> str:
+    return one["arm"] + ("" if one["model"] else ", no model")
 
 
 if __name__ == "__main__":

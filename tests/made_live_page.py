@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-STATES = ("connecting", "learning", "monitoring", "alarm", "unanswered", "question", "silent", "lost")
+STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost")
 JOINTS = {
     "rig": ("joint1", "joint2"),
     "seven": tuple(f"joint{i + 1}" for i in range(7)),
@@ -54,7 +54,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "newtons": 34.0,
         "place": {"link": 1, "point": [0.05, 0.1, 0.2], "force": [30.0, 10.0, -12.0], "q": q},
         "sentence": SENTENCE,
-        "answer": None,
+        "answer": "touched" if state == "answered" else None,
     }
     return {
         "format": 1,
@@ -76,7 +76,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "near_stiction": [False] * n,
         "health": "ok" if bundle else "warming up",
         "causes": [],
-        "alarm": alarm if state == "alarm" else None,
+        "alarm": alarm if state in ("alarm", "answered") else None,
         "rate_hz": 1000.0,
         "tick_p99_us": 61.0,
     }

@@ -40,13 +40,13 @@ def until(true, what):
 class Arm:
     """A loop on a recording in which the arm is pushed at 2 s; the source then waits until it is told to go on."""
 
-    def __init__(self, path):
+    def __init__(self, path, recording=None, pause=PAUSE):
         self.folder = CommissionFolder.open(path, create=True)
         self.bundle, self.notes = watching_bundle(), []
         self.go_on = threading.Event()
         settings = settings_of(self.bundle)
-        samples = samples_of(pushed())
-        source = ScriptedSource([*samples[:PAUSE], self.go_on.is_set, *samples[PAUSE:]])
+        samples = samples_of(recording or pushed())
+        source = ScriptedSource([*samples[:pause], self.go_on.is_set, *samples[pause:]])
         self.record = KeepSink(self.folder, settings, "script", 1e9)
         self.keeper = EventKeeper(path, lambda: self.record.epoch, self.notes.append)
         self.live = LiveSink(path / "live.sock")
@@ -60,7 +60,7 @@ class Arm:
         self.steering.loop = self.loop
         self._thread = threading.Thread(target=self.loop.run, daemon=True)
         self._thread.start()
-        until(lambda: self.loop.samples == PAUSE and self.keeper.unanswered, "the alarm")
+        until(lambda: self.loop.samples == pause and self.keeper.unanswered, "the alarm")
         until(lambda: self.keeper.newest in {one.id for one in read_labels(path)}, "its label")
 
     def end(self):
@@ -72,8 +72,8 @@ class Arm:
 
 
 @contextmanager
-def arm(path):
-    one = Arm(path)
+def arm(path, *settings):
+    one = Arm(path, *settings)
     try:
         yield one
     finally:
@@ -105,6 +105,21 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         assert one.keeper.answer_to(1) == "touched"
     (event,) = read_events(one.folder.path)
     assert event["ended"] and event["answer"] == "touched" and event["held_ns"] > event["t_ns"]
+
+
+def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):
+    """Label, event and page agree: one alarm, answered, which ends with the touch."""
+    with arm(tmp_path / "cell", pushed(pushes=((2.0, 0, 6.0),), length_s=2.0), 2500) as one:
+        assert obey("touched", one.steering, "page") == "ok"
+        assert one.keeper.unanswered is None  # nobody is asked any more
+        (shown,) = lines_of(one.live._path)
+        assert shown["alarm"]["id"] == 1 and shown["alarm"]["answer"] == "touched"
+        before = read_labels(one.folder.path)[0].to_ns
+    (label,) = read_labels(one.folder.path)
+    (event,) = read_events(one.folder.path)
+    assert (label.id, label.answer, label.by) == (1, "touched", "page") and one.loop.alarms == 1
+    assert before < label.to_ns - 1_000_000_000 and 4_000_000_000 < label.to_ns - 7_000_000_000 < 4_300_000_000
+    assert event["answer"] == "touched" and event["ended"] and abs(event["held_ns"] - label.to_ns) < 100_000_000
 
 
 def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):

@@ -15,9 +15,13 @@ import pytest
 
 from tauext.cli import main
 from tauext.cli.commission import answer, keys
+from tauext.commission.connect import as_data
 from tauext.commission.folder import CommissionFolder
+from tauext.commission.run import Options, run
 from tauext.data.labels import read_labels
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError, RobotError
+from tauext.robot.write import write_placeholder
+from tauext.sim.source import KINDS, write_robot_file
 
 PATIENCE_S = 300.0
 
@@ -51,6 +55,103 @@ def test_a_wrong_option_is_refused_before_a_folder_is_made(words, error, tmp_pat
     said = capsys.readouterr().err
     assert said.startswith("tauext: error: ") and error in said and said.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def reactions_file(folder: Path, *lines: str) -> Path:
+    path = folder / "reactions.toml"
+    path.write_text("\n".join(["[[reaction]]", 'name = "r"', 'on = ["collision"]', *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("source", "lines", "error"),
+    [
+        ("sim:rig", ["stop = true", "publish = true"], "publish and stop are given"),
+        ("sim:rig", ["joints = 3", "stop = true"], "joints = 3 must be a list of joints"),
+        ("sim:rig", ['command = ["no-such-program"]'], "there is no program 'no-such-program'"),
+        ("sim:rig", ["publish = true"], "publishes nothing"),
+        ("damiao:can0", ["stop = true"], "has no way to stop its robot"),
+    ],
+)
+def test_a_wrong_reactions_file_is_refused_before_a_folder_is_made(source, lines, error, tmp_path, capsys):
+    path = reactions_file(tmp_path, *lines)
+    words = ["commission", "--source", source, "--out", str(tmp_path / "cell"), "--reactions", str(path), "--no-page"]
+    if source.startswith("damiao"):
+        (tmp_path / "bus.toml").write_text("[joints.a]\nid = 1\n")
+        words += ["--bus", str(tmp_path / "bus.toml")]
+    assert main(words) == 2
+    assert error in capsys.readouterr().err and not (tmp_path / "cell").exists()
+
+
+def test_a_reactions_file_of_other_joints_is_refused_once_they_are_known(tmp_path, capsys):
+    path = reactions_file(tmp_path, 'joints = ["elbow"]', "stop = true")
+    out = tmp_path / "cell"
+    words = ["commission", "--source", "sim:rig", "--out", str(out), "--reactions", str(path), "--no-page"]
+    began = time.monotonic()
+    assert main(words) == 2 and time.monotonic() < began + 10.0
+    assert "joints = ['elbow'] must be a list of joints: joint1, joint2" in capsys.readouterr().err
+    assert not (out / "arm.toml").exists() and not list(out.glob("robot.*"))
+    folder = CommissionFolder.open(out)  # known from an earlier run: refused before anything is started
+    folder.save(arm=as_data(KINDS["rig"].facts()))
+    with folder.locked():
+        assert main(words) == 2
+    assert "must be a list of joints: joint1, joint2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("robot", "error"),
+    [
+        ("other.urdf", "no joint 'joint1'; its joints are a, b"),
+        ("mesh.xml", "none.stl"),
+    ],
+)
+def test_a_robot_file_that_does_not_fit_ends_the_command(robot, error, tmp_path, capsys):
+    write_placeholder(["a", "b"], tmp_path).rename(tmp_path / "other.urdf")
+    rig = write_robot_file("rig", tmp_path)
+    mesh = '<asset><mesh name="m" file="none.stl"/></asset>'
+    (tmp_path / "mesh.xml").write_text(rig.read_text().replace("<worldbody>", f"{mesh}<worldbody>"))
+    out = tmp_path / "cell"
+    words = ["commission", "--source", "sim:rig", "--out", str(out), "--no-page", "--robot", str(tmp_path / robot)]
+    assert main(words) == 2
+    caught = capsys.readouterr()
+    assert error in caught.err and caught.err.count("\n") == 1 and "tried again" not in caught.out
+    assert not [path for path in out.glob("*") if path.name.startswith(("robot.", "arm.toml", "seg-"))]
+
+
+class Away:
+    """A source whose descriptions fail with these errors, one after the other."""
+
+    name = "away"
+
+    def __init__(self, errors: list[Exception]):
+        self.errors, self.closed = errors, 0
+
+    def describe(self, wait_s, robot=None):
+        raise self.errors.pop(0)
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.mark.parametrize("last", [ConfigError("it has 7 joints, the file 6"), RobotError("arm.urdf: no joint 'a'")])
+def test_an_arm_that_is_away_is_tried_again_and_one_that_does_not_fit_is_not(last, tmp_path, monkeypatch):
+    errors, made, said = [AwayError("no controller answers"), AwayError("no sample"), last], [], []
+
+    def opened(text, options):
+        made.append(Away(errors))
+        return made[-1], ()
+
+    monkeypatch.setattr("tauext.commission.run.open_arm", opened)
+    monkeypatch.setattr("tauext.commission.run.RETRY_S", 0.01)
+    with pytest.raises(type(last)) as raised:
+        run(tmp_path / "cell", "ur:there", Options(), said.append)
+    assert raised.value is last and not errors and all(one.closed for one in made)
+    assert [line for line in said if "again" in line] == [
+        "no controller answers; it is tried again",
+        "no sample; it is tried again",
+    ]
+    with CommissionFolder.open(tmp_path / "cell", create=True).locked():  # the same command takes the folder
+        assert not (tmp_path / "cell" / "arm.toml").exists()
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path, capsys):

@@ -280,6 +280,21 @@ def test_a_robot_file_without_the_joints_leaves_no_description(robot, tmp_path):
         write_arm(FACTS, tmp_path / "missing.urdf", tmp_path)
 
 
+def test_a_robot_file_that_fails_late_leaves_nothing_for_the_next_one(robot, tmp_path, monkeypatch):
+    def unreadable(source, folder):
+        raise RobotError("a mesh cannot be read")
+
+    folder = tmp_path / "cell"
+    folder.mkdir()
+    with monkeypatch.context() as patched:
+        patched.setattr("tauext.commission.connect.write_shapes", unreadable)
+        with pytest.raises(RobotError, match="mesh"):
+            write_arm(FACTS, robot, folder)
+    assert list(folder.iterdir()) == []
+    write_arm(FACTS, robot, folder)
+    assert (folder / "arm.toml").exists()
+
+
 def test_own_remedies_are_of_known_codes():
     from tauext.check.finding import CODES
 

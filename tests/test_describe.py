@@ -326,6 +326,41 @@ def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
     assert source.ended and first.closed and second.closed
 
 
+def test_after_a_silence_a_source_must_still_have_the_rate_of_its_arm(monkeypatch):
+    """Sources that connect again by themselves are not described again."""
+    samples = samples_of(pushed(seconds=0.5))
+    monkeypatch.setattr(lasting, "SILENT_S", 0.05)
+
+    def silence():
+        time.sleep(2 * lasting.SILENT_S)
+        return True
+
+    slower = [replace(one, t_ns=4 * one.t_ns) for one in samples]
+    script = [*samples[:10], silence, *slower[10:100], silence, *samples[400:450]]
+    source = LastingSource(Describing(script), lambda: Describing([]), FACTS)
+    source.open(FACTS.settings)
+    came, notes, why = [], [], set()
+    while source._source.script:
+        if (sample := source.next_sample(0.01)) is not None:
+            came.append(sample.t_ns)
+        why.add(source.away)
+        notes += source.notes()
+    assert came == [one.t_ns for one in [*samples[:10], *samples[420:450]]]
+    other = "this is another arm: it has 250 samples a second, not 1000"
+    assert other in why and source.away == ""
+    assert notes == [f"script is away: {other}", "script is back"] and source.counts.refused == 110
+    source.close()
+
+
+def test_an_arm_that_was_away_at_the_start_must_show_its_rate_first():
+    samples = samples_of(pushed(seconds=0.1))
+    source = LastingSource(Describing(samples), lambda: Describing([]), FACTS, is_described=False)
+    source.open(FACTS.settings)
+    came = [source.next_sample(0.01) for _ in samples]
+    assert [one is not None for one in came] == [k >= 20 for k in range(100)]
+    source.close()
+
+
 def test_a_source_that_cannot_be_opened_is_tried_again_and_its_replacement_closed_with_it(quick):
     second = Describing(samples_of(pushed(seconds=0.2)))
     source = LastingSource(Describing([], opens=False), lambda: second, FACTS)

@@ -482,6 +482,19 @@ def test_a_new_loop_goes_on_from_what_was_carried(tmp_path):
     assert Loop(None, ScriptedSource([]), arm=ARM).start_from(carried, 3) == exchange.NO_BUNDLE
 
 
+@pytest.mark.parametrize("is_answered", [True, False])
+def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(is_answered):
+    bundle, samples = bundle_of("old"), samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
+    first, _, _ = looped(bundle, samples)
+    keeper = Keeper()
+    loop = Loop(bundle, ScriptedSource(samples[:2000]), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM)
+    assert loop.start_from(first.monitor.carried(), 17, is_answered) == ""
+    loop.run()
+    healthy = next(v.row for v in keeper.verdicts if v.estimates["health"][0] == OK)
+    ended = [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
+    assert ended == ([healthy + 200] if is_answered else []) and loop.alarms == 17
+
+
 # The ring.
 
 
@@ -521,9 +534,9 @@ def test_answers_reach_the_sinks_that_keep_them_and_acknowledge_their_own_alarm(
     said: dict[str, str] = {}
     lines = {
         100: ["nothing", "touched", "touched 1", "learn yes"],
-        2500: ["touched 2", "touched 0", "touched x", "learn maybe", "nothing 1"],
+        2700: ["touched 2", "touched 0", "touched x", "learn maybe", "nothing 1"],
         3000: ["nothing 1"],
-        4500: ["nothing 1", "touched"],
+        4700: ["nothing 1", "touched"],
     }
 
     def ask(verdict):
@@ -537,15 +550,15 @@ def test_answers_reach_the_sinks_that_keep_them_and_acknowledge_their_own_alarm(
     row = "a line"
     assert heard.answers == [
         ("touched", row, 0, 101), ("learn", row, 0, 101),
-        ("nothing", row, 1, 2501), ("nothing", row, 1, 3001),
-        ("nothing", row, 1, 4501), ("touched", row, 2, 4501),
+        ("nothing", row, 1, 2701), ("nothing", row, 1, 3001),
+        ("nothing", row, 1, 4701), ("touched", row, 2, 4701),
     ]  # fmt: skip
     ended = [c.row for c in heard.changes if isinstance(c, AlarmChange) and c.acknowledged]
-    assert ended == [2501, 4501] and loop.alarms == 2
+    assert ended == [2701, 4701] and loop.alarms == 2
     assert said["100 nothing"] == "error: nothing: there was no alarm yet"
     assert said["100 touched 1"] == "error: touched: there was no alarm 1 yet; the last was 0"
-    assert "must be the number of an alarm" in said["2500 touched x"] == said["2500 touched 0"].replace("'0'", "'x'")
-    assert said["2500 learn maybe"].startswith("error: 'learn maybe' must be")
+    assert "must be the number of an alarm" in said["2700 touched x"] == said["2700 touched 0"].replace("'0'", "'x'")
+    assert said["2700 learn maybe"].startswith("error: 'learn maybe' must be")
     plain = Loop(bundle_of("b"), ScriptedSource([]), [Keeper()])
     assert obey("touched", plain, "x") == "error: touched: answers are kept by `tauext commission` only"
     assert obey("sim push j1", plain, "x") == "error: 'push j1': source script takes no commands; sim:ARM does"

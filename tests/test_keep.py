@@ -285,6 +285,28 @@ def test_flights_are_bounded_the_oldest_go_first(tmp_path):
     ]
 
 
+def flight(folder: Path, name: str, age: int, files: tuple[str, ...] = (".parquet", ".txt")) -> None:
+    for end in files:
+        path = folder / f"{name}{end}"
+        path.write_bytes(bytes(1000 // len(files)))
+        os.utime(path, (2000 - age, 2000 - age))
+
+
+def test_flights_of_faults_do_not_crowd_out_collisions(tmp_path):
+    kinds = ("collision", "contact", "contact-2", "fault", "collision", "fault-2", "fault-13", "contact")
+    for k, kind in enumerate(kinds):
+        flight(tmp_path, f"arm-{k}.0s-{kind}", 100 - k)
+    flight(tmp_path, "arm-8.0s-fault", 0)  # the newest of all stays, whatever its kind
+
+    def kept(most: int) -> str:
+        trim_flights(tmp_path, most)
+        return "".join(sorted({path.name[4] for path in tmp_path.iterdir()}))
+
+    assert [kept(most) for most in (9000, 8000, 6000, 4500, 3000, 2000, 1)] == [
+        "012345678", "01245678", "012478", "0478", "048", "48", "8"
+    ]  # fmt: skip
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no folder of `tauext commission`"):
         CommissionFolder.open(tmp_path / "none")

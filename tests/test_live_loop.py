@@ -22,6 +22,7 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import TEMPLATE, load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
+from tauext.monitor.sink import EventFinder
 from tauext.monitor.source import SourceCounts, Stoppable, settings_of
 from tauext.sources.reader import SampleQueue
 from tauext.sources.replay import ReplaySource
@@ -283,6 +284,70 @@ def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so
     found = [c for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
     assert [c.row for c in found] == [2101] and len(keeper.verdicts) == 2501
     assert told == [f"{told_so} by a line", "stopped by a line"]
+
+
+# Answers while a touch lasts.
+
+
+class Hearing(Keeper):
+    """Keeps answers, too."""
+
+    def answered(self, answer) -> None:
+        self.heard = answer
+
+
+def answered(bundle, pushes, row=1500, acknowledge_at=None, **settings) -> tuple[Loop, Hearing, list[int]]:
+    """The loop of an arm that is touched for 2 s a push, and answered at this row; rows of acknowledgements."""
+
+    def each(verdict):
+        if verdict.row == row:
+            keeper.control.answer("touched", "page")
+        if verdict.row == acknowledge_at:
+            keeper.control.acknowledge("page")
+
+    keeper = Hearing(each)
+    recording = pushed(seconds=7.5, pushes=pushes, length_s=2.0)
+    loop = Loop(bundle, ReplaySource(recording, None), [keeper], settings=LoopSettings(**settings))
+    loop.told = []
+    loop.note = loop.told.append
+    loop.run()
+    assert keeper.heard.alarm == 1
+    return loop, keeper, [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
+
+
+@pytest.mark.parametrize("push_nm", [1.5, 6.0], ids=["contact", "collision"])
+def test_a_touch_that_lasts_when_it_is_answered_raises_no_second_alarm(bundle, push_nm):
+    loop, keeper, ended = answered(bundle, ((1.0, 0, push_nm), (4.5, 0, push_nm)))
+    assert loop.told == ["touched, by page: acknowledged once the touch is over"]
+    assert loop.alarms == 2  # the second touch is another
+    ids = np.array([verdict.alarm_id for verdict in keeper.verdicts])
+    first = np.flatnonzero(ids == 1)
+    assert 1000 < first[0] < 1100 and len(first) == first[-1] + 1 - first[0] and 3000 < first[-1] < 3600
+    finder = EventFinder(loop.joints, {})
+    events = [event.kind for verdict in keeper.verdicts[:4400] for event in finder.find(verdict) if event.news]
+    assert events.count("cleared") == 1 and events[-1] == "cleared"  # not while it is touched
+    if push_nm > 5:  # latched, so that nothing but the answer ends it
+        over = np.array([np.abs(verdict.estimates["tau_ext"][0]).max() > 1.0 for verdict in keeper.verdicts])
+        assert ended == [np.flatnonzero(over[:4000])[-1] + 201] == [first[-1] + 1]
+
+
+def test_a_touch_that_is_over_is_acknowledged_at_once(bundle):
+    loop, _, ended = answered(bundle, ((1.0, 0, 6.0),), row=4000)
+    assert ended == [4001] and loop.told == ["touched, by page: acknowledged"] and loop.alarms == 1
+
+
+@pytest.mark.parametrize(("push_nm", "due"), [(1.5, 2500), (6.0, 2000)], ids=["contact", "collision"])
+def test_an_answered_touch_that_does_not_end_becomes_another_alarm_when_it_is_due(bundle, push_nm, due):
+    """A contact counts from its answer, a collision from its alarm."""
+    loop, keeper, ended = answered(bundle, ((1.0, 0, push_nm),), acknowledge_after_s=1.0)
+    assert due <= ended[0] < due + 100
+    again = next(v.row for v in keeper.verdicts if v.alarm_id == 2)
+    assert again - ended[0] < 400 and loop.alarms >= 2
+
+
+def test_acknowledge_waits_for_no_touch(bundle):
+    loop, _, ended = answered(bundle, ((1.0, 0, 6.0),), acknowledge_at=1600)
+    assert ended == [1601] and loop.alarms == 2  # the touch lasts, and nobody has answered the second alarm
 
 
 def test_lines_that_ask_for_nothing_known_are_answered():

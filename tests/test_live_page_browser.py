@@ -44,6 +44,7 @@ def until(true, what):
         ("learning", "none"),
         ("monitoring", "rig"),
         ("alarm", "seven"),
+        ("answered", "rig"),
         ("unanswered", "rig"),
         ("question", "seven"),
         ("silent", "rig"),
@@ -70,6 +71,9 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             until(lambda: "The alarm stands until" in text(), "the alarm")
             page.value("document.getElementById('nothing').click()")
             until(lambda: loop.received == ["nothing 17"], "the answer")
+        if state == "answered":
+            until(lambda: "Answered: touched. The alarm ends once" in text(), "the answered alarm")
+            assert page.value("[...document.querySelectorAll('#alarm button')].every(b => b.hidden)")
         if state == "unanswered":
             until(lambda: "No answer is also allowed" in text(), "the question")
             page.value("document.getElementById('touched').click()")

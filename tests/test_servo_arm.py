@@ -40,11 +40,6 @@ PUBLISHED = identified(5)
 POSE = np.array([0.2, 0.7, 0.9, -0.5, 0.3])
 
 
-@pytest.fixture(scope="module")
-def build_in(tmp_path_factory):
-    return tmp_path_factory.mktemp("steps")
-
-
 def an_arm():
     """The URDF's links, the published servos, a supply that does not sag."""
     links = load_tree(MAKER.model, MAKER.joints).links
@@ -55,14 +50,14 @@ def an_arm():
     )
 
 
-def run_of(build_in, goals, touches=()):
-    return simulate_servos(an_arm(), goals, RATE_HZ, touches, build_in).signals
+def run_of(goals, touches=()):
+    return simulate_servos(an_arm(), goals, RATE_HZ, touches).signals
 
 
-def test_standing_gears_carry_gravity_and_what_pushes(build_in):
+def test_standing_gears_carry_gravity_and_what_pushes():
     """0 = gear on link + bearing's friction + tau_ext - beta by the core's tree, where MuJoCo moved the arm."""
     push = Touch("push", 1.5, 5.0, 4, (0.01, 0.0, 0.08), (0.0, 0.6, 0.8), 0.3)
-    run = run_of(build_in, np.tile(POSE, (300, 1)), [push])
+    run = run_of(np.tile(POSE, (300, 1)), [push])
     for row in (140, 290):
         gravity = an_arm().tree.momentum(run["q"][row : row + 1], np.zeros((1, 5)))[1][0]
         off = np.abs(run["load_nm"][row] - (run["tau_ext"][row] - gravity))
@@ -71,11 +66,11 @@ def test_standing_gears_carry_gravity_and_what_pushes(build_in):
 
 
 @pytest.mark.parametrize("speed", [0.2, -0.2, 1.0, -1.0])
-def test_a_sliding_gear_resists_as_the_published_model_says(build_in, speed):
+def test_a_sliding_gear_resists_as_the_published_model_says(speed):
     """Rhoban's m6: coulomb + |share of the load - share of the motor's torque|, more below 0.37 rad/s."""
     goals = np.tile(POSE, (200, 1))
     goals[:, 1] = (0.2 if speed > 0 else 0.9) + speed * (np.arange(200) / RATE_HZ - 1)  # gravity keeps its side
-    run = run_of(build_in, goals)
+    run = run_of(goals)
     at = slice(150, 195)
     motor, load, dq = (run[name][at, 1] for name in ("motor_nm", "load_nm", "dq"))
     resists = (1 - OUTPUT_SHARE) * 0.05331 + np.abs(0.24355 * load - 0.04491 * motor)
@@ -90,10 +85,10 @@ def test_a_sliding_gear_resists_as_the_published_model_says(build_in, speed):
     assert left.mean() == pytest.approx(speeds_up, abs=0.008)
 
 
-def test_the_arm_of_sim_so101_steps_as_the_compiled_one(build_in):
+def test_the_arm_of_sim_so101_steps_as_the_compiled_one():
     arm, rng = servo_arm(MAKER, 3), np.random.default_rng(0)
     goals = POSE + 0.4 * np.sin(np.linspace(0, 6, 150))[:, None] * rng.uniform(-1, 1, 5)
-    run = simulate_servos(arm, goals, RATE_HZ, (), build_in)
+    run = simulate_servos(arm, goals, RATE_HZ, ())
     plant, sent = ServoPlant(arm, goals[0]), encoder(goals, COUNTS)
     for k in range(len(goals)):
         for tick in range(10):
@@ -121,10 +116,10 @@ def test_a_link_has_a_degree_of_play_that_no_torque_resists():
     assert ends[0] - ends[1] == pytest.approx(np.deg2rad(1.0), rel=0.03)
 
 
-def test_the_motor_obeys_its_published_constants(build_in):
+def test_the_motor_obeys_its_published_constants():
     goals = np.tile(POSE, (150, 1))
     goals[50:] += 0.4
-    run = run_of(build_in, goals)
+    run = run_of(goals)
     duty = np.clip(16 * 0.166 * 1.1617 * (run["goal"] - np.round(run["q"] / COUNT_RAD) * COUNT_RAD), -0.97, 0.97)
     still = slice(30, 50)
     assert run["duty"][still] == pytest.approx(duty[still], abs=1e-6)
@@ -133,8 +128,8 @@ def test_the_motor_obeys_its_published_constants(build_in):
     assert np.abs(run["dq"]).max() < 5.1  # the goal that is followed moves no faster
 
 
-def test_what_the_bus_says_is_whole_registers_and_can_be_imported(build_in):
-    folder = build_in / "registers"
+def test_what_the_bus_says_is_whole_registers_and_can_be_imported(tmp_path):
+    folder = tmp_path / "registers"
     folder.mkdir()
     take = Take("touched-1", "collisions", 0.5, 2)
     write_take(MAKER, servo_arm(MAKER, 3), 50, take, 9, 3, folder)
@@ -155,13 +150,13 @@ def test_what_the_bus_says_is_whole_registers_and_can_be_imported(build_in):
     assert linear.servo is None and linear.signals["tau"].torque_constant == (1.0,) * 5
 
 
-def test_servos_differ_and_rates_share_the_motion(build_in):
+def test_servos_differ_and_rates_share_the_motion(tmp_path):
     arm = servo_arm(MAKER, 0)
     assert len(set(arm.servos.ohm)) == 5 and not np.allclose(arm.servos.ohm, servo_arm(MAKER, 1).servos.ohm)
     assert np.rad2deg(arm.servos.backlash_rad).min() >= 0.5 and np.rad2deg(arm.servos.backlash_rad).max() <= 1.3
     ends = {}
     for rate in (50, 100):
-        folder = build_in / str(rate)
+        folder = tmp_path / str(rate)
         folder.mkdir()
         write_take(MAKER, arm, rate, Take("free-1", "test", 0.1), 4, 0, folder)
         ends[rate] = np.load(folder / "free-1.truth.npz")["goal"][:: rate // 50]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import re
 import shutil
 import time
 from dataclasses import replace
@@ -221,17 +222,21 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
 
 
-def colder(motion, factor: float):
-    """Another day with another friction."""
-    config = replace(RigConfig(), friction=changed_friction(RigConfig().friction, factor))
-    made = simulate_recording(config, "free", 130.0, 4, 1)
+def another_day(factor: float = 1.0, ball_kg: float = 0.0):
+    """Another friction, and a ball at the end of the second link."""
+    friction, (first, last) = changed_friction(RigConfig().friction, factor), RigConfig().links
+    mass = last.mass_kg + ball_kg
+    com = (last.mass_kg * last.com_m + ball_kg * last.length_m) / mass
+    apart = last.mass_kg * (com - last.com_m) ** 2 + ball_kg * (last.length_m - com) ** 2
+    heavy = replace(last, mass_kg=mass, com_m=com, inertia_kg_m2=last.inertia_kg_m2 + apart)
+    made = simulate_recording(replace(RigConfig(), friction=friction, links=(first, heavy)), "free", 130.0, 4, 1)
     return replace(made, tau_ext=None, contact=None, contact_link=None, q_des=None, tau_ext_sensor=None)
 
 
 def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()  # the second epoch of the fixture
-    filled(copy.path, [colder(motion, 1.35)])
+    filled(copy.path, [another_day(1.35)])
     one = Trainer(copy)
     assert one.step() == "morning" and trainer.base_of(copy, "b0002") == "b0001"
     assert [one.step() for _ in range(2)] == ["judge", "nothing"]
@@ -244,12 +249,15 @@ def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch
 def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monkeypatch, answer):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
-    other = colder(motion, 1.0)
-    filled(copy.path, [replace(other, tau=other.tau + np.sin(other.q) * [4.0, 0.0])])  # another load
+    filled(copy.path, [another_day(ball_kg=1.5)])
+    epoch = copy.facts["epoch"]  # the alarm stands for the whole time, and its motion is left out of a refit
+    append_label(copy.path, Label(1, epoch, 0, 130_000_000_000, "unanswered", "nobody", "", "b0001"))
+    append_label(copy.path, Label(2, epoch, 70_000_000_000, 72_000_000_000, "touched", "page", "", "b0001"))
     one = Trainer(copy)
     assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
     question = json.loads(copy.question_file.read_text())
-    assert "load" in question["words"]
+    named = re.match(r"the hand carries ([0-9.]+) kg more than in training", question["words"])
+    assert named and abs(float(named[1]) - 1.5) < 0.2 * 1.5 and question["words"].endswith("another tool or load?")
     copy.question_file.write_text(json.dumps(question | {"answer": answer}))
     assert one.step() == "answer" and not copy.question_file.exists()
     assert one.facts().trained_min == (0 if answer == "learn" else 1) and active(copy) == "b0001"
@@ -257,6 +265,18 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
         assert one.step() == "train" and json.loads((copy.path / trainer.PENDING).read_text())["bundle"] == "b0002"
         names = json.loads((copy.path / trainer.PENDING).read_text())["trained_on"]
         assert min(names) >= f"seg-{question['segment']:06d}.parquet"
+        assert [label.answer for label in copy.labels() if label.id > 0] == ["touched"]  # the arm raised it itself
+    else:
+        assert [label.answer for label in copy.labels() if label.id > 0] == ["unanswered", "touched"]
+
+
+def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    Trainer(copy).step()
+    filled(copy.path, [another_day(2.2)])
+    assert Trainer(copy).step() == "morning"
+    asked = json.loads(copy.question_file.read_text())["words"]
+    assert asked.startswith("friction of joint1 is 2.") and asked.endswith("a replaced gear, wear or damage?")
 
 
 def test_steps_are_named_beyond_what_earlier_days_differ():

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from unseen import recordings
+from unseen import recordings, working
 from unseen.arms import JITTER_SHARE, arm_of, fresh_makers, makers, true_arm
 from unseen.results import Outcome, markdown, nearest, truth_of
 from unseen.simulation import (
@@ -186,3 +186,23 @@ def test_surfaces_come_back_out_of_a_robot_file(tmp_path):
         wanted = np.array([expected.start, expected.end])
         off = [min(np.abs(pair - wanted).max(), np.abs(pair[::-1] - wanted).max()) for pair in ends]
         assert min(off) < 1e-9 and of_link[int(np.argmin(off))].radius_m == pytest.approx(expected.radius_m)
+
+
+@pytest.mark.parametrize("name", ["rig", "palletizer", "so101"])
+def test_arms_at_work_repeat_programs_touches_differ_and_loads_weigh(name, monkeypatch):
+    monkeypatch.setattr(working, "STRETCH_S", 20.0)
+    monkeypatch.setattr(working, "REPEATED", 1.0)
+    monkeypatch.setattr(working, "PROGRAMS", 1)
+    arm, bare = working.working(name, 0), working.Part("bare", 1.0)
+    first, second, loaded, calm = (
+        arm.stretch(0, number, part, 0.0, touches)
+        for number, part, touches in ((1, bare, 1), (2, bare, 1), (1, working.Part("load", 1.0, 2), 1), (1, bare, 0))
+    )
+    touched = first.contact == 1
+    assert touched.any() and not np.abs(first.tau_ext[~touched]).max() > working.TOUCHED_NM_ARM
+    assert not (calm.contact == 1).any() and np.isfinite(calm.tau).all()
+    untouched = ~touched & (second.contact == 0) & (first.time_s < np.argmax(touched) / first.rate_hz)
+    np.testing.assert_allclose(first.q[untouched], second.q[untouched], atol=0.02)  # the same program
+    assert (first.contact != second.contact).any()
+    moved = np.abs(loaded.tau - first.tau)[untouched].mean(axis=0) / np.abs(first.tau[untouched]).mean(axis=0)
+    assert moved.max() > 0.1

@@ -65,7 +65,7 @@ def write_take(maker: Maker, arm: ServoArm, rate_hz: int, take: Take, number: in
     goals = draw_motion(maker, round(60 * take.minutes * TICKS_HZ), TICKS_HZ, rng)[0]
     touches = draw_touches(maker, arm, take, rng)
     at = np.round(np.arange(round(60 * take.minutes * rate_hz)) * TICKS_HZ / rate_hz).astype(int)
-    run = simulate_servos(arm, goals[at], rate_hz, touches, folder.parent)
+    run = simulate_servos(arm, goals[at], rate_hz, touches)
     touched = (np.abs(run.signals["tau_ext"]) > TOUCHED_NM).any(axis=1)
     (folder / f"{take.name}.touches.json").write_text(json.dumps([vars(touch) for touch in touches], indent=1) + "\n")
     np.savez_compressed(folder / f"{take.name}.truth.npz", ticks=run.ticks, **run.signals)

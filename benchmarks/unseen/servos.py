@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -32,6 +28,7 @@ from tauext.sim.servo_arm import (
     drawn,
 )
 from unseen.arms import Maker, true_arm
+from unseen.compiled import NUMBER, POINTER, WHOLE, address, compiled
 
 # --- A low-cost servo arm as its user meets it: a URDF that is roughly right, and servos of which each differs.
 
@@ -62,6 +59,11 @@ def servo_arm(maker: Maker, seed: int) -> ServoArm:
 
 
 SAMPLE = ("q", "dq", "goal", "duty", "supply_a", "speed", "motor_nm", "load_nm", "tau_ext")
+STEPS = (
+    POINTER, POINTER, POINTER, WHOLE, NUMBER, NUMBER, NUMBER, POINTER, POINTER, WHOLE, POINTER, WHOLE,
+    POINTER, WHOLE, POINTER, POINTER,
+)  # fmt: skip
+"""Arguments of servo_steps()."""
 SHAPES = ("impact", "push", "wall")
 """Half sine; ramps up and down; a spring that stands where the link is as the touch begins."""
 
@@ -96,15 +98,10 @@ class ServoRun:
     volts: np.ndarray
 
 
-def simulate_servos(
-    arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch], build_in: Path
-) -> ServoRun:
+def simulate_servos(arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch]) -> ServoRun:
     """The arm follows goals, (samples, joints), [rad], each written as the servos are read, at `rate_hz`.
 
     A goal is that of the register: whole counts. Samples are taken at the servos' ticks of 1 ms.
-
-    Args:
-        build_in: folder where the compiled steps are kept.
     """
     model = backlash_model(arm)
     data = mujoco.MjData(model)
@@ -116,36 +113,11 @@ def simulate_servos(
     acts = (ticks + COMMAND_TICKS).astype(np.int32)
     out, volts = np.zeros((samples, n, len(SAMPLE))), np.zeros(samples)
     rows = np.array([touch.row() for touch in touches], dtype=np.float64)
-    taken = _steps(build_in)(
-        model._address, data._address, _address(table), n, arm.volts, arm.supply_ohm, COUNT_RAD,
-        _address(goals), _address(acts), samples, _address(rows), len(touches),
-        _address(ticks), samples, _address(out), _address(volts),
+    taken = compiled("servo_steps", STEPS, WHOLE)(
+        model._address, data._address, address(table), n, arm.volts, arm.supply_ohm, COUNT_RAD,
+        address(goals), address(acts), samples, address(rows), len(touches),
+        address(ticks), samples, address(out), address(volts),
     )  # fmt: skip
     if taken != samples or not np.isfinite(out).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         raise RuntimeError("the simulation diverged")
     return ServoRun(ticks, {name: out[:, :, k].copy() for k, name in enumerate(SAMPLE)}, volts)
-
-
-def _address(values: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(values.ctypes.data)
-
-
-def _steps(folder: Path) -> ctypes._CFuncPtr:  # type: ignore[name-defined]
-    """servo_steps(), compiled where it is not there or older than its source."""
-    source, compiled = Path(__file__).with_name("servo_steps.cpp"), folder / "servo_steps.so"
-    if not compiled.exists() or compiled.stat().st_mtime < source.stat().st_mtime:
-        folder.mkdir(parents=True, exist_ok=True)
-        library = Path(mujoco.__file__).parent
-        engine = next(library.glob("libmujoco.so*"))
-        made = compiled.with_suffix(f".{os.getpid()}")
-        command = [os.environ.get("CXX", "g++"), *"-std=c++20 -O2 -shared -fPIC -Wall".split(), f"-I{library}/include"]
-        subprocess.run([*command, str(source), str(engine), f"-Wl,-rpath,{library}", "-o", str(made)], check=True)
-        made.replace(compiled)
-    pointer, whole, number = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
-    steps = ctypes.CDLL(str(compiled)).servo_steps
-    steps.restype = whole
-    steps.argtypes = [
-        pointer, pointer, pointer, whole, number, number, number, pointer, pointer, whole, pointer, whole,
-        pointer, whole, pointer, pointer,
-    ]  # fmt: skip
-    return steps

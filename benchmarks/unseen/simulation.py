@@ -11,6 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.sim.servo_arm import specification
 from unseen.arms import Maker, TrueArm, direction
+from unseen.compiled import NUMBER, POINTER, WHOLE, address, compiled
 
 # --- What an integrator would have the arm do: all joints together from pose to pose, pauses between, some of it slow.
 
@@ -107,6 +108,7 @@ LABEL_ERROR_S = 0.03
 SHARES = {"impact": 0.45, "push": 0.35, "hold": 0.2}
 RANGES = {"impact": ((20, 150), (0.02, 0.1)), "push": ((10, 60), (0.5, 1.0)), "hold": ((10, 40), (2.0, 4.0))}
 """Peak force [N] and duration [s]."""
+RISES_S = {"impact": 0.0, "push": 0.15, "hold": 0.3}
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class Contact:
             return 0.0
         if self.kind == "impact":
             return self.peak_n * float(np.sin(np.pi * (t_s - self.start_s) / (self.end_s - self.start_s)))
-        rise = 0.15 if self.kind == "push" else 0.3
+        rise = RISES_S[self.kind]
         return self.peak_n * min(1.0, (t_s - self.start_s) / rise, (self.end_s - t_s) / rise)
 
 
@@ -182,12 +184,15 @@ def label(contacts: Sequence[Contact], time_s: np.ndarray) -> np.ndarray:
 
 
 RATE_HZ = 1000
-POSITION_PER_S, VELOCITY_PER_S, INTEGRAL_PER_S, FORGET_S = 20.0, 80.0, 8.0, 1.0
-"""Gains of the drive's cascade; the integral forgets, so that a standing joint does not hunt."""
 BRISTLE_DAMPING = 0.1
 """Of what would damp a stuck joint critically."""
-VISCOUS_BEND_RAD_S = 2.0
 LINK_RADIUS_M = 0.05
+
+STEPS = (
+    POINTER, POINTER, POINTER, NUMBER, NUMBER, POINTER, POINTER, POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER, WHOLE,
+    POINTER, POINTER,
+)  # fmt: skip
+"""Arguments of arm_steps()."""
 
 Grip = Callable[[mujoco.MjModel, mujoco.MjData, int], np.ndarray]
 """Changes what the arm carries before a step, and says the joint torques of what else holds it, (joints,)."""
@@ -237,62 +242,56 @@ def simulate(
     data = mujoco.MjData(model)
     q_des, dq_des, ddq_des = setpoints
     n, dt = q_des.shape[1], 1 / RATE_HZ
-    rotor = np.array([link.rotor_inertia for link in arm.tree.links])
     p, beta = known.momentum(q_des, dq_des)
-    forward = np.gradient(p, dt, axis=0) + beta + rotor * ddq_des
+    rotor = np.array([link.rotor_inertia for link in arm.tree.links])
+    forward = np.ascontiguousarray(np.gradient(p, dt, axis=0) + beta + rotor * ddq_des)
     inertia = rotor + _mean_inertia(known, q_des)
-    most = np.array(torque_nm, dtype=float)
-    stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
-    damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
-    warm = 1 - arm.warm_drop * (1 - np.exp(-(warm_from_s + np.arange(len(q_des)) * dt) / arm.warm_s))[:, None]
-
-    run = Run(*(np.zeros_like(q_des) for _ in range(4)))
+    joints, rows = joint_table(arm, rotor, inertia, torque_nm), contact_rows(arm.tree, contacts)
+    q_des, dq_des = np.ascontiguousarray(q_des), np.ascontiguousarray(dq_des)
+    state, out = np.zeros(3 * n + 5), np.zeros((4, *q_des.shape))
     data.qpos[:] = q_des[0]
-    bristle, integral, friction = np.zeros(n), np.zeros(n), np.zeros(n)
-    steps = {round(c.start_s * RATE_HZ): c for c in contacts}
-    touching: Contact | None = None
-    along: np.ndarray | None = None
-    for k in range(len(q_des)):
-        q, v = data.qpos, data.qvel
-        error = dq_des[k] + POSITION_PER_S * (q_des[k] - q) - v
-        integral += dt * (error - integral / FORGET_S)
-        motor = forward[k] + inertia * VELOCITY_PER_S * (error + INTEGRAL_PER_S * integral)
-        motor = np.minimum(np.maximum(motor, -most), most)
-
-        sign = np.sign(v)
-        sliding = warm[k] * arm.coulomb_nm * (1 + arm.asymmetry * sign) + arm.load_share * np.abs(motor - friction)
-        g = sliding * (1 + (arm.static_share - 1) * np.exp(-((v / arm.stribeck_rad_s) ** 2)))
-        steady = g * sign / stiffness
-        moved = (steady - bristle) * -np.expm1(-stiffness * np.abs(v) * dt / g)
-        bristle = bristle + moved
-        viscous = warm[k] * arm.viscous_nm_s_rad * v / np.sqrt(1 + (v / VISCOUS_BEND_RAD_S) ** 2)
-        ripple = arm.ripple_nm * np.sin(arm.ripple_cycles * q + arm.ripple_phase_rad)
-        friction = stiffness * bristle + damping * moved / dt + viscous + ripple
-
-        run.q[k], run.motor_nm[k], run.friction_nm[k] = q, motor, friction
-        if k in steps:
-            touching, along = steps[k], None
-        if touching is not None:
-            body = touching.link + 1
-            rotation = data.xmat[body].reshape(3, 3)
-            point = data.xpos[body] + rotation @ touched_point(arm.tree, touching)
-            jacobian = point_jacobian(model, data, point, body)
-            if along is None:
-                along = _against_motion(touching, jacobian, v, rotation)
-            force = touching.force_n(k * dt) * along
-            data.xfrc_applied[body, :3] = force
-            data.xfrc_applied[body, 3:] = np.cross(point - data.xipos[body], force)
-            run.tau_ext[k] = jacobian.T @ force
-            if k * dt >= touching.end_s:
-                data.xfrc_applied[:] = 0
-                touching = None
-        data.qfrc_applied[:] = motor - friction
-        if grip is not None:
-            data.qfrc_applied[:] += grip(model, data, k)
-        mujoco.mj_step(model, data)
+    for k in range(0, len(q_des), len(q_des) if grip is None else 1):
+        more = None if grip is None else np.ascontiguousarray(grip(model, data, k))
+        compiled("arm_steps", STEPS, None)(
+            model._address, data._address, address(joints), warm_from_s, arm.warm_s,
+            address(q_des), address(dq_des), address(forward), len(q_des), k, len(q_des) if grip is None else 1,
+            None if more is None else address(more), address(rows), len(contacts), address(state), address(out),
+        )  # fmt: skip
+    run = Run(*out)
     if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
         raise RuntimeError("the simulation diverged")
     return run
+
+
+def joint_table(arm: TrueArm, rotor: np.ndarray, inertia: np.ndarray, torque_nm: Sequence[float]) -> np.ndarray:
+    """Constants of the joints as arm_steps.cpp reads them, (14, joints)."""
+    stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
+    damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
+    rows = (
+        inertia, np.array(torque_nm, dtype=float), arm.coulomb_nm, arm.asymmetry, arm.static_share, arm.stribeck_rad_s,
+        stiffness, damping, arm.viscous_nm_s_rad, arm.load_share, arm.warm_drop, arm.ripple_nm, arm.ripple_cycles,
+        arm.ripple_phase_rad,
+    )  # fmt: skip
+    return np.array(rows, dtype=np.float64)
+
+
+def contact_rows(tree: _core.Tree, contacts: Sequence[Contact]) -> np.ndarray:
+    """Contacts as arm_steps.cpp reads them, (contacts, 13)."""
+    return np.array(
+        [
+            [
+                one.start_s,
+                one.end_s,
+                round(one.start_s * RATE_HZ),
+                one.link + 1,
+                *touched_point(tree, one),
+                *one.direction,
+            ]
+            + [one.peak_n, RISES_S[one.kind], float(one.in_link)]
+            for one in contacts
+        ],
+        dtype=np.float64,
+    ).reshape(len(contacts), 13)
 
 
 def _mean_inertia(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
@@ -316,16 +315,6 @@ def touched_point(tree: _core.Tree, contact: Contact) -> np.ndarray:
         if contact.at_m is None
         else np.array(contact.at_m)
     )
-
-
-def _against_motion(contact: Contact, jacobian: np.ndarray, dq: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """The force's direction, kept for the whole contact: an obstacle that is run into pushes back."""
-    velocity = jacobian @ dq
-    speed = np.linalg.norm(velocity)
-    if contact.kind == "impact" and speed > 0.1:
-        return -velocity / speed
-    along = np.array(contact.direction)
-    return rotation @ along if contact.in_link else along
 
 
 def point_jacobian(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray, body: int) -> np.ndarray:

@@ -24,6 +24,10 @@ class ConfigError(TauextError):
     """An invalid setting, path or combination of settings."""
 
 
+class AwayError(ConfigError):
+    """An arm that does not answer, or sends nothing usable yet: the same call may succeed later."""
+
+
 class BundleError(TauextError):
     """A bundle that is damaged, of a newer version, or does not fit the recording it is used on."""
 

@@ -50,8 +50,8 @@ class EventKeeper:
         self.learn: Callable[[bool, str], None] = lambda yes, by: None
         """Called in the keeper's thread with the answer about a named change of the arm, and its origin."""
         self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
-        self._done: deque[tuple[int, str, str, str]] = deque(maxlen=100)
-        """Number, kind and origin of the last answers that were stored, and why one was not."""
+        self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
+        """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
         self._news = threading.Condition()
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="events", daemon=True)
@@ -118,17 +118,18 @@ class EventKeeper:
         """Number of answers that were stored so far."""
         return self._done[-1][0] if self._done else 0
 
-    def wait_for(self, what: AnswerKind, by: str, since: int) -> str:
+    def wait_for(self, what: AnswerKind, by: str, since: int, alarm: int | None = None) -> str:
         """Wait until an answer from there is on disk; why it is not, empty if it is.
 
         Args:
             since: `done` before the answer was given.
+            alarm: alarm of the answer; None: any.
         """
         limit_s = time.monotonic() + STORED_S
         with self._news:
             while (left_s := limit_s - time.monotonic()) > 0:
-                for number, kind, origin, error in self._done:
-                    if number > since and (kind, origin) == (what, by):
+                for number, kind, origin, about, error in self._done:
+                    if number > since and (kind, origin) == (what, by) and alarm in (None, about):
                         return error
                 self._news.wait(left_s)
         return "not stored yet: the disk is full or does not answer"
@@ -156,9 +157,10 @@ class EventKeeper:
                 error = failed.strerror or str(failed)
                 self._note(f"an event is not stored: {error}")
             if isinstance(one, Answer | Label):
-                kind = one.what if isinstance(one, Answer) else one.answer
+                kind, about = (one.what, one.alarm) if isinstance(one, Answer) else (one.answer, one.id)
                 with self._news:
-                    self._done.append((self.done + 1, kind, one.by, error if isinstance(one, Answer) else ""))
+                    why = error if isinstance(one, Answer) else ""
+                    self._done.append((self.done + 1, kind, one.by, about, why))
                     self._news.notify_all()
 
     def _changed(self, event: dict[str, Any]) -> None:
@@ -180,7 +182,7 @@ class EventKeeper:
 
     def _put(self, number: int, **facts: str) -> None:
         event = self._events.get(number)
-        if event is not None and facts.get("answer") != "unanswered":
+        if event is not None and facts.get("answer") != "unanswered" and event | facts != event:
             event |= facts
             append_line(self._path, event)
 
@@ -204,7 +206,7 @@ class Steering:
         with self._answering:
             since = keeper.done
             loop.answer(what, by, alarm)
-            if error := keeper.wait_for(what, by, since):
+            if error := keeper.wait_for(what, by, since, alarm):
                 raise ConfigError(f"{what}: {error}")
 
     def __getattr__(self, name: str) -> Any:

@@ -22,10 +22,10 @@ from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
 from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, derives_velocity, servo_facts, servo_of
 from tauext.data.servo_types import SERVO_TYPES
-from tauext.errors import ConfigError, TauextError
+from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
-from tauext.robot.capsules import write_shapes
+from tauext.robot.capsules import SHAPES_FILE, write_shapes
 from tauext.robot.load import load_tree
 from tauext.robot.write import is_placeholder, write_placeholder, write_robot
 from tauext.sources.describing import why_another
@@ -249,20 +249,28 @@ class Connected:
     lives: list[Live]
 
 
-def connect(make: Callable[[], Source], robot: Path | None = None, wait_s: float = WAIT_S) -> Connected:
+def connect(
+    make: Callable[[], Source],
+    robot: Path | None = None,
+    wait_s: float = WAIT_S,
+    check: Callable[[SourceFacts], None] = lambda facts: None,
+) -> Connected:
     """Describe a source, take samples for LOOK_S, judge them, and close it.
 
     Args:
         make: makes a source that is not open; the loop then opens another one.
+        check: called with the description, before the first sample; may raise a TauextError.
 
     Raises:
-        TauextError: the arm cannot be reached, or does not fit the robot file; the caller tries again later.
+        AwayError: the arm does not answer or sends nothing; the caller may try again.
+        TauextError: the arm, the robot file and the options do not fit each other.
     """
     source = make()
     try:
         if not isinstance(source, Describes):
             raise ConfigError(f"{source.name} cannot describe itself")
         facts = source.describe(wait_s, robot)
+        check(facts)
         source.open(facts.settings)
         samples, until = list[Sample](), time.monotonic() + wait_s
         while time.monotonic() < until and not source.ended:
@@ -274,7 +282,7 @@ def connect(make: Callable[[], Source], robot: Path | None = None, wait_s: float
             if sample.t_ns - samples[0].t_ns >= LOOK_S * 1e9:
                 break
         if not samples:
-            raise ConfigError(
+            raise AwayError(
                 f"{source.name}: no sample within {wait_s:g} s: {'; '.join(source.notes()) or 'it is silent'}"
             )
     finally:
@@ -402,20 +410,26 @@ def write_arm(facts: SourceFacts, robot: Path | None, folder: Path) -> Arm:
     """Write arm.toml, and before it the robot file with its shapes, or a placeholder; an existing arm.toml stays.
 
     Raises:
-        TauextError: the robot file is missing, cannot be read, or lacks a joint.
+        TauextError: the robot file is missing, cannot be read, or lacks a joint; the folder is as before.
     """
     path, joints = folder / "arm.toml", facts.settings.joints
     if path.exists():
         return load_arm(path)
-    if robot is None:
-        write_placeholder(joints, folder)
-    else:
-        load_tree(robot, joints=joints)
-        written = write_robot(robot, folder, {})
-        load_tree(written, joints=joints)
-        write_shapes(robot, folder)
-    content = description(facts, "" if robot is None else written.name)
-    arm = parse_arm(content, path)
+    made = [one for name in ("robot.urdf", "robot.xml", SHAPES_FILE) if not (one := folder / name).exists()]
+    try:
+        if robot is None:
+            write_placeholder(joints, folder)
+        else:
+            load_tree(robot, joints=joints)
+            written = write_robot(robot, folder, {})
+            load_tree(written, joints=joints)
+            write_shapes(robot, folder)
+        content = description(facts, "" if robot is None else written.name)
+        arm = parse_arm(content, path)
+    except BaseException:  # the next attempt may bring another robot file
+        for one in made:
+            one.unlink(missing_ok=True)
+        raise
     with atomic_write(path) as part:
         part.write_text(content, encoding="utf-8")
     return arm

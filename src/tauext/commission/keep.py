@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 from tauext.files.append_file import reserve, write_synced
 from tauext.files.plain_file import json_of, read_text
-from tauext.monitor.flight_files import ENDINGS
+from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.record_sink import RecordSink
 from tauext.monitor.sink import Answer, Control, Verdict
 from tauext.monitor.source import SourceSettings
@@ -546,18 +547,33 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
     return good
 
 
+FLIGHT_KIND = re.compile(r"-(fault|contact|collision)(-\d+)?$")
+"""End of a flight's name: kind of its event, and a number where the name was taken."""
+DROPPED_FIRST = ("fault", "contact", "collision")
+"""Kinds of flights in the order in which they are dropped."""
+
+
 def trim_flights(folder: Path, most_bytes: int) -> None:
-    """Remove the oldest flights beyond the bound; the files of one flight go together."""
+    """Remove flights beyond the bound: first those of faults, then of contacts, then of collisions; the oldest first.
+
+    The newest flight of all stays. The files of one flight go together.
+    """
     flights: dict[str, list[Path]] = {}
     for path in folder.glob("*"):
         if path.is_file():
-            ending = next((one for one in ENDINGS if path.name.endswith(one)), path.suffix)
+            ending = next((one for one in (PART, *ENDINGS) if path.name.endswith(one)), path.suffix)
             flights.setdefault(path.name.removesuffix(ending), []).append(path)
     if not flights:
         return
     sizes = {name: sum(path.stat().st_size for path in files) for name, files in flights.items()}
-    total = sum(sizes.values())
-    for name in sorted(flights, key=lambda name: max(path.stat().st_mtime for path in flights[name]))[:-1]:
+    times = {name: max(path.stat().st_mtime for path in files) for name, files in flights.items()}
+    total, newest = sum(sizes.values()), max(times, key=lambda name: times[name])
+
+    def rank(name: str) -> tuple[int, float]:
+        kind = FLIGHT_KIND.search(name)
+        return DROPPED_FIRST.index(kind[1]) if kind else 0, times[name]
+
+    for name in sorted(flights.keys() - {newest}, key=rank):
         if total <= most_bytes:
             return
         for path in flights[name]:

@@ -28,7 +28,7 @@ from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
-from tauext.errors import ConfigError, TauextError
+from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import json_of
@@ -36,7 +36,7 @@ from tauext.monitor.control_lines import ControlSocket
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
-from tauext.monitor.reactions import start_reactions
+from tauext.monitor.reactions import expect_actions, start_reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
 from tauext.monitor.source import Describes, Source, SourceFacts
@@ -66,8 +66,8 @@ class Options:
 
     robot: Path | None = None
     source: SourceOptions = SourceOptions()
-    reactions: Callable[[tuple[str, ...]], list[Reaction]] = lambda joints: []
-    """The rules of a reactions file for these joints."""
+    reactions: Callable[[tuple[str, ...] | None], list[Reaction]] = lambda joints: []
+    """Reads the rules of a reactions file for these joints; None: they are not known yet."""
     page: Callable[..., None] | None = None
     """Target of the page's process; None: no page."""
     host: str = "127.0.0.1"
@@ -88,10 +88,13 @@ def run(
         listen: called once with the control, for keys of a terminal.
 
     Raises:
-        ConfigError: the folder, an option or the source's text is invalid, or another process uses the folder.
+        ConfigError: the folder, an option or the source's text is invalid, another process uses the folder, or the arm
+            does not fit a file or an option.
+        RobotError: the robot file cannot be read, or lacks a joint of the arm.
     """
-    first = open_arm(text, options.source)[0]  # refused before a folder is made
+    first, publishers = open_arm(text, options.source)  # refused before a folder is made
     try:
+        expect_actions(options.reactions(None), first, publishers)
         if text.startswith("replay:") and isinstance(first, Describes):
             first.describe(DESCRIBE_S, options.robot)
     finally:
@@ -99,6 +102,8 @@ def run(
     if options.robot is not None:
         movable_joints(options.robot)
     folder = CommissionFolder.open(path, create=True)
+    if known := folder.facts.get("arm"):
+        options.reactions(facts_of_data(known).settings.joints)
     with folder.locked(), ExitStack() as stack:
         commission = Commission(folder, text, options, echo, stack)
         listen(commission.steering)
@@ -195,45 +200,67 @@ class Commission:
     def _connect(self) -> tuple[Source, SourceFacts, tuple[Sink, ...]] | None:
         """The source, not open yet, what it delivers and its publishers; None if the run ends before the arm answers.
 
-        A new arm is checked for some seconds, and its description written. An arm that the folder describes need not
-        answer at once: the loop waits for it.
+        A new arm is checked for some seconds, and its description written. An arm that does not answer is tried again
+        until it does; lasting errors are raised. An arm that the folder describes need not answer at once: the
+        loop waits for it.
         """
         known = self._folder.facts.get("arm")
-        facts = facts_of_data(known) if known else None
         source, publishers = self._open()  # refuses a wrong option at once
+        try:
+            facts = facts_of_data(known) if known else self._described(source.name)
+            if facts is None:
+                source.close()
+                return None
+            now: SourceFacts | None = facts
+            if known and isinstance(source, Describes):
+                now = None
+                with suppress(TauextError):  # away: the lasting source checks the arm when it is back
+                    now = source.describe(DESCRIBE_S, self._robot())
+                if now is not None and (other := another_arm(facts, now)) is not None:
+                    raise ConfigError(f"{self._folder.path}: {other.words}; {other.remedy}")
+        except BaseException:
+            source.close()
+            raise
+        if not self._text.startswith("replay:"):
+            lasting = LastingSource(source, self._open_again, facts, self._robot(), is_described=now is not None)
+            source = cast(Source, lasting)
+        return source, facts, publishers
+
+    def _described(self, name: str) -> SourceFacts | None:
+        """Describe a new arm in the folder; None if the run ends before the arm answers.
+
+        Args:
+            name: of the source, for messages.
+        """
         wait_s = RETRY_S
-        while facts is None:
+        while True:
             try:
-                found = connect(lambda: self._open()[0], self._robot())
-                write_arm(found.facts, self._robot(), self._folder.path)
-            except TauextError as error:
+                found = connect(self._open_again, self._robot(), check=self._expect_reactions)
+                break
+            except AwayError as error:
                 if str(error) != self._live.says:
                     self._live.says = str(error)
                     self._note(f"{error}; it is tried again")
-                if self._stopping.wait(wait_s):
-                    source.close()
-                    return None
-                wait_s = min(2 * wait_s, LONGEST_RETRY_S)
-                continue
-            facts = found.facts
-            write_synced(self._folder.findings_file, json.dumps({"findings": as_entries(found.lives)}) + "\n")
-            for live in found.lives:
-                if live.severity in ("fault", "warning"):
-                    self._note(f"{live.severity}: {live.joint or source.name}: {live.words}; {live.remedy}")
-            self._folder.save(arm=as_data(facts))
-        if known and isinstance(source, Describes):
-            now = facts
-            with suppress(TauextError):  # away: the lasting source checks the arm when it is back
-                now = source.describe(DESCRIBE_S, self._robot())
-            if (other := another_arm(facts, now)) is not None:
-                source.close()
-                raise ConfigError(f"{self._folder.path}: {other.words}; {other.remedy}")
-        if not self._text.startswith("replay:"):
-            source = cast(Source, LastingSource(source, lambda: self._open()[0], facts, self._robot()))
-        return source, facts, publishers
+            if self._stopping.wait(wait_s):
+                return None
+            wait_s = min(2 * wait_s, LONGEST_RETRY_S)
+        write_arm(found.facts, self._robot(), self._folder.path)
+        write_synced(self._folder.findings_file, json.dumps({"findings": as_entries(found.lives)}) + "\n")
+        for live in found.lives:
+            if live.severity in ("fault", "warning"):
+                self._note(f"{live.severity}: {live.joint or name}: {live.words}; {live.remedy}")
+        self._folder.save(arm=as_data(found.facts))
+        return found.facts
+
+    def _expect_reactions(self, facts: SourceFacts) -> None:
+        """Refuse a reactions file that names other joints."""
+        self._options.reactions(facts.settings.joints)
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
         return open_arm(self._text, self._options.source)
+
+    def _open_again(self) -> Source:
+        return self._open()[0]
 
     def _robot(self) -> Path | None:
         """The robot file: the folder's once it has one, else the given one, or that of a simulated arm."""
@@ -269,7 +296,8 @@ class Commission:
             live.follow(bundle, loop.monitor)
             with suppress(FileNotFoundError):
                 carried = (folder.path / CARRIED).read_bytes()
-                if reason := loop.start_from(carried, self._keeper.newest):
+                newest = self._keeper.newest
+                if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
                 if loop.monitor.last.alarm != _core.Alarm.none:
                     live.stand(event := self._keeper.event(loop.alarms))

@@ -18,6 +18,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.check.preflight import WORTH_A_WARNING
+from tauext.commission.arm_change import change_words, find_change
 from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
@@ -51,8 +52,9 @@ PENDING = "pending.json"
 """The bundle that waits to be judged, and what it was trained on."""
 MOST_TEST_S = 180.0
 """Newest motion outside of training that judges a bundle, [s]."""
-ROUNDS = 3
-"""Most trainings of one bundle: after each, touches that nobody reported are looked for and left out of the next."""
+FIRST_ROUNDS = 3
+"""Most trainings of an arm's first bundle: after each, touches that nobody reported are looked for and left out of the
+next. Before a later training, the bundle in charge looks for them in motion that it was not trained on."""
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
 SPARE_S = 660.0
@@ -241,10 +243,14 @@ class Trainer:
             robot = self._robot()
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
-            if (active := folder.active()) is not None:  # it was trained without the newest touches
+            active, rounds = folder.active(), FIRST_ROUNDS
+            if self._is_changed():
+                self._withdraw(learning)
+            elif active is not None:
                 self._suspect(load_bundle(active), self._load(learning))
+                rounds = 1
             config = self._config(step.minutes)
-            for number in range(ROUNDS):
+            for number in range(rounds):
                 recordings = self._load(training)
                 if not recordings:
                     raise ConfigError("no training motion is left")
@@ -255,7 +261,7 @@ class Trainer:
                 checked = check_data(dataset, given, config, (), SILENT)
                 report = Share(lambda share: self._progress(f"training {out.stem}", share))
                 train_on_recordings(given, config, out, report, checked)
-                if number == ROUNDS - 1 or not self._suspect(load_bundle(out), self._load(learning)):
+                if number == rounds - 1 or not self._suspect(load_bundle(out), self._load(learning)):
                     break
         except TauextError as error:
             why = " ".join(str(error).split())
@@ -264,6 +270,17 @@ class Trainer:
             return
         content = {"bundle": out.stem, "minutes": step.minutes, "trained_on": [one.name for one in training]}
         write_synced(folder.path / PENDING, json.dumps(content) + "\n")
+
+    def _is_changed(self) -> bool:
+        """Whether the bundle in charge is of the arm before a change that may be learned."""
+        kinds = [one["kind"] for one in self.folder.history() if one["kind"] == "activation" or one.get("learned")]
+        return bool(kinds) and kinds[-1] != "activation"
+
+    def _withdraw(self, segments: Sequence[Segment]) -> None:
+        """Withdraw labels of alarms without an answer: the changed arm itself raises them under the earlier bundle."""
+        for label in self.folder.labels():
+            if label.answer == "unanswered" and any(meets(one, label) for one in segments):
+                self.folder.append_label(replace(label, answer="withdrawn", by="trainer", wall=wall()))
 
     def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
         """Label touches that nobody reported; returns them."""
@@ -289,6 +306,8 @@ class Trainer:
         unseen = self._unseen(pending, self._segments())
         self._progress(f"judging {name}")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
+        if self._is_changed():
+            self._withdraw(unseen)
         self._suspect(candidate, self._load(unseen))
         facts, why = self._judged(name, unseen)
         if pending.get("refit"):
@@ -357,23 +376,25 @@ class Trainer:
         motion = self._morning_motion(self._segments(), history)
         self._progress("comparing the first strokes with earlier days")
         facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
-        bundle = load_bundle(active)
+        bundle, recordings = load_bundle(active), self._load(motion)
         try:
-            refitted = refit_recordings(bundle, self._load(motion), THREADS)
+            refitted = refit_recordings(bundle, recordings, THREADS)
         except TauextError as error:
             if not bundle.prior.terms:
                 folder.note(
                     "morning", folder.seconds(), f"{active.stem} has no friction that could be refitted", **facts
                 )
                 return
-            why = " ".join(str(error).split())
-            self._ask(f"the arm is not as before, and no friction explains it (tool, load or damage?): {why}", facts)
+            change = find_change(bundle, recordings, THREADS)
+            self._ask(change_words(*change, " ".join(str(error).split())), facts)
             return
         factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
         earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
         if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
-            self._ask(f"{'; '.join(steps)}: a replaced gear, wear, damage or another load?", facts)
+            load, errors = find_change(bundle, recordings, THREADS)
+            causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
+            self._ask(change_words(load, {}, "") if load else f"{'; '.join(steps)}: {causes}?", facts)
             return
         words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
         folder.note(

@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -70,8 +70,16 @@ def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
 # --- The live loop. Sinks and reactions never delay the monitor.
 
 
+def is_within_limits(estimates: Mapping[str, np.ndarray]) -> bool:
+    """Whether the torque of every joint, without that of an expected load, is known and within both limits."""
+    size = np.abs(estimates["tau_ext"] - estimates["load_nm"])
+    return bool((size <= np.minimum(estimates["limit_nm"], estimates["contact_limit_nm"])).all())
+
+
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
+TOUCH_OVER_S = 0.2
+"""Time within all limits after which the touch of an answered alarm is over."""
 SWITCH_S = 0.0005
 """Switch interval of the interpreter's threads, [s]; Python's default of 5 ms is five samples."""
 
@@ -176,6 +184,10 @@ class Loop:
         self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
         self._due_ns: int | None = None
         self._alarm_id = 0
+        self._touched_ns: int | None = None
+        """Last stamp since the alarm rose at which a torque was over a limit, or unknown."""
+        self._answered_id = 0
+        """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
         self._last: Sample | None = None
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
@@ -268,11 +280,12 @@ class Loop:
         """What the monitor carried at the newest second, for start_from(); empty: nothing yet."""
         return b"" if self._ring is None else self._ring.carried
 
-    def start_from(self, carried: bytes, alarms: int) -> str:
+    def start_from(self, carried: bytes, alarms: int, is_answered: bool = False) -> str:
         """Before run(): continue what an earlier loop's `carried` holds; returns "" or the reason why it cannot.
 
         Args:
             alarms: number of the newest alarm, which is the one that stands if one does.
+            is_answered: whether that alarm is answered, so that it ends with its touch.
         """
         self.alarms = alarms
         if not isinstance(self.monitor, _core.Monitor):
@@ -286,6 +299,7 @@ class Loop:
         alarm = self.monitor.last.alarm
         if alarm != _core.Alarm.none:
             self.alarms = self._alarm_id = max(alarms, 1)
+            self._answered_id = self._alarm_id if is_answered else 0
             self._changes.stand(alarm.value)
         return ""
 
@@ -485,6 +499,10 @@ class Loop:
                 if change.alarm != NONE and change.was == NONE:
                     self.alarms += 1
                 self._alarm_id = self.alarms if change.alarm != NONE else 0
+                self._touched_ns = t_ns
+        if self._alarm_id and sample is not None:
+            if self._touched_ns is None or t_ns < self._touched_ns or not is_within_limits(estimates):
+                self._touched_ns = t_ns
         verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._alarm_id)
         for event in self._events.find(verdict):
             self._reactions.put(event)
@@ -530,11 +548,16 @@ class Loop:
 
     def _answer(self, what: AnswerKind, by: str, alarm: int | None) -> None:
         about_alarm = what in ("touched", "nothing")
-        known = (self._alarm_id if alarm is None else alarm) if about_alarm else 0
+        asked = 0 if self._alarm_id == self._answered_id else self._alarm_id
+        known = (asked if alarm is None else alarm) if about_alarm else 0
         answer = Answer(what, by, known, self.samples, self._last_ns)
         self._each_sink(lambda sink: sink.answered(answer) if isinstance(sink, HearsAnswers) else None)
         if known and known == self._alarm_id:
-            self._end_alarm(self.monitor.acknowledge, f"{what}, by {by}: acknowledged")
+            if self._is_touch_over:
+                self._end_alarm(self.monitor.acknowledge, f"{what}, by {by}: acknowledged")
+            else:  # the monitor would raise another alarm for the same touch
+                self._answered_id = known
+                self.note(f"{what}, by {by}: acknowledged once the touch is over")
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it
@@ -584,12 +607,23 @@ class Loop:
         if self._ring is not None:
             self._ring.act(lambda monitor: monitor.resume())
 
+    @property
+    def _is_touch_over(self) -> bool:
+        """Whether all torques have been within their limits for TOUCH_OVER_S; False before the first sample."""
+        return self._touched_ns is not None and self._last_ns - self._touched_ns >= TOUCH_OVER_S * 1e9
+
     def _acknowledge_when_due(self, t_ns: int) -> None:
-        if self._due_ns is not None and t_ns >= self._due_ns:
+        if self._answered_id and self._answered_id != self._alarm_id:  # it has ended by itself
+            self._answered_id, self._due_ns = 0, None
+        after_s = self._settings.acknowledge_after_s
+        if self._answered_id and self._due_ns is None and after_s is not None:  # a contact that lasts
+            self._due_ns = t_ns + round(after_s * 1e9)
+        is_due = self._due_ns is not None and t_ns >= self._due_ns
+        if is_due or (self._answered_id and self._is_touch_over):
             self._end_alarm(self.monitor.acknowledge)
 
     def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
         if note:
             self.note(note)
-        self._due_ns = None
+        self._due_ns, self._answered_id = None, 0
         self._changes.end_alarm(end, self.samples, self._last_ns)

@@ -93,8 +93,8 @@ class Reaction:
 ACTIONS = ("command", "python", "publish", "stop")
 
 
-def load_reactions(path: Place, joints: Sequence[str]) -> list[Reaction]:
-    """Read a reactions.toml for an arm of these joints.
+def load_reactions(path: Place, joints: Sequence[str] | None) -> list[Reaction]:
+    """Read a reactions.toml for an arm of these joints; None: they are not known yet, and any name is accepted.
 
     Raises:
         ConfigError: names the file, the key, the value and the rule that it breaks.
@@ -103,7 +103,7 @@ def load_reactions(path: Place, joints: Sequence[str]) -> list[Reaction]:
     keys = {
         "name": text("text, not empty"),
         "on": names(EVENT_KINDS, "events"),
-        "joints": names(joints, "joints", None),
+        "joints": _joints(joints, "joints"),
         "min_interval_s": number(0.0, 86400.0, 0.0),
         "timeout_s": number(0.01, 3600.0, 5.0),
         "command": Key(_command, 'a list of texts: ["program", "argument"]', ()),
@@ -111,7 +111,7 @@ def load_reactions(path: Place, joints: Sequence[str]) -> list[Reaction]:
         "publish": flag(False),
         "stop": flag(False),
         "touch": names(TOUCHES[1:], "kinds of touch", None),
-        "links": names(joints, "joints that carry the links", None),
+        "links": _joints(joints, "joints that carry the links"),
         "newtons_over": number(0.0, 1e4, None),
     }
     found: list[Reaction] = []
@@ -137,6 +137,15 @@ def _reaction(path: Place, table: Any, keys: dict[str, Key]) -> Reaction:
         what = f"{' and '.join(given)} are given" if given else "no action is given"
         raise ConfigError(f"{here} {what}; it must be one of {', '.join(ACTIONS)}")
     return reaction
+
+
+def _joints(known: Sequence[str] | None, what: str) -> Key:
+    return Key(_some_names, f"a list of {what}", None) if known is None else names(known, what, None)
+
+
+def _some_names(value: Any) -> tuple[str, ...]:
+    """One name, or a list of them."""
+    return _command([value] if isinstance(value, str) else value)
 
 
 def _command(value: Any) -> tuple[str, ...]:

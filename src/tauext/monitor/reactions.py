@@ -48,8 +48,7 @@ class ReactionProcess:
             ConfigError: the program, module or function is missing.
         """
         self._reaction, self._closed = reaction, False
-        if reaction.command and shutil.which(reaction.command[0]) is None:
-            raise ConfigError(f"reaction {reaction.name!r}: there is no program {reaction.command[0]!r}")
+        expect_program(reaction)
         try:
             self._start()
         except ReactionFailed as error:
@@ -139,6 +138,12 @@ class ReactionProcess:
             self._read += more
         line, _, self._read = self._read.partition(b"\n")
         return json.loads(line)
+
+
+def expect_program(reaction: Reaction) -> None:
+    """Raise ConfigError if the program of the reaction is missing."""
+    if reaction.command and shutil.which(reaction.command[0]) is None:
+        raise ConfigError(f"reaction {reaction.name!r}: there is no program {reaction.command[0]!r}")
 
 
 def content_of(event: Event) -> dict[str, Any]:
@@ -324,12 +329,23 @@ class Reactions:
             thread.end(until)
 
 
+def expect_actions(rules: Sequence[Reaction], source: Source, sinks: Sequence[Sink]) -> None:
+    """Raise ConfigError if a program is missing, or this source, which need not be open, can never stop or publish."""
+    for rule in rules:
+        expect_program(rule)
+        if rule.stop and not isinstance(source, Stoppable):
+            raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
+        if rule.publish and not any(isinstance(sink, Publisher) for sink in sinks):
+            raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
+
+
 def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[Sink]) -> Reactions:
     """Start a thread and, if needed, a process for each reaction.
 
     Raises:
         ConfigError: a program, module or function is missing, or the source cannot stop or publish.
     """
+    expect_actions(rules, source, sinks)
     publishers = [sink for sink in sinks if isinstance(sink, Publisher)]
     processes: list[ReactionProcess] = []
     threads: list[Callable[[], ReactionThread]] = []
@@ -341,14 +357,11 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
     try:
         for rule in rules:
             if rule.stop:
-                if not isinstance(source, Stoppable):
-                    raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
+                assert isinstance(source, Stoppable)  # checked above
                 if isinstance(source, StopChecked):
                     source.check_stop()
                 threads.append(partial(ReactionThread, rule, lambda event: source.stop()))
             elif rule.publish:
-                if not publishers:
-                    raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
                 threads.append(partial(ReactionThread, rule, publish))
             else:
                 process = ReactionProcess(rule)

@@ -224,8 +224,10 @@ class Control(Protocol):
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
         """Pass an answer to the sinks that keep answers; one about the alarm that stands also acknowledges it.
 
+        While the touch lasts, the acknowledgement waits for its end, so that the touch raises no second alarm.
+
         Args:
-            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands, or none.
+            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands without an answer, or none.
 
         Raises:
             ConfigError: nothing keeps answers, or there was no such alarm.

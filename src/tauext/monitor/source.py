@@ -107,7 +107,9 @@ class Describes(Protocol):
             robot: robot file, for the names and the order of joints.
 
         Raises:
-            ConfigError: nothing was received in this time, or it does not fit; the caller may try again.
+            AwayError: nothing usable was received in this time; the caller may try again.
+            ConfigError: the arm, a file and an option do not fit each other.
+            RobotError: the robot file is missing or cannot be read.
         """
         ...
 
@@ -137,7 +139,7 @@ class Source(Protocol):
     counts: SourceCounts
 
     def open(self, settings: SourceSettings) -> None:
-        """Connect; raise ConfigError for a mismatch such as missing joints or another rate.
+        """Connect; raise ConfigError for a mismatch such as missing joints or another rate, AwayError without a robot.
 
         A missing robot need not be an error: next_sample() then returns None until it appears.
         """

@@ -13,6 +13,7 @@ from tauext.bundle.estimates import OK
 from tauext.bundle.fit import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
+from tauext.monitor.loads import NOTHING
 
 # --- The frame to which a load is fixed.
 
@@ -210,7 +211,12 @@ LoadEstimate = _core.LoadFound
 
 
 def identify(
-    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], reach_m: float = 0.3, phi: np.ndarray | None = None
+    bundle: _core.Bundle,
+    frame: NamedFrame,
+    parts: Sequence[Seen],
+    reach_m: float = 0.3,
+    phi: np.ndarray | None = None,
+    beside: _core.Load = NOTHING,
 ) -> LoadEstimate:
     """Estimate the load from these rows by weighted least squares on tau_ext.
 
@@ -221,6 +227,7 @@ def identify(
 
     Args:
         phi: initial load, (10,).
+        beside: load that is set, of which the arm may carry less.
 
     Raises:
         RecordingError: fewer than LEAST_ROWS rows.
@@ -232,7 +239,8 @@ def identify(
         )
     phi = np.zeros(10) if phi is None else phi
     for _ in range(ROUNDS):
-        found = _core.weigh_load(bundle, sums_about(bundle, frame.frame, parts, phi), reach_m, phi.tolist(), rounds=1)
+        sums = sums_about(bundle, frame.frame, parts, phi)
+        found = _core.weigh_load(bundle, sums, reach_m, phi.tolist(), beside, rounds=1)
         phi = found.phi
     return found
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tauext.data.servo import servo_facts
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import SourceFacts
 from tauext.robot.load import movable_joints
 
@@ -88,11 +88,11 @@ def learnt_period_ns(stamps_ns: Sequence[int], arm: str) -> int:
     """Period of a stream from its stamps, of which the first ones may be uneven.
 
     Raises:
-        ConfigError: there are too few.
+        AwayError: there are too few.
     """
     steps = [b - a for a, b in zip(stamps_ns[:-1], stamps_ns[1:], strict=True) if b > a]
     if len(steps) < LEARNT_STEPS:
-        raise ConfigError(
+        raise AwayError(
             f"{arm}: {len(steps) + bool(steps)} samples came; {LEARNT_STEPS + 1} are needed to learn the rate"
         )
     return nominal_period_ns(mean_period_ns(steps))

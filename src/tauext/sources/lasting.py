@@ -6,10 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import (
     Commanded,
     Describes,
@@ -21,12 +21,14 @@ from tauext.monitor.source import (
     StopChecked,
     Stoppable,
 )
-from tauext.sources.describing import why_another
+from tauext.sources.describing import LEARNT_STEPS, learnt_period_ns, why_another
 
 RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
 """Time before the first attempt, which doubles, and the longest one, [s]."""
 SILENT_S = 2.0
 """Time without a sample after which a source that is open counts as away, [s]."""
+MOST_JUDGED = 10 * LEARNT_STEPS
+"""Samples in which a usable clock shows its rate; without one the monitor reports the stamps."""
 DESCRIBE_S = 10.0
 """Longest wait for an arm that describes itself again, [s]."""
 
@@ -35,15 +37,25 @@ class LastingSource:
     """Passes on the samples of one source after the other, and never ends.
 
     A source that ends or cannot be opened is closed and replaced, in a thread of its own. The new one must describe the
-    same arm.
+    same arm. A source that connects again by itself is not described again: after a silence its samples are held back
+    until they have shown the arm's rate. Its joints are its own to check.
     """
 
-    def __init__(self, first: Source, again: Callable[[], Source], facts: SourceFacts, robot: Path | None = None):
-        """Args:
-        first: not open yet.
-        again: makes a new one; may raise ConfigError.
-        facts: description of the arm, which must stay the same.
-        robot: robot file, as describe() got it.
+    def __init__(
+        self,
+        first: Source,
+        again: Callable[[], Source],
+        facts: SourceFacts,
+        robot: Path | None = None,
+        is_described: bool = True,
+    ):
+        """
+        Args:
+            first: not open yet.
+            again: makes a new one; may raise ConfigError.
+            facts: description of the arm, which must stay the same.
+            robot: robot file, as describe() got it.
+            is_described: whether `first` has just described this arm; False: it was away.
         """
         self.name = first.name
         self._first, self._again, self._facts, self._robot = first, again, facts, robot
@@ -51,6 +63,8 @@ class LastingSource:
         self._next: Source | None = None
         self._before = SourceCounts()
         self._why, self._last_ns = "", 0
+        self._judged: list[int] | None = None if is_described else []
+        """Stamps since the last silence, while the rate is not confirmed; None: it is."""
         self._notes: list[str] = []
         self._closed, self._ready = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -72,16 +86,49 @@ class LastingSource:
             self._source, self._next, self._why = self._next, None, ""
             if self._source is None:  # closed meanwhile
                 return None
+            self._judged, self._last_ns = None, time.monotonic_ns()  # it has just been described
             self._notes.append(f"{self.name} is back")
         sample = self._source.next_sample(timeout_s)
         if sample is not None:
+            if self._last_ns and sample.received_ns - self._last_ns > SILENT_S * 1e9:
+                self._judged = []
             self._last_ns = sample.received_ns
+            if self._judged is not None and not self._has_rate(self._judged, sample.t_ns):
+                self._before.refused += 1
+                return None
         elif self._source.ended:
             self._notes += self._source.notes()
             self._before = self.counts
             lost, self._source = self._source, None
             self._replace(lost, "it has ended")
         return sample
+
+    def _has_rate(self, judged: list[int], t_ns: int) -> bool:
+        """Whether the samples since a silence have the rate of the arm; False: not known yet, or it is another arm."""
+        judged.append(t_ns)
+        if len(judged) <= LEARNT_STEPS:
+            return False
+        known, other = self._facts, ""
+        try:
+            period_ns = learnt_period_ns(judged, self.name)
+            other = why_another(known, replace(known, settings=replace(known.settings, period_ns=period_ns)))
+        except AwayError:  # stamps that do not rise
+            if len(judged) < MOST_JUDGED:
+                return False
+        if not other:
+            if self._why:
+                self._notes.append(f"{self.name} is back")
+            self._judged, self._why = None, ""
+            return True
+        judged.clear()
+        self._be_away(f"this is another arm: {other}")
+        return False
+
+    def _be_away(self, why: str) -> None:
+        """Report a new reason why no sample comes."""
+        if why != self._why:
+            self._why = why
+            self._notes.append(f"{self.name} is away: {why}")
 
     @property
     def away(self) -> str:
@@ -154,9 +201,7 @@ class LastingSource:
                 if source is not None:
                     with suppress(Exception):
                         source.close()
-                if (text := f"{error}" or type(error).__name__) != self._why:
-                    self._why = text
-                    self._notes.append(f"{self.name} is away: {text}")
+                self._be_away(f"{error}" or type(error).__name__)
                 wait_s = min(2 * wait_s, LONGEST_RETRY_S)
                 continue
             if self._closed.is_set():

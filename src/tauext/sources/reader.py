@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError
 from tauext.files.places import Place
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 
@@ -77,6 +77,16 @@ class Unreachable(Exception):
     """The robot cannot be reached or the connection is lost; the text is the reason."""
 
 
+class Misfit(Unreachable):
+    """The robot answers, but does not fit a file or an option: a later attempt fails, too."""
+
+
+def refusal(name: str, error: Unreachable) -> ConfigError:
+    """The error of a source of this name that cannot be described or opened."""
+    kind = ConfigError if isinstance(error, Misfit) else AwayError
+    return kind(f"{name}: {error}")
+
+
 def optional_library(module: str, who: str, package: str, extra: str) -> Any:
     """Import a module of a library that only one source needs.
 
@@ -129,7 +139,7 @@ class ReaderSource(ABC):
         try:
             return self.find_out(wait_s, robot)
         except Unreachable as error:
-            raise ConfigError(f"{self.name}: {error}") from error
+            raise refusal(self.name, error) from error
         finally:
             self.disconnect()
 
@@ -143,7 +153,7 @@ class ReaderSource(ABC):
         try:
             self.connect()
         except Unreachable as error:
-            raise ConfigError(f"{self.name}: {error}") from error
+            raise refusal(self.name, error) from error
         self._thread = threading.Thread(target=self._work, name=f"reader of {self.name}", daemon=True)
         self._thread.start()
 
@@ -299,12 +309,12 @@ def shortest_period_ns(reading_ns: float, periods_ns: Sequence[int], arm: str) -
     """The shortest of the periods in which a reading, [ns], fits twice.
 
     Raises:
-        ConfigError: there is none.
+        AwayError: there is none.
     """
     for period_ns in periods_ns:
         if 2 * reading_ns <= period_ns:
             return period_ns
-    raise ConfigError(
+    raise AwayError(
         f"{arm}: a reading takes {reading_ns * 1e-6:.3g} ms, more than half of the longest period, "
         f"{periods_ns[-1] * 1e-6:g} ms: set a higher baud rate, or put fewer motors on the bus"
     )

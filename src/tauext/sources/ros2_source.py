@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from cyclonedds.core import WaitSet
 
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.sources.describing import LEARNT_STEPS, chosen_joints, learnt_period_ns, mean_period_ns
 from tauext.sources.ros2_messages import JointState, Temperature
@@ -322,7 +322,7 @@ class Ros2Source:
                     else:
                         came.setdefault(message.sample_info.publication_handle, []).append(message)
             if not came:
-                raise ConfigError(f"{self.name}: {unusable[1] or silence(inbox.reader, chosen.domain_id)}")
+                raise AwayError(f"{self.name}: {unusable[1] or silence(inbox.reader, chosen.domain_id)}")
             return self._facts(list(came.values()), robot)
         finally:
             del waitset

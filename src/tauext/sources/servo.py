@@ -17,7 +17,7 @@ from tauext.data.servo_types import COUNTS_A_TURN, SERVO_TYPES
 from tauext.errors import ConfigError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.sources.describing import chosen_joints
-from tauext.sources.reader import BusSource, Ticks, Unreachable, expect_answers, shortest_period_ns
+from tauext.sources.reader import BusSource, Misfit, Ticks, Unreachable, expect_answers, shortest_period_ns
 from tauext.sources.servo_bus import ServoBus, ServoPort
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
 from tauext.sources.servo_series import Series
@@ -199,39 +199,39 @@ class ServoSource(BusSource):
         raise Unreachable(f"{silent} does not answer; {found}")
 
     def _identify(self) -> None:
-        """Read model and settings of all servos. Raises Unreachable: one does not answer, or its model is unknown."""
+        """Read model and settings of all servos. Raises Unreachable: one does not answer; Misfit: an unknown model."""
         blocks = self._all_of(*self._series.identity)
         self._identities = {one.id: self._identified(one, blocks[one.id]) for one in self._servos}
 
     def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
-        """Decode the block `identity`. Raises Unreachable: the model is unknown."""
+        """Decode the block `identity`. Raises Misfit: the model is unknown."""
         series, first = self._series, self._series.identity[0]
         model, mode, homing = (series.registers[name].of(data, first) for name in ("model", "mode", "homing"))
         if model not in series.models:
             known = ", ".join(f"{name} ({number})" for number, (name, _) in series.models.items())
-            raise Unreachable(f"{servo} reports model {model}; known are {known}")
+            raise Misfit(f"{servo} reports model {model}; known are {known}")
         name, ampere = series.models[int(model)]
         reports = ("duty",) if ampere is None else (series.current, "duty")
         return Identity(name, reports, homing, mode in series.holds, np.nan if ampere is None else ampere)
 
     def _expect(self, servo: ServoJoint, identity: Identity) -> None:
-        """Check the servo against the bus file and the bundle. Raises Unreachable: they differ."""
+        """Check the servo against the bus file and the bundle. Raises Misfit: they differ."""
         if servo.type and not (servo.type.startswith(identity.model) or identity.model.startswith(servo.type)):
-            raise Unreachable(f"{servo} is a {identity.model}, {self._file.path} names {servo.type}")
+            raise Misfit(f"{servo} is a {identity.model}, {self._file.path} names {servo.type}")
         if servo.homing_offset is not None and servo.homing_offset != identity.homing_offset:
-            raise Unreachable(
+            raise Misfit(
                 f"{servo} has homing offset {identity.homing_offset}, {self._file.path} has {servo.homing_offset}: the "
                 "calibration is of another arm or outdated"
             )
         made_from = self.settings.servo
         if made_from is None or not made_from.on:
-            raise Unreachable(
+            raise Misfit(
                 "servos report current, duty and goal, but the bundle does not compute torque from them: import its "
                 "recordings with a [servo] table in arm.toml"
             )
         needed = made_from.torque_from.name.replace("_", "-")
         if needed not in (*identity.reports, "goal"):
-            raise Unreachable(
+            raise Misfit(
                 f"{servo}, a {identity.model}, reports {', '.join((*identity.reports, 'goal'))}, "
                 f"the bundle takes its torque from {needed}"
             )

@@ -385,8 +385,10 @@ def kills(report: Report, folder: Path, arm: str, out: Path, browser: Browser) -
         )
         before = kill(command, "answered")
     with running(report, folder, arm) as command:
-        line = check_again(command, "answered", *before)
-        standing = (line["alarm"] or {}).get("id")
+        check_again(command, "answered", *before)
+        with suppress(TimeoutError):
+            command.reach(lambda line: (line["alarm"] or {}).get("id") != alarm, "the end of the alarm", 5.0)
+        standing = (command.live()["alarm"] or {}).get("id")
         report.check(f"answered: alarm {alarm} stands no more", f"alarm {standing or 'none'}", standing != alarm)
         command.stop()
 

@@ -300,9 +300,7 @@ class Commission:
                 if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
                 if loop.monitor.last.alarm != _core.Alarm.none:
-                    live.stand(event := self._keeper.event(loop.alarms))
-                    if event is not None and event.get("answer"):  # given after the copy of what is carried
-                        loop.acknowledge("an answer before this start")
+                    live.stand(self._keeper.event(loop.alarms))
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.steering.loop = loop
         if self._by:  # stopped meanwhile

@@ -500,6 +500,8 @@ class Loop:
                     self.alarms += 1
                 self._alarm_id = self.alarms if change.alarm != NONE else 0
                 self._touched_ns = t_ns
+                if change.alarm == NONE:
+                    self._due_ns = None
         if self._alarm_id and sample is not None:
             if self._touched_ns is None or t_ns < self._touched_ns or not is_within_limits(estimates):
                 self._touched_ns = t_ns

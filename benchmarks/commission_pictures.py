@@ -2,7 +2,7 @@
 
 CHROMIUM=/usr/bin/chromium python benchmarks/commission_pictures.py --out docs/results/commission
 
-Needs Chromium and the websockets of tauext[live]; takes four minutes.
+Needs Chromium and websockets (extra `dev`); takes four minutes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
         reading.start()
         try:
             url = f"http://127.0.0.1:{PORT}/"
-            wait_for(lambda: "connecting" in "".join(lines))
+            wait_for(answers)
             photograph(browser, url, out, "connecting", settle_s=2.0)
             wait_for(lambda: state_of(folder) == "learning")
             wait_for(lambda: len(list(folder.glob("seg-*.parquet"))) >= 4)
@@ -64,7 +64,11 @@ def first_use(out: Path, browser: Browser, arm: str) -> str:
             time.sleep(1.0)
             for size, page in pages.items():
                 save(page, out / f"asking-{size}.png")
-                shown[size].__exit__(None, None, None)
+            pages["desktop"].show("light")
+            time.sleep(0.3)
+            save(pages["desktop"], out / "asking-desktop-light.png")  # for the first page of the documentation
+            for page in shown.values():
+                page.__exit__(None, None, None)
             lines.append(f"{time.monotonic() - began:6.0f} s  key t: {ask(folder, 'touched')}")
             command.send_signal(signal.SIGINT)
             command.wait(60)
@@ -104,6 +108,15 @@ def state_of(folder: Path) -> str:
         return json.loads((folder / "commission.json").read_text()).get("state", "")
     except (OSError, ValueError):
         return ""
+
+
+def answers() -> bool:
+    """Whether the page is served."""
+    try:
+        socket.create_connection(("127.0.0.1", PORT), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
 
 
 def ask(folder: Path, line: str) -> str:

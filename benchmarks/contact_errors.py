@@ -2,8 +2,8 @@
 
     python benchmarks/contact_errors.py OUT [--arms rig seven ...] [--draws 6] [--seed 0] [--unseen UNSEEN/ARM ...]
 
-The demo's arms move, are grabbed at a random point of a random link, stop at the collision alarm, are pulled back and
-forth for 1 to 10 s, released, stand, and move on. Bundles are trained as the demo trains them (recipe prior, exact
+Simulated arms move, are grabbed at a random point of a random link, stop at the collision alarm, are pulled back and
+forth for 1 to 10 s, released, stand, and move on. Bundles are trained briefly (pushed_arms.py; recipe prior, exact
 model). UNSEEN/ARM: what benchmarks/unseen_arms.py made: arms with a wrong URDF and motor currents, hit and pushed while
 they move; its bundle urdf-prior.tauext is judged. OUT gets bundles, draws, contact_errors.json and README.md; what is
 there is used again, so that another version judges the same draws.
@@ -19,16 +19,16 @@ from pathlib import Path
 
 import numpy as np
 from common import arguments, head, in_parallel, table_row, write_page
+from pushed_arms import PRACTICE, PRACTICE_S, Hand, practice_recording
 
 from tauext import _core
 from tauext.config import PAPER_CASES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.files.atomic_write import atomic_write
-from tauext.page.bundles import LESSONS, practice_recording
 from tauext.robot.model_case import estimated_model
-from tauext.sim.arms import ARMS, DemoArm
-from tauext.sim.plant import Drag, Mover, Plant
+from tauext.sim.arms import ARMS, GearedArm
+from tauext.sim.plant import Mover, Plant
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 
@@ -46,12 +46,12 @@ ALONG = (1.0, 2.5)
 COARSE_COUNTS = 4096
 
 
-def coarse(arm: DemoArm) -> DemoArm:
+def coarse(arm: GearedArm) -> GearedArm:
     """With encoders of 12 bit."""
     return replace(arm, name=f"{arm.name}-12bit", sensors=replace(arm.sensors, encoder_counts=COARSE_COUNTS))
 
 
-CASES: dict[str, tuple[Callable[[], DemoArm], int]] = {
+CASES: dict[str, tuple[Callable[[], GearedArm], int]] = {
     "rig": (ARMS["rig"], 1),
     "seven": (ARMS["seven"], 1),
     "rig-12bit": (lambda: coarse(ARMS["rig"]()), 1),
@@ -96,21 +96,17 @@ def thinned(recording: Recording, by: int) -> Recording:
 
 
 def train(name: str, out: Path) -> Path:
-    """A bundle from the arm's practice, as the demo makes it."""
+    """A bundle from minutes of the arm's free motion."""
     path = out / f"{name}.tauext"
     if not path.exists():
         make, by = CASES[name]
         arm = make()
-        lesson = LESSONS[arm.name.split("-")[0]]
-        recordings = [
-            thinned(practice_recording(arm, lesson.recording_s, 0, k), by) for k in range(lesson.prior_recordings)
-        ]
+        count, config = PRACTICE[arm.name.split("-")[0]]
+        recordings = [thinned(practice_recording(arm, PRACTICE_S, 0, k), by) for k in range(count)]
         robot = out / f"{name}.xml"
         robot.write_text(arm.xml)
         tree = estimated_model(robot, arm.joints, PAPER_CASES["exact"])
-        train_on_recordings(
-            Given(robot, PAPER_CASES["exact"], recordings, [], model=tree), lesson.methods["tauext"], path
-        )
+        train_on_recordings(Given(robot, PAPER_CASES["exact"], recordings, [], model=tree), config, path)
     return path
 
 
@@ -128,38 +124,37 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
     away = rng.normal(size=3)
     away *= REACH_M * rng.uniform(0.3, 1.0) / np.linalg.norm(away)
     pull_hz, local = rng.uniform(*PULL_HZ), rng.uniform(*ALONG) * plant.model.body_ipos[joint + 1]
-    drag: Drag | None = None
+    hand: Hand | None = None
     signals: dict[str, list[np.ndarray]] = {key: [] for key in ("q", "dq", "tau", "true")}
     stamps: list[int] = []
     phases: list[int] = []
     heap: list[np.ndarray] = []
-    q, dq = plant.data.qpos.copy(), plant.data.qvel.copy()
     ends_s = BEFORE_S + 1.0 + press_s
     stopped = False
     total_s = ends_s + STAND_S + AFTER_S
     while plant.time_s < total_s:
         now = plant.time_s
-        if drag is None and BEFORE_S <= now < ends_s:
+        if hand is None and BEFORE_S <= now < ends_s:
             origin, rotation = plant.body_pose(joint)
-            drag, grabbed = Drag.grab(plant, joint, origin + rotation @ local), origin + rotation @ local
-        if drag is not None and now >= ends_s:
-            drag = None
-        if drag is not None:
-            drag.target_m = grabbed + away * np.cos(2 * np.pi * pull_hz * max(0.0, now - BEFORE_S - 1.0))
+            hand, grabbed = Hand.grab(plant, joint, origin + rotation @ local), origin + rotation @ local
+        if hand is not None and now >= ends_s:
+            hand = None
+        if hand is not None:
+            hand.target_m = grabbed + away * np.cos(2 * np.pi * pull_hz * max(0.0, now - BEFORE_S - 1.0))
         if now >= ends_s + STAND_S and stopped:
             stopped = False
             monitor.resume()
             mover.resume()
-        force, point = drag.force_n(plant) if drag is not None else (None, None)
-        sample = plant.step(*mover.step(q, dq, plant.gravity_nm), force, point, joint)
+        force, point = hand.force_n(plant) if hand is not None else (None, None)
+        sample = plant.step(*mover.step(), force, point, joint)
         q, dq = sample.q, sample.dq
         heap.append(sample.tau)
         if len(heap) == by:
             said = monitor.step(sample.t_ns, q, dq, np.mean(heap, axis=0))
             heap.clear()
-            if drag is not None and not stopped and said.alarm == _core.Alarm.collision:
+            if hand is not None and not stopped and said.alarm == _core.Alarm.collision:
                 stopped = True
-                mover.react("stop")
+                mover.stop()
         stamps.append(sample.t_ns)
         for key, value in (("q", q), ("dq", dq), ("tau", sample.tau), ("true", sample.tau_ext)):
             signals[key].append(value.copy())
@@ -257,9 +252,9 @@ def tabulated(
     return rows
 
 
-def recording_of(arm: DemoArm, kept: np.lib.npyio.NpzFile) -> Recording:
+def recording_of(arm: GearedArm, kept: np.lib.npyio.NpzFile) -> Recording:
     signals = {key: kept[key] for key in ("t_ns", "q", "dq", "tau")}
-    meta = {"rate_hz": float(arm.rate_hz), "torque_timing": "held", "source": arm.title, "robot_sha256": ""}
+    meta = {"rate_hz": float(arm.rate_hz), "torque_timing": "held", "source": f"sim {arm.name}", "robot_sha256": ""}
     return Recording(name="drawn", joints=arm.joints, **signals, **meta)
 
 

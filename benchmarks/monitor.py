@@ -161,8 +161,7 @@ PARTS = {
 def trained_arm(arm: str, options: argparse.Namespace) -> dict:
     """Every part of monitor_bench on a trained bundle; medians over the rounds."""
     from contact_errors import CASES, train
-
-    from tauext.page.bundles import practice_recording
+    from pushed_arms import practice_recording
 
     options.out.mkdir(parents=True, exist_ok=True)
     bundle, motion = train(arm, options.out), options.out / f"{arm}.f64"

@@ -1,39 +1,60 @@
 """False alarms after an arm was pushed at rest and moves on, by `Monitor.acknowledge()` and by `Monitor.resume()`.
 
-The demo's arms move, come to rest and are pushed on a link for a while; the push ends, and they move on. In half of the
+Simulated arms move, come to rest and are pushed on a link for a while; the push ends, and they move on. In half of the
 cycles nothing more happens: a collision within 4 s is false. In the other half the arm is pushed again up to a second
-later: was it told, and how long after the push began?
+later: is the push reported, and how long after it began?
 
-    python benchmarks/resume.py
+    python benchmarks/resume.py OUT    OUT gets the bundles, which are trained briefly
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from common import head, table_row
+from common import arguments, head, table_row
+from contact_errors import train
+from pushed_arms import Hand
 
-from tauext import __version__
-from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
-from tauext.page.simulation import Simulation
-from tauext.page.snapshot import Event
-from tauext.sim.arms import ARMS
+from tauext import __version__, _core
+from tauext.sim.arms import ARMS, GearedArm
+from tauext.sim.plant import Mover, Plant
 
 PULLS_M = 0.12, 0.25
 """About 30 and 60 N."""
 
 
-class Acknowledging(Simulation):
-    """Ends the alarm when it moves on, and nothing else."""
+class WatchedArm:
+    """A simulated arm that stops at a collision."""
 
-    def resume(self) -> None:
-        for monitor in self.monitors.values():
-            monitor.acknowledge()
-        self._alarms.clear()
+    def __init__(self, arm: GearedArm, bundle: Path, seed: int):
+        self.arm, self.plant, self.mover = arm, Plant(arm, seed), Mover(arm, seed)
+        self.monitor = _core.Monitor(_core.Bundle.load(str(bundle)))
+        self.hand: Hand | None = None
+        self._alarm, self._moves = _core.Alarm.none, True
+
+    def step(self) -> bool:
+        """One sample; whether a collision was raised at it."""
+        force, point = (None, None) if self.hand is None else self.hand.force_n(self.plant)
+        joint = 0 if self.hand is None else self.hand.joint
+        sample = self.plant.step(*self.mover.step(), force, point, joint)
+        alarm = self.monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau).alarm
+        rises = alarm == _core.Alarm.collision != self._alarm
+        self._alarm = alarm
+        if rises and self._moves:
+            self.rest()
+        return rises
+
+    def rest(self) -> None:
+        self._moves = False
+        self.mover.stop()
+
+    def move_on(self, resume: bool) -> None:
+        """End the alarm and move; resume: by Monitor.resume(), else by acknowledge()."""
+        (self.monitor.resume if resume else self.monitor.acknowledge)()
+        self._alarm, self._moves = _core.Alarm.none, True
         self.mover.resume()
 
 
@@ -43,14 +64,14 @@ class Count:
     false: int = 0
     pushes: int = 0
     delays_s: list[float] = field(default_factory=list)
-    """Of the pushes that were told."""
+    """Of the pushes that were reported."""
 
 
 class Trial:
     """One arm, pushed again and again."""
 
-    def __init__(self, simulation: Simulation, seed: int):
-        self.simulation, self.rng = simulation, np.random.default_rng(seed)
+    def __init__(self, watched: WatchedArm, resumes: bool, seed: int):
+        self.watched, self.resumes, self.rng = watched, resumes, np.random.default_rng(seed)
         self.count = Count()
 
     def run(self, cycles: int) -> Count:
@@ -60,64 +81,61 @@ class Trial:
         return self.count
 
     def _cycle(self, again: bool) -> None:
-        self.simulation.rest()
+        self.watched.rest()
         self._go(1.5)
         self._push(self.rng.choice(PULLS_M), self.rng.uniform(0.3, 1.5))
         self._go(self.rng.uniform(0.3, 1.5))
-        self.simulation.resume()
+        self.watched.move_on(self.resumes)
         self.count.cycles += 1
         if self._go(self.rng.uniform(0.05, 1.0) if again else 4.0):
             self.count.false += 1
         elif again:
-            told = self._push(PULLS_M[1], 1.0)
             self.count.pushes += 1
-            self.count.delays_s += [event.after_push_s for event in told[:1]]
+            self.count.delays_s += self._push(PULLS_M[1], 1.0)[:1]
         self._clear()
 
     def _clear(self) -> None:
-        """What went before shall not spoil the next cycle: every joint slides."""
-        Simulation.resume(self.simulation)  # an acknowledgement alone may never let the arm move on
+        """Let every joint slide, so that no cycle changes the next one."""
+        self.watched.move_on(True)  # after an acknowledgement alone the arm may never move on
         while self._go(3.0):
-            Simulation.resume(self.simulation)
+            self.watched.move_on(True)
 
-    def _push(self, pull_m: float, hold_s: float) -> list[Event]:
-        """Push a link sideways for so long; the collisions that were told."""
-        joint = int(self.rng.integers(0, len(self.simulation.arm.joints) - 1))  # the last one hardly feels it
-        origin, rotation = self.simulation.plant.body_pose(joint)
+    def _push(self, pull_m: float, hold_s: float) -> list[float]:
+        """Push a link sideways for so long; delays of the collisions since the push began, [s]."""
+        plant = self.watched.plant
+        joint = int(self.rng.integers(0, len(self.watched.arm.joints) - 1))  # the last one hardly feels it
+        origin, rotation = plant.body_pose(joint)
         point, across = origin + rotation @ [0.0, 0.05, 0.15], rotation[:, 0] * self.rng.choice([-1.0, 1.0])
-        self.simulation.grab("script", joint, point)
-        told = []
+        hand = self.watched.hand = Hand.grab(plant, joint, point)
+        began_s, raised_s = plant.time_s, []
         for share in np.linspace(0.125, 1.0, 8):
-            self.simulation.pull("script", point + share * pull_m * across)
-            told += self._go(0.01)
-        told += self._go(hold_s)
-        self.simulation.release("script")
-        return told
+            hand.target_m = point + share * pull_m * across
+            raised_s += self._go(0.01)
+        raised_s += self._go(hold_s)
+        self.watched.hand = None
+        return [at_s - began_s for at_s in raised_s]
 
-    def _go(self, seconds: float) -> list[Event]:
-        told = []
-        for _ in range(round(seconds * self.simulation.arm.rate_hz)):
-            if self.simulation.step():
-                told += [event for event in self.simulation.take_events() if event.alarm == "collision"]
-        return told
+    def _go(self, seconds: float) -> list[float]:
+        """Times of the collisions, [s]."""
+        steps = range(round(seconds * self.watched.arm.rate_hz))
+        return [self.watched.plant.time_s for _ in steps if self.watched.step()]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--cycles", type=int, default=120, help="of every arm and way")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--bundle", type=Path, help="of the rig, instead of the demo's, which are trained briefly")
+    parser.add_argument("--bundle", type=Path, help="of the rig, instead of those that are trained briefly")
     args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
     print(f"tauext {__version__}: {' '.join(sys.argv)}\n")
-    columns = "arm | moves on by | cycles | false collisions | pushes soon after | told | median, 90 % of delays, ms"
+    columns = "arm | moves on by | cycles | false collisions | later pushes | reported | median, 90 % of delays, ms"
     print("\n".join(head(columns)))
     for name in ["rig"] if args.bundle else ARMS:
-        arm = ARMS[name]()
-        bundle = args.bundle or find_or_train_bundles(arm, "exact", LESSONS[name], args.seed, cache_folder())["tauext"]
-        for way, kind in (("acknowledge", Acknowledging), ("resume", Simulation)):
-            simulation = kind(arm, args.seed)
-            simulation.watch_with({"tauext": str(bundle)}, "tauext")
-            count = Trial(simulation, args.seed).run(args.cycles)
+        bundle = args.bundle or train(name, args.out)
+        for way in ("acknowledge", "resume"):
+            watched = WatchedArm(ARMS[name](), bundle, args.seed)
+            count = Trial(watched, way == "resume", args.seed).run(args.cycles)
             delays = "{:.0f}, {:.0f}".format(*np.quantile(count.delays_s, [0.5, 0.9]) * 1e3) if count.delays_s else "–"
             counts = count.cycles, count.false, count.pushes, len(count.delays_s)
             print(table_row(name, way, *counts, delays), flush=True)

@@ -5,19 +5,19 @@ python benchmarks/wrench_pictures.py --out docs/pictures
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import trimesh
 from common import arguments
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from scipy.spatial import ConvexHull
 
-from tauext.page.drawing import shape_mesh
 from tauext.robot.capsules import link_capsules
 from tauext.robot.load import frame_of_joint, load_tree
 from tauext.sim.arms import seven_axis_arm
@@ -104,7 +104,7 @@ LIGHT = np.array([0.4, -0.7, 0.6])
 
 
 def shapes_picture(out: Path) -> None:
-    """The demo's arm, and the capsules that training makes of it."""
+    """The simulated seven-axis arm, and the capsules that training makes of it."""
     arm = seven_axis_arm()
     model = mujoco.MjModel.from_xml_string(arm.xml)
     with tempfile.TemporaryDirectory() as folder:
@@ -123,16 +123,16 @@ def shapes_picture(out: Path) -> None:
             shape, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
             if k == 0:
                 geoms = np.flatnonzero(model.geom_bodyid == body)
-                for mesh in (shape_mesh(model, int(geom)) for geom in geoms):
-                    draw_mesh(axes, mesh.vertices @ shape.T + origin, mesh.faces, GREY)
+                for points in (geom_points(model, int(geom)) for geom in geoms):
+                    draw_hull(axes, points @ shape.T + origin, GREY)
                 continue
             axis, anchor = frame_of_joint(bare, body - 1)  # the core's frame, as it lies in the body
             turn = bare.xmat[body].reshape(3, 3).T @ axis
             offset = bare.xmat[body].reshape(3, 3).T @ (anchor - bare.xpos[body])
             for one in (capsule for capsule in capsules if capsule.link == body - 1):
-                mesh = capsule_mesh(np.array(one.start), np.array(one.end), one.radius_m)
-                placed = (mesh.vertices @ turn.T + offset) @ shape.T + origin
-                draw_mesh(axes, placed, mesh.faces, COLOURS[(body - 1) % len(COLOURS)])
+                points = capsule_points(np.array(one.start), np.array(one.end), one.radius_m)
+                placed = (points @ turn.T + offset) @ shape.T + origin
+                draw_hull(axes, placed, COLOURS[(body - 1) % len(COLOURS)])
         axes.set(xlim=(-0.25, 0.75), ylim=(-0.5, 0.5), zlim=(0.1, 0.8))
         axes.set_box_aspect((1, 1, 0.7), zoom=1.5)
         axes.view_init(elev=14, azim=-62)
@@ -140,22 +140,37 @@ def shapes_picture(out: Path) -> None:
     figure.savefig(out / "link-shapes.png", dpi=100)
 
 
-def capsule_mesh(start: np.ndarray, end: np.ndarray, radius_m: float) -> trimesh.Trimesh:
-    length = float(np.linalg.norm(end - start))
-    mesh = trimesh.creation.capsule(height=length, radius=radius_m, count=[16, 16])
-    mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    turn = trimesh.geometry.align_vectors([0, 0, 1], (end - start) / length) if length > 1e-9 else np.eye(4)
-    turn[:3, 3] = (start + end) / 2
-    return mesh.apply_transform(turn)
+def capsule_points(start: np.ndarray, end: np.ndarray, radius_m: float) -> np.ndarray:
+    """Points of a sphere about both ends, (points, 3)."""
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.linspace(-np.pi / 2, np.pi / 2, 13))
+    sphere = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=2).reshape(-1, 3)
+    return np.vstack([start + radius_m * sphere, end + radius_m * sphere])
 
 
-def draw_mesh(axes, vertices: np.ndarray, faces: np.ndarray, colour: str) -> None:
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    shade = 0.55 + 0.45 * (normals @ (LIGHT / np.linalg.norm(LIGHT)) + 1) / 2
+def geom_points(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Points whose hull is one of MuJoCo's capsules, cylinders or boxes, in the frame of its body, (points, 3)."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        points = capsule_points(np.array([0, 0, -size[1]]), np.array([0, 0, size[1]]), size[0])
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+        rim = size[0] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        points = np.vstack([np.column_stack([rim, np.full(len(rim), z)]) for z in (-size[1], size[1])])
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        points = size * np.array(list(itertools.product((-1, 1), repeat=3)))
+    else:
+        raise AssertionError(f"geom {geom} is of kind {kind}")
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    return points @ rotation.reshape(3, 3).T + model.geom_pos[geom]
+
+
+def draw_hull(axes, points: np.ndarray, colour: str) -> None:
+    """The convex hull of these points, with its shades."""
+    hull = ConvexHull(points)
+    shade = 0.55 + 0.45 * (hull.equations[:, :3] @ (LIGHT / np.linalg.norm(LIGHT)) + 1) / 2
     rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    axes.add_collection3d(Poly3DCollection(corners, facecolors=shade[:, None] * rgb, edgecolors="none"))
+    axes.add_collection3d(Poly3DCollection(points[hull.simplices], facecolors=shade[:, None] * rgb, edgecolors="none"))
 
 
 if __name__ == "__main__":

@@ -86,17 +86,6 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
     return calls
 
 
-@pytest.fixture(scope="session")
-def rig_bundles(tmp_path_factory) -> dict[str, Path]:
-    """Those of the demo's rig, in a cache of demos."""
-    from made_page import SHORT
-
-    from tauext.page.bundles import train_bundles
-    from tauext.sim.arms import rig_arm
-
-    return train_bundles(rig_arm(), "exact", SHORT, 0, tmp_path_factory.mktemp("demos"))
-
-
 # --- Libraries of makers, replaced by stand-ins.
 
 

@@ -1,4 +1,4 @@
-"""Chromium without a window, by its DevTools protocol: it needs nothing but the websockets of tauext[live]."""
+"""Chromium without a window, by its DevTools protocol: it needs nothing but websockets, of the extra `dev`."""
 
 from __future__ import annotations
 
@@ -53,10 +53,9 @@ class Browser:
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.call("Emulation.setDeviceMetricsOverride", session, **metrics)
-        media = [{"name": "prefers-color-scheme", "value": scheme}]
-        self.call("Emulation.setEmulatedMedia", session, features=media)
-        self.call("Page.navigate", session, url=url)
         page = Page(self, session)
+        page.show(scheme)
+        self.call("Page.navigate", session, url=url)
         while page.value("location.href === 'about:blank' || document.readyState !== 'complete'"):
             time.sleep(0.05)
         yield page
@@ -72,6 +71,11 @@ class Page:
     def picture(self) -> bytes:
         """A PNG of the page."""
         return base64.b64decode(self._browser.call("Page.captureScreenshot", self._session, format="png")["data"])
+
+    def show(self, scheme: str) -> None:
+        """Prefer light or dark from now on."""
+        media = [{"name": "prefers-color-scheme", "value": scheme}]
+        self._browser.call("Emulation.setEmulatedMedia", self._session, features=media)
 
     def value(self, expression: str) -> object:
         """Value of a JavaScript expression."""

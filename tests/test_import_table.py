@@ -24,7 +24,7 @@ ORDER = {
     "fleet": {"numpy", "scipy", "jinja2", "matplotlib"},
     "sim": {"numpy", "mujoco"},
     "commission": {"numpy"},
-    "page": {"numpy", "mujoco"},
+    "page": {"numpy"},
     "cli": {"tyro", "rich"},
 }
 """Packages in order, with their outside libraries: each may import those before it."""
@@ -43,9 +43,6 @@ ALSO = {
     "sources/ros2_source": {"cyclonedds"},
     "sources/lerobot_labels": {"pyarrow"},
     "fleet/ray_workers": {"ray"},
-    "page/page": {"viser"},
-    "page/panel": {"viser"},
-    "page/drawing": {"viser", "trimesh"},
 }
 """Libraries that one file of a package imports, and no other."""
 ROOT = {"errors", "config", "recipes", "progress"}

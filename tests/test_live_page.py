@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, write_folder
 
+from tauext.errors import ConfigError
+from tauext.page.door import free_port, is_own_name
 from tauext.page.live_arm import arm_facts
 from tauext.page.live_server import MOST_CONNECTIONS, Server, line_of
 
@@ -97,6 +99,17 @@ def test_a_folder_without_bundles_is_shown_too(tmp_path, state):
         assert json.loads(get(port, "/arm")[1])["links"] == []
 
 
+def test_a_robot_file_that_comes_after_the_joints_is_noticed(tmp_path):
+    with served(tmp_path, "learning") as (port, _):
+        file = tmp_path / "cell7" / "robot.xml"
+        shown, content = json.loads(get(port, "/state")[1])["robot"], file.read_bytes()
+        file.unlink()
+        assert shown and json.loads(get(port, "/state")[1])["robot"] == ""
+        assert json.loads(get(port, "/arm")[1])["links"] == []
+        file.write_bytes(content)
+        assert json.loads(get(port, "/state")[1])["robot"] and json.loads(get(port, "/arm")[1])["links"]
+
+
 def test_lines_of_the_loop_arrive_and_their_end_is_seen(page):
     port, loop = page
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
@@ -171,6 +184,12 @@ def test_an_arm_without_shapes_or_model_is_drawn_nevertheless(tmp_path):
             {"joint": "joint2", "point": [0, 0.1, 0.2], "force": [1, -40, 3.5]},
             "sim push joint=joint2 force=1,-40,3.5 point=0,0.1,0.2 seconds=0.5",
         ),
+        ("/sim", {"load": 1}, "sim load mass=1"),
+        ("/sim", {"load": 0.2}, "sim load mass=0.2"),
+        ("/sim", {"load": 0}, "sim load mass=0"),
+        ("/sim", {"cold": 1.3}, "sim friction factor=1 from=1.3 minutes=20"),
+        ("/sim", {"move": True}, "sim move"),
+        ("/sim", {"move": False}, "sim stop"),
     ],
 )
 def test_a_button_is_a_control_line(page, path, body, sent):
@@ -198,6 +217,16 @@ def test_a_button_is_a_control_line(page, path, body, sent):
         ("/push", {"joint": "a", "point": [0, 0, 0], "force": [1e99, 0, 0]}),
         ("/push", {"joint": "a", "point": [0, 0, 0], "force": [float("nan"), 0, 0]}),
         ("/push", {"joint": "a", "point": [0, 0, True], "force": [0, 0, 0]}),
+        ("/sim", {}),
+        ("/sim", {"load": 1, "move": True}),
+        ("/sim", {"load": True}),
+        ("/sim", {"load": "1"}),
+        ("/sim", {"load": -1}),
+        ("/sim", {"load": 6}),
+        ("/sim", {"load": float("nan")}),
+        ("/sim", {"cold": 0.5}),
+        ("/sim", {"move": 1}),
+        ("/sim", {"off": 1}),
         ("/nothing", {}),
     ],
 )
@@ -277,6 +306,30 @@ def test_bytes_that_are_no_http_end_their_connection_without_a_word(page, capfd)
             while wire.recv(4096):
                 pass
     assert get(port)[0] == 200 and capfd.readouterr().err == ""
+
+
+def test_a_server_for_a_network_goes_by_addresses_and_its_own_name():
+    own = socket.gethostname()
+    for name in ("192.168.0.7", "[fe80::1]", own, f"{own}.local", "localhost"):
+        assert is_own_name(name, "0.0.0.0"), name
+    assert not is_own_name("evil.example", "0.0.0.0")
+    assert not is_own_name("192.168.0.7", "127.0.0.1")
+
+
+def test_a_busy_port_is_passed_over(monkeypatch):
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        port = busy.getsockname()[1]
+        assert free_port("127.0.0.1", port) > port
+        monkeypatch.setattr("tauext.page.door.PORTS", 1)
+        with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
+            free_port("127.0.0.1", port)
+    with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):
+        free_port("127.0.0.1", 0)
+    for host in ("192.0.2.1", "\xe4\udcff"):
+        with pytest.raises(ConfigError, match="must be an address of this machine"):
+            free_port(host, 8080)
 
 
 def test_connections_that_wait_leave_the_others_room(tmp_path):

@@ -86,6 +86,29 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             until(lambda: "wrong sign" in text() and "500 samples a second" in text(), "the findings")
 
 
+def test_the_arm_is_drawn_once_its_robot_file_is_there(browser, tmp_path):
+    with served(tmp_path, "learning", "rig") as (port, _):
+        file = tmp_path / "cell7" / "robot.xml"
+        content = file.read_bytes()
+        file.unlink()
+        with browser.page(f"http://127.0.0.1:{port}/", 1280, 900, "light") as page:
+            until(lambda: "no model of the arm" in page.value("document.body.innerText"), "the bars")
+            file.write_bytes(content)
+            until(lambda: page.value("!!(shown && shown.drawn.length)"), "the arm")
+            assert "no model of the arm" not in page.value("document.body.innerText")
+
+
+def test_buttons_of_a_simulated_arm_are_control_lines(browser, tmp_path):
+    with (
+        served(tmp_path, "monitoring", "rig") as (port, loop),
+        browser.page(f"http://127.0.0.1:{port}/", 390, 844, "light") as page,
+    ):
+        until(lambda: page.value("!document.getElementById('sim').hidden"), "the buttons")
+        page.value("document.querySelectorAll('#sim button').forEach(b => b.click())")
+        lines = {"load mass=1", "load mass=0", "friction factor=1 from=1.3 minutes=20", "stop", "move"}
+        until(lambda: {f"sim {one}" for one in lines} <= set(loop.received), "the lines")
+
+
 PRESS = """(() => {
   const s = shown.drawn.at(-1), x = (s.pa[0] + s.pb[0]) / 2, y = (s.pa[1] + s.pb[1]) / 2;
   const c = arm_canvas, r = c.getBoundingClientRect();

@@ -71,10 +71,11 @@ NEXT = [
     ),
     (("import", "--source", "x.csv", "--arm", "lone.parquet", "--out", "l"), ["lone.parquet: is not a text file"]),
     (("trian", "--data", "data"), ["there is no command 'trian'; did you mean 'train'?"]),
-    (("demo", "--headless-seconds", "five"), ["--headless-seconds", "'five'", "a number"]),
+    (("commission", "--disk-gb", "five"), ["--disk-gb", "'five'", "a number"]),
     (("simulate", "--out", "x", "--seed", "one"), ["--seed", "'one'", "a whole number"]),
-    (("demo", "--arm", "six"), ["--arm", "'six'", "rig, seven"]),
-    (("demo", "--prot", "3"), ["--prot", "--port"]),
+    (("commission", "--no-page", "--source", "sim:six", "--out", "l"), ["sim:six", "sim:rig, sim:seven"]),
+    (("train", "--backend", "numpi"), ["--backend", "'numpi'"]),
+    (("commission", "--prot", "3"), ["--prot", "--port"]),
 ]
 
 

@@ -96,7 +96,7 @@ def test_a_place_where_no_file_can_stand_is_refused(place, tmp_path):
         ("simulate --out /dev/full", "/dev/full: full is no folder"),
         ("simulate --out d --minutes x", "--minutes takes a number, not 'x'"),
         ("simulate --out d --minutez 1", "Unrecognized options: --minutez"),
-        ("demo --port 65536", "port = 65536 must be 1 to 65535"),
+        ("commission --source sim:rig --out d --port 65536", "port = 65536 must be 1 to 65535"),
         ("run a.tauext b.parquet --speed 1e-300", "speed = 1e-300 must be > 0: 1e-6 to 1e6"),
     ],
 )

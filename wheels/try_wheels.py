@@ -2,8 +2,8 @@
 
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
-For every Python that is there (pythons.py): installs the wheel and its extra `live`, runs `tauext --help`, the
-experiment at smoke scale and five seconds of the demo. With the first of these Pythons it also follows docs/install.md
+For every Python that is there (pythons.py): installs the wheel, runs `tauext --help`, the experiment at smoke scale and
+`tauext commission` of a simulated arm until it learns. With the first of these Pythons it also follows docs/install.md
 in the unpacked sdist, where a compiler is there: the block of commands as printed. Times are printed only.
 """
 
@@ -13,9 +13,11 @@ import argparse
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tarfile
+import threading
 import time
 from pathlib import Path
 
@@ -26,6 +28,8 @@ WORK = ROOT / "build" / "dist" / "try"
 PYTHONS = ["3.11", "3.12", "3.13"]
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
+LONGEST_START_S = 120.0
+"""For `tauext commission` to begin to learn, and to end."""
 
 
 def main() -> None:
@@ -70,8 +74,7 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
     timed(version, "reproduce", [tauext, "reproduce", "--scale", "smoke", "--out", "smoke"], folder, settings)
     if not list((folder / "smoke").rglob("report.html")):
         sys.exit(f"Python {version}: no report of the experiment in {folder / 'smoke'}")
-    timed(version, "install [live]", [*pip, f"{wheel}[live]"], folder, settings)
-    timed(version, "demo", [tauext, "demo", "--headless-seconds", "5"], folder, settings)
+    commission(version, tauext, folder, settings)
 
 
 def install_block(page: str) -> list[str]:
@@ -99,8 +102,7 @@ def try_install_page(version: str, python: str) -> None:
     settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
     commands = install_block((sources / "docs" / "install.md").read_text())
     timed(version, "docs/install.md", ["sh", "-ec", "\n".join(commands)], sources, settings)
-    demo = [folder / "home" / "tauext-env" / "bin" / "tauext", "demo", "--headless-seconds", "5"]
-    timed(version, "its demo", demo, folder, settings)
+    commission(version, folder / "home" / "tauext-env" / "bin" / "tauext", folder, settings)
 
 
 def bare(folder: Path) -> dict[str, str]:
@@ -117,6 +119,23 @@ def bare(folder: Path) -> dict[str, str]:
         "CC": "false",
         "CXX": "false",
     }
+
+
+def commission(version: str, tauext: Path, folder: Path, settings: dict[str, str]) -> None:
+    """Start a simulated arm, wait until it learns, and end it as Ctrl-C does."""
+    began, lines = time.monotonic(), []
+    words = [tauext, "commission", "--source", "sim:rig", "--out", "try"]
+    with subprocess.Popen(words, cwd=folder, env=settings, stdout=subprocess.PIPE, text=True) as running:
+        watchdog = threading.Timer(LONGEST_START_S, running.kill)
+        watchdog.start()
+        for line in running.stdout or ():
+            lines.append(line)
+            if line.startswith("learning"):
+                running.send_signal(signal.SIGINT)
+        watchdog.cancel()
+    if running.returncode or not any(line.startswith("learning") for line in lines):
+        sys.exit(f"{''.join(lines)}Python {version}: commission failed")
+    print(f"Python {version}: commission: {time.monotonic() - began:.1f} s", flush=True)
 
 
 def timed(version: str, what: str, command: list[str | Path], folder: Path, settings: dict[str, str]) -> None:

@@ -88,7 +88,7 @@ def import_all() -> None:
     import tauext.cli.reproduce
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
-    import tauext.page.bundles
+    import tauext.page.live_server
     import tauext.report.check_picture
     import tauext.report.page
     import tauext.train.stage  # noqa: F401

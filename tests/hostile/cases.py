@@ -53,7 +53,6 @@ GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
 GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
-GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
 GOOD += (
     "commission --source replay:data/free-006.parquet --out out/cell",
     "commission --source sim:rig --out out/cell",
@@ -61,7 +60,6 @@ GOOD += (
 RARE = {
     "commission": 0.1,
     "reproduce": 0.1,
-    "demo": 0.1,
     "report": 0.2,
     "evaluate": 0.4,
     "calibrate": 0.3,

@@ -27,7 +27,7 @@ PATIENCE_S = 10.0
 """A command that was not asked for long work ends within this."""
 WORKING_S = 5.0
 """One that was is interrupted after this, and must end within PATIENCE_S from then."""
-WAITS = ("commission", "monitor", "demo", "run", "fleet run")
+WAITS = ("commission", "monitor", "run", "fleet run")
 """Commands that may rightly wait: for samples, for people, for the time of the recording, for workers."""
 WORKERS = 3
 """Times as long for a fleet: its workers are other processes, and how long these waited for a core is not seen."""

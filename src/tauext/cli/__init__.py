@@ -43,7 +43,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "run": ("run.run", "run the monitor on recordings"),
         "monitor": ("monitor.monitor", "run the monitor on a live arm"),
         "load": ("load.load", "weigh a payload, or find torque constants from a known weight"),
-        "demo": ("demo.demo", "push a simulated arm in the browser"),
     },
     "Results": {
         "evaluate": ("results.evaluate", "measure errors, false alarms and delays of bundles on a dataset"),

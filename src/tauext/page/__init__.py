@@ -1,5 +1,5 @@
-"""The live page in the browser: a simulated arm that is pushed with the mouse.
+"""The page of a live arm in the browser, real or simulated.
 
-In go a simulated arm and trained bundles. Out comes a page that shows estimates, alarms and places. It imports the
-packages before it.
+In go the files of a commissioned folder and the lines of the loop. Out come one HTML page, JSON and control lines. It
+imports the packages before it.
 """

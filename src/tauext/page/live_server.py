@@ -40,6 +40,10 @@ SHOWN_EVENTS, SHOWN_HISTORY = 40, 200
 COOKIE = "tauext"
 PUSH_S = 0.5
 """After which a push at a simulated arm ends unless it is sent again, [s]."""
+MOST_LOAD_KG, MOST_COLD = 5.0, 3.0
+"""Bounds of the load in a simulated hand, and of the factor on a simulated arm's friction."""
+WARM_MINUTES = 20
+"""Time constant with which the friction of a simulated cold morning falls to the arm's own."""
 WHOLE = ("commission", "coverage", "findings", "trainer", "question", "active")
 """JSON files of the folder that the page reads."""
 
@@ -63,6 +67,7 @@ class Folder:
             by_id[line.get("id")] = by_id.get(line.get("id"), {}) | line
         return whole | {
             "name": self.path.resolve().name,
+            "robot": self._robot_stamp(),
             "history": history[-SHOWN_HISTORY:],
             "events": list(by_id.values())[-SHOWN_EVENTS:],
         }
@@ -74,8 +79,19 @@ class Folder:
         with self._reading:
             facts = self._read("commission.json", json.loads) or {}
         joints = (facts.get("arm") or {}).get("joints") or []
+        return arm_facts(self._robot(), tuple(map(str, joints)))
+
+    def _robot(self) -> Path | None:
+        """The robot file of the folder's description; None: it is not written yet."""
         robots = [path for name in ("robot.urdf", "robot.xml") if (path := self.path / name).is_file()]
-        return arm_facts(robots[0] if robots else None, tuple(map(str, joints)))
+        return robots[0] if robots else None
+
+    def _robot_stamp(self) -> str:
+        """Changes with the robot file; empty: there is none."""
+        with suppress(OSError):
+            if (robot := self._robot()) is not None:
+                return str(robot.stat().st_mtime_ns)
+        return ""
 
     def trace(self, event: int) -> dict[str, Any] | None:
         """The estimates around an event, thinned; None: there is no flight of it."""
@@ -193,6 +209,20 @@ def line_of(path: str, body: dict[str, Any]) -> str | None:
         point, force = vector_of(body.get("point")), vector_of(body.get("force"))
         if point and force:
             return f"sim push joint={body['joint']} force={force} point={point} seconds={PUSH_S}"
+    return sim_line(body) if path == "/sim" and len(body) == 1 else None
+
+
+def sim_line(body: dict[str, Any]) -> str | None:
+    """The control line that changes a simulated arm; None: the request is malformed."""
+    ((what, value),) = body.items()
+    if what == "move" and isinstance(value, bool):
+        return "sim move" if value else "sim stop"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    if what == "load" and 0 <= value <= MOST_LOAD_KG:
+        return f"sim load mass={value:g}"
+    if what == "cold" and 1 <= value <= MOST_COLD:
+        return f"sim friction factor=1 from={value:g} minutes={WARM_MINUTES}"
     return None
 
 

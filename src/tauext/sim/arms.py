@@ -1,4 +1,4 @@
-"""The arms of the demo: what moves, how it is driven, and the camera's place."""
+"""Arms with geared drives: what moves, and how it is driven."""
 
 from __future__ import annotations
 
@@ -16,20 +16,10 @@ from tauext.sim.rig import LINK_SPACING_M, add_drivetrain, arm_xml, joint_names
 
 
 @dataclass(frozen=True)
-class Push:
-    """A drag by the pointer: a spring from the grabbed point to the pointer, as a person's arm would be."""
-
-    stiffness_n_m: float
-    damping_n_s_m: float
-    largest_n: float
-
-
-@dataclass(frozen=True)
-class DemoArm:
-    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its appearance."""
+class GearedArm:
+    """One arm with drives, friction, instruments (a tauext.sim Drivetrain) and motion."""
 
     name: str
-    title: str
     xml: str
     """MJCF of the bare arm: what is simulated, and what the monitor's model is read from."""
     joints: tuple[str, ...]
@@ -40,11 +30,6 @@ class DemoArm:
     rotor_inertia_kg_m2: tuple[float, ...]
     home: tuple[float, ...]
     """Middle of the motion, [rad]."""
-    push: Push
-    floor_m: float
-    """Height of the floor in the arm's base frame, [m]."""
-    camera_m: tuple[float, float, float]
-    look_at_m: tuple[float, float, float]
     rate_hz: int = 1000
     hand_m: float | None = None
     """Along the last joint's axis from the last link's origin, where a weight in the hand has its centre, [m]; None:
@@ -67,7 +52,7 @@ class DemoArm:
         return spec.compile()
 
 
-def rig_arm() -> DemoArm:
+def rig_arm() -> GearedArm:
     """The paper's two-axis rig, with drums at its joints to make them visible."""
     config = RigConfig()
     spec = mujoco.MjSpec.from_string(arm_xml(config))
@@ -85,9 +70,8 @@ def rig_arm() -> DemoArm:
             mass=0.0,
         )
     spec.compile()
-    return DemoArm(
+    return GearedArm(
         name="rig",
-        title="the paper's two-axis rig",
         xml=spec.to_xml(),
         joints=tuple(joint_names(config)),
         drives=config.drives,
@@ -96,19 +80,14 @@ def rig_arm() -> DemoArm:
         motion=config.motion,
         rotor_inertia_kg_m2=config.rotor_inertia_kg_m2,
         home=(0.0, 0.0),
-        push=Push(stiffness_n_m=250.0, damping_n_s_m=15.0, largest_n=80.0),
-        floor_m=-0.68,
-        camera_m=(0.55, 1.75, 0.5),
-        look_at_m=(0.0, 0.0, -0.03),
     )
 
 
-def seven_axis_arm() -> DemoArm:
+def seven_axis_arm() -> GearedArm:
     """A seven-axis arm of 18.5 kg with geared drives, of no manufacturer."""
     sizes = np.array([1.0, 1.0, 0.8, 0.8, 0.4, 0.4, 0.3])
-    return DemoArm(
+    return GearedArm(
         name="seven",
-        title="a seven-axis arm",
         xml=files("tauext.sim").joinpath("seven.xml").read_text(),
         joints=tuple(f"joint{i + 1}" for i in range(7)),
         drives=tuple(DriveConfig(stiffness_nm_rad=4000.0 * s, damping_nm_s_rad=100.0 * s) for s in sizes),
@@ -117,10 +96,6 @@ def seven_axis_arm() -> DemoArm:
         motion=MotionConfig(range_deg=50.0, mean_speed_deg_s=(15.0, 35.0), least_travel_deg=25.0),
         rotor_inertia_kg_m2=(0.58, 0.58, 0.47, 0.47, 0.2, 0.2, 0.18),
         home=(0.0, 0.3, 0.0, -1.4, 0.0, 0.9, 0.0),
-        push=Push(stiffness_n_m=250.0, damping_n_s_m=10.0, largest_n=80.0),
-        floor_m=0.0,
-        camera_m=(1.35, 1.25, 0.95),
-        look_at_m=(0.25, 0.0, 0.48),
         hand_m=0.2,
     )
 
@@ -139,4 +114,4 @@ def _geared(coulomb_nm: float) -> FrictionConfig:
     )
 
 
-ARMS: dict[str, Callable[[], DemoArm]] = {"rig": rig_arm, "seven": seven_axis_arm}
+ARMS: dict[str, Callable[[], GearedArm]] = {"rig": rig_arm, "seven": seven_axis_arm}

@@ -1,18 +1,16 @@
-"""A simulated arm sample by sample, its push, and the motion that it is commanded."""
+"""A simulated arm sample by sample, and the motion that it is commanded."""
 
 from __future__ import annotations
 
-from collections import deque
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
 
 import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.sim.arms import DemoArm
+from tauext.sim.arms import GearedArm
 from tauext.sim.rig import draw_move, encoder, low_pass, quintic
 
 # --- The simulated arm, one sample at a time: drives and a push in, measurements out.
@@ -38,7 +36,7 @@ class Sample:
 class Plant:
     """An arm in MuJoCo at its sample rate, measured as tauext.sim.rig.measure would measure it."""
 
-    def __init__(self, arm: DemoArm, seed: int = 0):
+    def __init__(self, arm: GearedArm, seed: int = 0):
         self.arm = arm
         self.model = copy(arm.model)  # its friction changes
         self.data = mujoco.MjData(self.model)
@@ -57,11 +55,6 @@ class Plant:
     def time_s(self) -> float:
         """Simulated, [s]."""
         return self._tick / self.arm.rate_hz
-
-    @property
-    def gravity_nm(self) -> np.ndarray:
-        """Torque that holds the arm against gravity and its own motion, (joints,), [N m]."""
-        return self.data.qfrc_bias.copy()
 
     def set_friction(self, factor: float) -> None:
         """Go on with so many times the arm's own friction; the bristles stay bent as they are."""
@@ -134,153 +127,48 @@ class Plant:
         """Position (3,) and rotation (3, 3) to the base frame of the link that a joint carries."""
         return self.data.xpos[joint + 1].copy(), self.data.xmat[joint + 1].reshape(3, 3).copy()
 
-    def jacobian(self, point_m: np.ndarray, joint: int) -> np.ndarray:
-        """Jacobian (3, joints) of a point of the link that a joint carries: tau = J^T f."""
-        jacobian = np.zeros((3, self.model.nv))
-        mujoco.mj_jac(self.model, self.data, jacobian, None, point_m, joint + 1)
-        return jacobian
+
+# --- The motion that an arm is commanded.
 
 
-# --- The push of a pointer on a link, and the force that the estimate makes of it.
-
-
-LEAST_LEVER = 0.1
-"""A direction of force whose lever is smaller than this share of the largest cannot be distinguished from noise."""
-
-
-@dataclass
-class Drag:
-    """A point of a link that a pointer pulls towards itself."""
-
-    joint: int
-    """Joint that carries the link."""
-    local_m: np.ndarray
-    """The grabbed point in the link's frame (3,)."""
-    target_m: np.ndarray
-    """The pointer in the base frame (3,)."""
-
-    @classmethod
-    def grab(cls, plant: Plant, joint: int, point_m: np.ndarray) -> Drag:
-        """Take hold of a point, in the base frame; it does not pull yet."""
-        origin, rotation = plant.body_pose(joint)
-        return cls(joint, rotation.T @ (point_m - origin), np.array(point_m, float))
-
-    def point_m(self, plant: Plant) -> np.ndarray:
-        """Where the grabbed point is now, (3,)."""
-        origin, rotation = plant.body_pose(self.joint)
-        return origin + rotation @ self.local_m
-
-    def force_n(self, plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-        """Force k (pointer - point) - d v on the link, at most the arm's largest, and where it acts, (3,) each."""
-        push, point = plant.arm.push, self.point_m(plant)
-        velocity = plant.jacobian(point, self.joint) @ plant.data.qvel
-        force = push.stiffness_n_m * (self.target_m - point) - push.damping_n_s_m * velocity
-        return force * min(1.0, push.largest_n / max(float(np.linalg.norm(force)), 1e-9)), point
-
-
-def estimated_force(tau_ext: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, int]:
-    """Force (3,), [N], at a known point from joint torques, and how many of its directions they show, 0 to 3.
-
-    f = pinv(J^T) tau_ext. Directions along which a force turns no joint, or hardly any, are left out: of a push on
-    the first link only the part across it is seen.
-
-    Args:
-        tau_ext: (joints,), [N m]; of the joints between base and link alone the rest is noise.
-        jacobian: of the point, (3, joints).
-    """
-    left, levers, right = np.linalg.svd(jacobian, full_matrices=False)
-    seen = levers > LEAST_LEVER * max(levers[0], 1e-9)
-    weights = np.where(seen, 1.0 / np.maximum(levers, 1e-9), 0.0)
-    return left @ (weights * (right @ tau_ext)), int(seen.sum())
-
-
-# --- Commands to the arm: random moves, and the reaction after a collision.
-
-
-Reaction = Literal["stop", "retreat", "comply", "ignore"]
-REACTIONS: tuple[Reaction, ...] = get_args(Reaction)
-RETREAT_S = 0.4
-"""A retreat goes back to where the arm was so long before the collision ..."""
-RETREAT_TIME_S = 0.5
-"""... and takes so long."""
-TRAIL_EVERY_S = 0.02
 STOP_S = 0.2
 """Whatever comes next, the setpoint's speed dies away in so long, at constant deceleration: at once would jerk the arm,
 and raise an alarm of its own."""
-COMPLY_DAMPING = 0.1
-"""Share of the drive's damping that stays while the arm gives way."""
 
 
 class Mover:
-    """Setpoints of one arm, sample by sample: moves around its home until react() is called, and again after resume().
+    """Setpoints of one arm, sample by sample: moves around its home until stop(), and again after resume()."""
 
-    comply: the drive's own PD inputs are used to give the torque that carries the arm's weight, with neither stiffness
-    nor friction compensation, so that a push above the joints' friction moves it.
-    """
-
-    def __init__(self, arm: DemoArm, seed: int = 0):
-        self.arm = arm
-        self.doing: Literal["moving", "stop", "retreat", "comply"] = "moving"
+    def __init__(self, arm: GearedArm, seed: int = 0):
         self.q_des, self.dq_des = np.array(arm.home), np.zeros(len(arm.joints))
-        self._home = np.array(arm.home)
-        self._stiffness = np.array([drive.stiffness_nm_rad for drive in arm.drives])
-        self._damping = np.array([drive.damping_nm_s_rad for drive in arm.drives])
+        self._motion, self._home = arm.motion, np.array(arm.home)
         self._rng = np.random.default_rng(seed)
         self._period_s = 1.0 / arm.rate_hz
-        self._trail: deque[np.ndarray] = deque(maxlen=round(RETREAT_S / TRAIL_EVERY_S) + 1)
-        self._ticks = 0
+        self._stopped = False
         self._plan(*draw_move(arm.motion, np.zeros(len(arm.home)), self._rng))
 
-    def step(self, q: np.ndarray, dq: np.ndarray, gravity_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Setpoints of the next sample, (joints,), [rad], [rad/s].
-
-        Args:
-            q, dq: as measured.
-            gravity_nm: torque that carries the arm's weight, by its controller's model.
-        """
+    def step(self) -> tuple[np.ndarray, np.ndarray]:
+        """Setpoints of the next sample, (joints,), [rad], [rad/s]."""
         self._time_s += self._period_s
-        if self.doing == "comply":
-            self.q_des = q + gravity_nm / self._stiffness
-            self.dq_des = (1.0 - COMPLY_DAMPING) * dq
-        else:
-            done, rate = quintic(np.asarray(self._time_s / self._duration_s))
-            since_s = min(self._time_s + self._pause_s, STOP_S)
-            self.q_des = self._start + self._travel * done + self._speed * (since_s - 0.5 * since_s**2 / STOP_S)
-            self.dq_des = self._travel * rate / self._duration_s + self._speed * (1.0 - since_s / STOP_S)
-            if self.doing == "moving" and self._time_s >= self._duration_s:
-                self._plan(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
-        if self.doing == "moving" and self._ticks % round(TRAIL_EVERY_S * self.arm.rate_hz) == 0:
-            self._trail.append(self.q_des)
-        self._ticks += 1
+        done, rate = quintic(np.asarray(self._time_s / self._duration_s))
+        since_s = min(self._time_s + self._pause_s, STOP_S)
+        self.q_des = self._start + self._travel * done + self._speed * (since_s - 0.5 * since_s**2 / STOP_S)
+        self.dq_des = self._travel * rate / self._duration_s + self._speed * (1.0 - since_s / STOP_S)
+        if not self._stopped and self._time_s >= self._duration_s:
+            self._plan(*draw_move(self._motion, self.q_des - self._home, self._rng))
         return self.q_des, self.dq_des
 
-    def react(self, reaction: Reaction) -> None:
-        """Do this about a collision; resume() ends it."""
-        if reaction == "ignore":
-            return
-        self.doing = reaction
-        if reaction == "retreat" and self._trail:
-            self._plan(0.0, self._trail[0] - self._rests_at(), RETREAT_TIME_S)
-        else:
-            self._plan(0.0, 0.0 * self.q_des, RETREAT_TIME_S)
-        self._trail.clear()
-
-    def rest(self) -> None:
-        """Hold still where the arm is, until resume()."""
-        self.react("stop")
+    def stop(self) -> None:
+        """Come to rest and hold still until resume()."""
+        self._stopped = True
+        self._plan(0.0, 0.0 * self.q_des, STOP_S)
 
     def resume(self) -> None:
         """Go on with moves from the setpoint, which holds the arm's weight: the measured pose would let it sag."""
-        was, self.doing = self.doing, "moving"
-        self._trail.clear()
-        if was == "comply":
-            self.dq_des = 0.0 * self.dq_des  # which followed the arm and is no setpoint's speed
-        _, travel, duration_s = draw_move(self.arm.motion, self._rests_at() - self._home, self._rng)
+        self._stopped = False
+        rests_at = self.q_des + 0.5 * STOP_S * self.dq_des
+        _, travel, duration_s = draw_move(self._motion, rests_at - self._home, self._rng)
         self._plan(0.0, travel, duration_s)
-
-    def _rests_at(self) -> np.ndarray:
-        """Where the setpoint comes to rest if nothing else moves it."""
-        return self.q_des + 0.5 * STOP_S * self.dq_des
 
     def _plan(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
         """Restart from here: the remaining speed decays, and after the pause the travel begins."""

@@ -23,7 +23,7 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.files.toml_file import number, numbers, one_of, read_table
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
-from tauext.sim.arms import ARMS, DemoArm
+from tauext.sim.arms import ARMS, GearedArm
 from tauext.sim.plant import Mover, Plant
 from tauext.sim.rig import encoder
 from tauext.sim.servo_arm import (
@@ -152,12 +152,11 @@ class Friction:
 class DrivenArm:
     """An arm of tauext.sim.arms with geared drives that moves around its home for ever."""
 
-    def __init__(self, arm: DemoArm, seed: int):
+    def __init__(self, arm: GearedArm, seed: int):
         self._arm, self._plant, self._mover = arm, Plant(arm, seed), Mover(arm, seed)
         self._push: tuple[int, np.ndarray, np.ndarray] | None = None
         self._push_until = 0
         self._friction, self._tick = Friction(arm.rate_hz), 0
-        self._measured = self._plant.data.qpos.copy(), self._plant.data.qvel.copy()
         for _ in range(round(SETTLE_S * arm.rate_hz)):
             self.step()
 
@@ -168,9 +167,7 @@ class DrivenArm:
         if self._push is not None and tick >= self._push_until:
             self._push = None
         joint, force, point = self._force()
-        q, dq = self._measured
-        sample = plant.step(*self._mover.step(q, dq, plant.data.qfrc_bias), force, point, joint)
-        self._measured = sample.q, sample.dq
+        sample = plant.step(*self._mover.step(), force, point, joint)
         self._tick += 1
         return np.stack([sample.q, sample.dq, sample.tau, sample.tau_ext + sample.tau_held])
 
@@ -188,7 +185,7 @@ class DrivenArm:
         elif name == "load":
             self._plant.hold(weight(values["mass"], RIG_HAND_M if self._arm.hand_m is None else self._arm.hand_m))
         elif name == "stop":
-            self._mover.react("stop")
+            self._mover.stop()
         elif name == "move":
             self._mover.resume()
 
@@ -276,7 +273,7 @@ class Kind(NamedTuple):
     """Name and text of the robot file that an integrator has."""
 
 
-def driven(make: Callable[[], DemoArm]) -> Kind:
+def driven(make: Callable[[], GearedArm]) -> Kind:
     """An arm of tauext.sim.arms."""
 
     def facts() -> SourceFacts:

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
@@ -16,10 +17,12 @@ from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink, rounded
 from tauext.commission.processes import Child
+from tauext.commission.run import Commission
 from tauext.data.labels import read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.control_lines import obey
 from tauext.monitor.loop import Loop
+from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
 
 PATIENCE_S = 20.0
@@ -140,6 +143,21 @@ def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
             assert "not stored yet" in obey("touched", one.steering, "test")
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
     assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]  # paid once there is room
+
+
+def test_lost_recordings_are_shown_on_the_page(tmp_path):
+    one = Commission.__new__(Commission)
+    one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
+    one._loop, one._source, one._keeper = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
+    one._record = SimpleNamespace(
+        is_losing=True, count=RecordCount(error=f"{one._folder.path}/seg-000001.parquet: full")
+    )
+    one._show_state()
+    assert one._live.says == "RECORDING LOSES SAMPLES: seg-000001.parquet: full"
+    one._record.is_losing = False
+    one._show_state()
+    assert one._live.says == "" and one._live.state == "monitoring"
 
 
 def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):

@@ -338,6 +338,7 @@ def test_a_kill_in_each_state_loses_nothing_that_was_confirmed(trained, tmp_path
     assert labels[number] == "nothing"
     with running(folder, "--no-page") as process:
         of_state(folder, WATCHED, "b0001")
+        until(lambda: (live(folder)["alarm"] or {}).get("id") != number, "the answered alarm is acknowledged", 20.0)
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
     epochs = {label.epoch for label in read_labels(folder)}

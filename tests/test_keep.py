@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from tauext.bundle.history_file import watches
 from tauext.commission import folder as folder_module
 from tauext.commission import keep
 from tauext.commission.folder import CommissionFolder, Segment, split_of
-from tauext.commission.keep import KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+from tauext.commission.keep import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
@@ -244,10 +246,31 @@ def test_a_disk_that_is_full_loses_recordings_but_no_answer(tmp_path, monkeypatc
     script.sink._waiting.put(None)
     script.sink._thread.join()
     assert not told and "labels are not written" in script.sink.count.error and script.sink.count.lost >= ROWS
+    assert script.sink.is_losing
     monkeypatch.setattr(CommissionFolder, "append_label", real)
     script.sink._pay()
     assert [one.answer for one in told] == ["unanswered", "unanswered", "touched"]
     assert script.folder.labels()[0].answer == "touched"
+
+
+def test_a_disk_that_is_full_at_the_start_loses_recordings_until_it_has_space_again(tmp_path, monkeypatch):
+    Script(tmp_path / "cell").go(20).end()
+
+    def full(*_) -> None:
+        raise OSError(28, "full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("tauext.files.preflight.shutil.disk_usage", lambda path: SimpleNamespace(free=0))
+        patched.setattr("tauext.monitor.record_sink.save_recording", full)
+        patched.setattr(Coverage, "save", full)
+        script = Script(tmp_path / "cell").go(15)
+        while not script.sink.count.lost:
+            time.sleep(0.001)
+        assert script.sink.is_losing
+    folder = script.go(15).end()
+    assert not script.sink.is_losing and [(one.number, one.epoch) for one in folder.segments()] == [
+        (1, 1), (2, 1), (3, 2), (4, 2)
+    ]  # fmt: skip
 
 
 def test_flights_are_bounded_the_oldest_go_first(tmp_path):

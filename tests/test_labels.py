@@ -15,7 +15,7 @@ from tauext.data.labels import FILE_NAME, Label, append_label, labels_key, overl
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording, save_recording
 from tauext.files import append_file
-from tauext.files.append_file import RESERVE, append_line, read_lines, reserve
+from tauext.files.append_file import RESERVE, RESERVED, append_line, read_lines, reserve, write_synced
 from tauext.progress import SILENT
 
 SECOND = 1_000_000_000
@@ -121,6 +121,25 @@ def test_a_full_disk_releases_the_reserve(tmp_path, monkeypatch):
     monkeypatch.setattr(append_file, "write_all", full)
     append_line(tmp_path / "log.jsonl", {"number": 2})
     assert [one["number"] for one in read_lines(tmp_path / "log.jsonl")] == [1, 2]
+    assert (tmp_path / RESERVE).stat().st_size == RESERVED  # what is left of it is reserved again
+
+
+def test_a_full_disk_releases_the_reserve_for_a_small_file_and_a_partial_reserve_grows(tmp_path, monkeypatch):
+    reserve(tmp_path)
+    real = os.fsync
+
+    def full(file: int) -> None:
+        if (tmp_path / RESERVE).exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(file)
+
+    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(append_file, "sync_folder", lambda path: None)
+    write_synced(tmp_path / "facts.json", "{}")
+    assert (tmp_path / "facts.json").read_text() == "{}"
+    os.truncate(tmp_path / RESERVE, 5)
+    reserve(tmp_path)
+    assert (tmp_path / RESERVE).stat().st_size == RESERVED
 
 
 def test_a_new_label_changes_the_keys_of_cached_results(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,16 @@ def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
         np.testing.assert_array_equal(values, np.concatenate([chunk.estimates[key] for chunk in chunks]), err_msg=key)
     assert [v.row for v in keeper.verdicts] == list(range(recording.samples))
     assert (loop.samples, loop.missing, loop.tick.count, keeper.closed) == (6000, 0, 6000, 1)
+
+
+@pytest.mark.parametrize("hours_back", [0, 1])
+def test_an_alarm_is_acknowledged_in_time_although_the_clock_was_set_back(bundle, hours_back):
+    samples, back_ns = samples_of(pushed()), hours_back * 3_600_000_000_000
+    script = [*samples[:4000], *(replace(one, t_ns=one.t_ns - back_ns) for one in samples[4000:])]
+    _, keeper = looped(bundle, ScriptedSource(script), acknowledge_after_s=3.0)
+    alarms = joined(keeper.verdicts)["alarm"]
+    risen, last = int((alarms == COLLISION).argmax()), int(np.flatnonzero(alarms == COLLISION)[-1])
+    assert risen < 4000 < last and abs(last - risen - 3000) <= 1
 
 
 def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):

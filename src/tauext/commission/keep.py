@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.files.append_file import RESERVE, reserve, write_synced
+from tauext.files.append_file import reserve, write_synced
 from tauext.files.plain_file import json_of, read_text
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.record_sink import RecordSink
@@ -291,11 +292,13 @@ class KeepSink(RecordSink):
         budget_bytes: float,
         bundle_name: Callable[[], str] = lambda: "",
     ):
-        super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name)
+        super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name, least_bytes=0)
         self.on_label: Callable[[Label], None] = lambda label: None
         """Called in the recorder's thread when the disk holds a label; set before open()."""
         self._kept = folder
         self._budget = budget_bytes
+        self.is_losing = False
+        """Whether the newest recording could not be written."""
         self.epoch = 0
         self._alarm: Label | None = None
         """Label of the alarm that stands, as written last."""
@@ -311,7 +314,8 @@ class KeepSink(RecordSink):
         self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
         self._labels = {one.id: one for one in folder.labels()}
         self._owed: list[Label] = []
-        self._tidy()
+        with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
+            self._tidy()
         super().open(joints, control)
 
     # The loop's thread.
@@ -438,7 +442,8 @@ class KeepSink(RecordSink):
         path = self._folder / f"seg-{self._number:06d}.parquet"
         facts = {"command": "tauext commission", "epoch": self._writing, "seq": self._number}
         columns = {name: values for name, values in segment.items() if name != "contact"}
-        if self._save(columns, path, facts) is None:
+        self.is_losing = self._save(columns, path, facts) is None
+        if self.is_losing:
             self._number -= 1
             return
         train_s = training_s(self._kept, self._segments)
@@ -486,8 +491,7 @@ class KeepSink(RecordSink):
         content = self._coverage.facts(size, int(self._budget), None if needs is None else round(needs, 1))
         self._coverage.save(folder.path / "coverage.npz")
         write_synced(folder.coverage_file, json.dumps(content) + "\n")
-        if not (folder.path / RESERVE).exists():
-            reserve(folder.path)
+        reserve(folder.path)
 
 
 LEARNED = "learned.json"

@@ -29,7 +29,7 @@ from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
-from tauext.files.append_file import write_synced
+from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import json_of
 from tauext.monitor.control_lines import ControlSocket
@@ -422,6 +422,8 @@ class Commission:
             live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
         elif loop is not None:
             live.says = "waiting for the first sample" if state == "connecting" else ""
+        if (record := self._record) is not None and record.is_losing:
+            live.says = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
         if state != live.state:
             live.state = state
             self._folder.save(state=state)
@@ -476,5 +478,9 @@ class Commission:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Replace a small file at once; without waiting for the disk, since an older one serves as well."""
-    with atomic_write(path) as part:
-        part.write_bytes(content)
+
+    def write() -> None:
+        with atomic_write(path) as part:
+            part.write_bytes(content)
+
+    write_reserved(path.parent, write)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,30 @@ from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 
 RESERVE = ".reserve"
-"""File in the same folder that holds space for lines, released when the disk is full."""
+"""File in the same folder that holds space for lines and small files, released when the disk is full."""
 RESERVED = 1 << 20
 """Its size, [bytes]: several thousand lines."""
 
 
 def reserve(folder: Path) -> None:
-    """Reserve space for lines; a disk without that much space is no error."""
-    path = folder / RESERVE
-    with suppress(OSError):
-        if not path.exists() or path.stat().st_size < RESERVED:
-            path.write_bytes(os.urandom(RESERVED))  # a file of zeros takes no space on some disks
+    """Reserve space for lines, or as much of it as the disk has."""
+    with suppress(OSError), (folder / RESERVE).open("ab", buffering=0) as file:
+        if (missing := RESERVED - file.tell()) > 0:
+            file.write(os.urandom(missing))  # a file of zeros takes no space on some disks
+
+
+def write_reserved(folder: Path, write: Callable[[], None]) -> None:
+    """Write; a full disk first releases the reserve of this folder, and reserves again what is left of it."""
+    try:
+        write()
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT) or not (folder / RESERVE).exists():
+            raise
+        (folder / RESERVE).unlink(missing_ok=True)
+        try:
+            write()
+        finally:
+            reserve(folder)
 
 
 def append_line(path: Path, content: Mapping[str, Any]) -> None:
@@ -43,15 +56,16 @@ def append_line(path: Path, content: Mapping[str, Any]) -> None:
         end = os.lseek(file, 0, os.SEEK_END)
         if end and os.pread(file, 1, end - 1) != b"\n":
             line = b"\n" + line
-        try:
-            write_all(file, line)
-        except OSError as error:
-            os.ftruncate(file, end)
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT) or not (path.parent / RESERVE).exists():
+
+        def write() -> None:
+            try:
+                write_all(file, line)
+                os.fsync(file)
+            except OSError:
+                os.ftruncate(file, end)
                 raise
-            (path.parent / RESERVE).unlink(missing_ok=True)
-            write_all(file, line)
-        os.fsync(file)
+
+        write_reserved(path.parent, write)
     finally:
         os.close(file)
     if is_new:
@@ -77,10 +91,14 @@ def read_lines(path: Place) -> list[dict[str, Any]]:
 def write_synced(path: Path, text: str) -> None:
     """Replace a small file so that after a power failure either content is there, never half of one."""
     part = path.with_name(path.name + ".part")
-    with part.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+
+    def write() -> None:
+        with part.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+
+    write_reserved(path.parent, write)
     part.replace(path)
     sync_folder(path.parent)
 

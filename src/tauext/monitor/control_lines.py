@@ -127,7 +127,8 @@ class ControlSocket:
             self._socket = listen_at(path)
         except OSError as error:
             raise ConfigError(f"{path}: no control socket ({error.strerror or error})") from error
-        threading.Thread(target=self._work, name="control socket", daemon=True).start()
+        self._thread = threading.Thread(target=self._work, name="control socket", daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         """Close the socket and free its path."""
@@ -135,6 +136,7 @@ class ControlSocket:
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+        self._thread.join(2 * RETRY_S)
         self._path.unlink(missing_ok=True)
 
     def _work(self) -> None:

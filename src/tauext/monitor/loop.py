@@ -383,6 +383,8 @@ class Loop:
     def _sample(self, sample: Sample) -> None:
         if self._servo is not None:
             sample = self._servo.made(sample)
+        if self._due_ns is not None and self._last is not None and sample.t_ns < self._last.t_ns:
+            self._due_ns += sample.t_ns - self._last.t_ns  # the clock was set back
         self._acknowledge_when_due(sample.t_ns)
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)
@@ -498,14 +500,18 @@ class Loop:
                     self.alarms += 1
                 self._alarm_id = self.alarms if change.alarm != NONE else 0
                 self._touched_ns = t_ns
+                if change.alarm == NONE:
+                    self._due_ns = None
         if self._alarm_id and sample is not None:
             if self._touched_ns is None or t_ns < self._touched_ns or not is_within_limits(estimates):
                 self._touched_ns = t_ns
         verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._alarm_id)
         for event in self._events.find(verdict):
             self._reactions.put(event)
-        if estimates["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
-            self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
+        after_s = self._settings.acknowledge_after_s
+        if estimates["alarm"][0] == COLLISION and after_s is not None and self._due_ns is None:
+            since_ns = min(self.monitor.last.alarm_t_ns, t_ns)  # a carried alarm may have risen by a later clock
+            self._due_ns = since_ns + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:

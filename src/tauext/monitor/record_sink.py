@@ -18,7 +18,7 @@ from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
-from tauext.files.preflight import expect_folder
+from tauext.files.preflight import LEAST_ROOM, expect_folder
 from tauext.files.provenance import VERSION
 from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
@@ -60,13 +60,15 @@ class RecordSink:
         source: str,
         segment_s: float = 25.0,
         bundle_name: Callable[[], str] = lambda: "",
+        least_bytes: float = LEAST_ROOM,
     ):
-        """source: name of the source, for file names and provenance. bundle_name: name of the bundle that monitors."""
+        """source: name of the source, for file names and provenance. bundle_name: name of the bundle that monitors.
+        least_bytes: free space without which no recording is begun."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
-        expect_folder(folder)
+        expect_folder(folder, least_bytes)
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
         self._reported = 0

@@ -35,6 +35,9 @@ BUNDLE = {"has_bundle": True, "seconds": 7000.0, "checked_s": 7000.0, "promised_
         (BUNDLE | {"promised_s": 3400}, "promise", 0),
         (BUNDLE | {"is_morning": True, "unlearned_s": 900}, "morning", 0),
         (BUNDLE | {"is_answered": True, "is_morning": True}, "answer", 0),
+        (BUNDLE | {"is_early": True, "is_broken": True, "unlearned_s": 900}, "nothing", 0),
+        (BUNDLE | {"is_changed": True, "is_broken": True, "unlearned_s": 900, "is_morning": True}, "nothing", 0),
+        (BUNDLE | {"is_changed": True, "kept_s": 61}, "train", 1),
         ({"unlearned_s": 900, "learned_h": 9, "checked_s": 9}, "nothing", 0),
     ],
 )

@@ -154,6 +154,16 @@ def week(budget: int, labels: tuple[Label, ...] = ()) -> tuple[list[Segment], in
     return kept, most
 
 
+def test_after_a_learned_change_known_motion_is_new_again(tmp_path):
+    folder = Script(tmp_path / "cell").go(1500).end()
+    known = folder.segments()
+    assert known[0].set == "train" and {one.set for one in known[-5:]} == {"calibration", "test"}
+    folder.save(learn_from=known[-1].number)
+    for _ in range(2):  # the second run continues from the disk
+        later = Script(tmp_path / "cell").go(45).end().segments()[len(known) :]
+        assert {one.set for one in later} <= {"train", "test"} and later[0].set == "train"
+
+
 def test_a_week_stays_within_its_bound():
     touch = Label(1, 1, 10_000 * 10**10, 10_000 * 10**10 + 10**9, "touched", "page", "")
     kept, most = week(1_000_000_000, (touch,))

@@ -21,6 +21,7 @@ from tauext.commission import course, keep, trainer
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
 from tauext.commission.ledger import Ledger
+from tauext.commission.suspects import beyond_chance
 from tauext.commission.trainer import Trainer, named_steps, why_not
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
@@ -116,7 +117,7 @@ def test_kill_9_during_a_training_costs_that_training_alone(copy):
 
 
 def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
-    monkeypatch.setattr(trainer, "STROKES_S", 1e9)
+    monkeypatch.setattr(Trainer, "_strokes", lambda *_: [])
     assert Trainer(copy).step() == "train"  # two minutes are there
     pending = json.loads((copy.path / trainer.PENDING).read_text())
     assert pending["minutes"] == 2 and len(pending["trained_on"]) == 11
@@ -155,7 +156,7 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
 def quick(monkeypatch):
     """Limits from minutes of calibration."""
     monkeypatch.setattr(trainer, "SPARE_S", 0.0)
-    monkeypatch.setattr(trainer, "STROKES_S", 1e9)
+    monkeypatch.setattr(Trainer, "_strokes", lambda *_: [])
     monkeypatch.setattr(course, "LEARN_S", 30.0)
     monkeypatch.setattr(course, "LIMITS_AT_H", (0.01, 0.02))
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
@@ -267,6 +268,8 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
         names = json.loads((copy.path / trainer.PENDING).read_text())["trained_on"]
         assert min(names) >= f"seg-{question['segment']:06d}.parquet"
         assert [label.answer for label in copy.labels() if label.id > 0] == ["touched"]  # the arm raised it itself
+        filled(copy.path, [another_day(ball_kg=1.5)])
+        assert one.step() == "judge" and active(copy) == "b0002"  # it is not compared with one of another arm
     else:
         assert [label.answer for label in copy.labels() if label.id > 0] == ["unanswered", "touched"]
 
@@ -288,6 +291,18 @@ def judged(false: int, seen: int, kept: bool = True, rejected: float = 0.0):
         rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
         injected=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)]),
     )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rare_large_errors_of_free_motion_are_no_suspects_but_what_stands_out_of_them_is(seed):
+    """Errors of abrupt stops: every twentieth window is several times the others."""
+    rng = np.random.default_rng(seed)
+    values = rng.exponential(1.0, 4000) * np.where(rng.uniform(size=4000) < 0.05, 3.0, 1.0)
+    limit = beyond_chance(values)
+    assert (values > limit).sum() <= 6 < (values > 2.8 * np.percentile(values, 90)).sum() and limit < 40
+    regular = rng.uniform(0.5, 1.0, 4000)
+    touched = np.append(regular, [3.0] * 8)
+    assert beyond_chance(regular) == pytest.approx(beyond_chance(touched), rel=0.02) and beyond_chance(touched) < 1.5
 
 
 @pytest.mark.parametrize(

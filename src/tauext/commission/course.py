@@ -50,6 +50,11 @@ class Facts:
     """Whether a person is asked about a change of the arm; nothing is learned meanwhile."""
     is_answered: bool = False
     """Whether a person has answered the question."""
+    is_changed: bool = False
+    """Whether the bundle in charge is of the arm before a change that may be learned: only a new bundle helps."""
+    is_early: bool = False
+    """Whether a pause has ended and the first strokes after it are too short to be compared: alarms may come from a
+    changed arm, and limits must not follow them."""
     is_morning: bool = False
     """Whether a pause has ended and the first strokes after it are not compared yet."""
 
@@ -80,10 +85,12 @@ def next_step(facts: Facts) -> Step:
     due = max((minutes for minutes in SCHEDULE_MIN if 60 * minutes <= facts.kept_s), default=0)
     if due > facts.trained_min and (facts.unseen_s is None or facts.has_bundle):
         return Step("train", due)
-    if not facts.has_bundle:
+    if not facts.has_bundle or facts.is_changed:
         return Step("nothing")
     if facts.is_morning:
         return Step("morning")
+    if facts.is_early:
+        return Step("nothing")
     if facts.unlearned_s >= LEARN_S:
         return Step("learn")
     if facts.is_broken or facts.learned_h >= next_limits_h(facts.limits_h):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -59,6 +59,8 @@ class Coverage:
     kept_s: float = 0.0
     """Training and test motion."""
     dropped_s: float = 0.0
+    begin: int = 0
+    """Number of the first recording since whose arm the cells are counted."""
 
     @classmethod
     def new(cls, arm: SourceSettings) -> Coverage:
@@ -85,14 +87,14 @@ class Coverage:
                 sums = file["sums"].tolist()
         except (OSError, ValueError, KeyError, EOFError):
             return made
-        if any(kept[name].shape != getattr(made, name).shape for name in ARRAYS) or len(sums) != 3:
+        if any(kept[name].shape != getattr(made, name).shape for name in ARRAYS) or len(sums) != 4:
             return made
-        return replace(made, **kept, seconds=sums[0], kept_s=sums[1], dropped_s=sums[2])
+        return replace(made, **kept, seconds=sums[0], kept_s=sums[1], dropped_s=sums[2], begin=int(sums[3]))
 
     def save(self, path: Path) -> None:
         part = path.with_name(path.name + ".part")
         with part.open("wb") as file:
-            sums = np.array([self.seconds, self.kept_s, self.dropped_s])
+            sums = np.array([self.seconds, self.kept_s, self.dropped_s, self.begin])
             np.savez(file, sums=sums, **{name: getattr(self, name) for name in ARRAYS})
         part.replace(path)
 
@@ -207,10 +209,15 @@ LEARN_FROM = "learn_from"
 """Entry of commission.json: number of the first recording after a change of the arm that may be learned."""
 
 
-def training_s(folder: CommissionFolder, segments: Sequence[Segment]) -> float:
-    """Training motion of the arm as it is, [s]: since the last change that may be learned."""
-    begin = int(folder.facts.get(LEARN_FROM) or 0)
-    return sum(one.seconds for one in segments if one.set == "train" and one.number >= begin)
+def learns_from(folder: CommissionFolder) -> int:
+    """Number of the first recording of the arm as it is: since the last change that may be learned."""
+    return int(folder.facts.get(LEARN_FROM) or 0)
+
+
+def motion_s(folder: CommissionFolder, segments: Sequence[Segment], sets: Collection[str] = ("train",)) -> float:
+    """Motion of the arm as it is in these sets, [s]."""
+    begin = learns_from(folder)
+    return sum(one.seconds for one in segments if one.set in sets and one.number >= begin)
 
 
 def set_of(number: int, is_news: bool, train_s: float) -> str:
@@ -425,6 +432,9 @@ class KeepSink(RecordSink):
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         self._pay()
+        if (begin := learns_from(self._kept)) != self._coverage.begin:  # of the changed arm, no motion is known yet
+            self._coverage.begin = begin
+            self._coverage.cells[:] = 0
         t_ns, period_s = segment["t_ns"], 1e-9 * self._arm.period_ns
         seconds = len(t_ns) * period_s
         flat, news = self._coverage.see(segment["q"], segment["dq"], period_s)
@@ -446,7 +456,7 @@ class KeepSink(RecordSink):
         if self.is_losing:
             self._number -= 1
             return
-        train_s = training_s(self._kept, self._segments)
+        train_s = motion_s(self._kept, self._segments)
         kept = Segment(
             path.name,
             self._number,
@@ -485,7 +495,7 @@ class KeepSink(RecordSink):
         else:
             folder.put_split(self._segments)
         trim_flights(folder.flights, int(FLIGHTS_SHARE * self._budget))
-        kept_s = self._coverage.kept_s
+        kept_s = motion_s(folder, self._segments, ("train", "test"))
         needs = next((60 * minutes - kept_s for minutes in SCHEDULE_MIN if 60 * minutes > kept_s), None)
         size = sum(one.bytes for one in self._segments)
         content = self._coverage.facts(size, int(self._budget), None if needs is None else round(needs, 1))
@@ -527,7 +537,7 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
         try:
             recording = load_recording(path)
             if not one.set:
-                train_s = training_s(folder, good)
+                train_s = motion_s(folder, good)
                 one = Segment(
                     one.name,
                     one.number,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording, runs_of
 from tauext.train.error_scale import judge
@@ -17,9 +17,12 @@ WINDOW_S = 0.5
 MOVING_RAD_S = 0.05
 USUAL = 90
 """Percentile of the windows' largest errors, in units of the predicted error, that counts as usual for a joint."""
-TIMES, TIMES_NM = 2.8, 4.0
-"""A window is a suspect if its largest error is so many times the usual one, in units of the predicted error or in the
-unit of the estimates. In free motion of simulated arms the largest were 2.5 and 3.4 times."""
+CHANCE = 0.02
+"""Probability that free motion alone contains a suspect, if its largest errors go on as they begin above the usual
+one: with an exponential tail. Motion with rare, large errors (abrupt stops) so has higher thresholds."""
+LEAST_NM = 2.0
+"""A window that is a suspect by its error in the unit of the estimates alone must also exceed this multiple of the
+usual error in units of the predicted error: model errors grow with the motion, and so does their prediction."""
 EDGE = 1.5
 """Neighbouring windows above this multiple belong to the same touch."""
 WARM_S = 1.0
@@ -41,10 +44,10 @@ class Suspect:
 
 
 def find_suspects(bundle: _core.Bundle, recordings: Sequence[Recording], threads: int = 1) -> list[Suspect]:
-    """Intervals whose error is far beyond the usual error, or whose alarm the bundle's own limits raise.
+    """Intervals whose error is far beyond what the errors of all other motion suggest.
 
-    A touch in the training motion raises the limits and the predicted error, so the limits alone do not find it. The
-    usual error of all windows hardly depends on single touches.
+    A touch in the training motion raises the limits and the predicted error, so the limits do not find it. Quantiles of
+    the errors of all windows hardly depend on single touches.
 
     Args:
         recordings: of `tauext commission`, with their labels; labelled motion is not searched.
@@ -62,10 +65,16 @@ def find_suspects(bundle: _core.Bundle, recordings: Sequence[Recording], threads
             [one.largest_nm[rows] for one, rows in zip(windows, searched, strict=True)],
         )
     )
-    for one, recording in zip(windows, recordings, strict=True):
-        times = np.where(one.counts, (one.largest / usual).max(axis=1), 0.0)
-        times_nm = np.where(one.counts, (one.largest_nm / usual_nm).max(axis=1), 0.0)
-        touched = (times > TIMES) | (times_nm > TIMES_NM) | (one.alarms & (times > EDGE))
+    multiples = [
+        tuple(np.where(one.counts, of.max(axis=1), 0.0) for of in (one.largest / usual, one.largest_nm / usual_nm))
+        for one in windows
+    ]
+    most, most_nm = (
+        beyond_chance(np.concatenate([of[which][rows] for of, rows in zip(multiples, searched, strict=True)]))
+        for which in (0, 1)
+    )
+    for one, recording, (times, times_nm) in zip(windows, recordings, multiples, strict=True):
+        touched = (times > most) | ((times_nm > most_nm) & (times > LEAST_NM))
         total, count = total + int(one.counts.sum()), count + int(touched.sum())
         for first, end in runs_of((times > EDGE) | touched).tolist():
             if touched[first:end].any():
@@ -73,6 +82,17 @@ def find_suspects(bundle: _core.Bundle, recordings: Sequence[Recording], threads
                 span = int(recording.t_ns[one.begins[first]]), int(recording.t_ns[last])
                 found.append(Suspect(int(recording.provenance["epoch"]), *span, float(times[first:end].max())))
     return found if count <= MOST_SHARE * total else []
+
+
+def beyond_chance(values: np.ndarray) -> float:
+    """The value that the largest of as many values exceeds with probability CHANCE, if those above the quantile USUAL
+    have an exponential tail; its scale follows from their median, which few outliers do not move."""
+    usual = float(np.percentile(values, USUAL))
+    above = values[values > usual]
+    if not len(above):
+        return usual
+    scale = float(np.median(above - usual)) / math.log(2)
+    return usual + scale * (math.log(len(above)) - math.log(CHANCE))
 
 
 @dataclass(frozen=True)
@@ -88,8 +108,6 @@ class Windows:
     counts: np.ndarray
     """Whether the window has free motion that is compared with limits, (windows,)."""
     moves: np.ndarray
-    alarms: np.ndarray
-    """Whether the bundle detects a collision in it."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Recording, threads: int) -> Windows:
@@ -108,5 +126,4 @@ class Windows:
             largest_nm,
             np.logical_or.reduceat(counted, at),
             np.logical_or.reduceat(np.abs(recording.dq).max(axis=1) > MOVING_RAD_S, at),
-            np.logical_or.reduceat(counted & (estimates["held_alarm"] == COLLISION), at),
         )

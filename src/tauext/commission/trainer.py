@@ -23,7 +23,7 @@ from tauext.commission.connect import as_data, as_entries, facts_of_data, judge,
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.commission.history import kept_of, promise_of
-from tauext.commission.keep import LEARN_FROM
+from tauext.commission.keep import LEARN_FROM, learns_from
 from tauext.commission.ledger import THREADS, Ledger, meets
 from tauext.commission.suspects import Suspect, find_suspects
 from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
@@ -115,6 +115,8 @@ class Trainer:
         promised = [float(one["seconds"]) for one in history if one["kind"] in ("promise", "activation")]
         ledger = self.ledger() if active is not None else None
         unlearned = self._unlearned(segments, ledger) if ledger else []
+        strokes = self._strokes(segments, history) if active is not None and not pending else []
+        strokes_s = sum(one.seconds for one in strokes)
         return Facts(
             seconds=seconds,
             kept_s=sum(one.seconds for one in segments if one.set != "calibration"),
@@ -129,12 +131,14 @@ class Trainer:
             promised_s=max(promised, default=0.0),
             is_asking=bool(question),
             is_answered=question.get("answer") in ("learn", "leave"),
-            is_morning=active is not None and not pending and bool(self._morning_motion(segments, history)),
+            is_changed=self._is_changed(),
+            is_early=0 < strokes_s < STROKES_S,
+            is_morning=strokes_s >= STROKES_S,
         )
 
     def _segments(self) -> list[Segment]:
         """Recordings of the arm as it is: since the last change that a person let it learn."""
-        begin = int(self.folder.facts.get(LEARN_FROM) or 0)
+        begin = learns_from(self.folder)
         return [one for one in self.folder.segments() if one.number >= begin]
 
     def _question(self) -> dict[str, Any]:
@@ -144,8 +148,8 @@ class Trainer:
             return {}
         return content if isinstance(content, dict) else {}
 
-    def _morning_motion(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
-        """The first strokes after the newest pause; empty while they are too short, or if they were compared before."""
+    def _strokes(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
+        """The first strokes after the newest pause, up to STROKES_S; empty if they were compared before."""
         begins = [k for k, (a, b) in enumerate(pairwise(segments), 1) if b.epoch != a.epoch or _pause(a, b) > PAUSE_S]
         if not begins:
             return []
@@ -155,7 +159,7 @@ class Trainer:
             if seconds < STROKES_S:
                 motion.append(one)
                 seconds += one.seconds
-        return motion if first.number > done and seconds >= STROKES_S else []
+        return motion if first.number > done else []
 
     def _pending(self) -> dict[str, Any]:
         try:
@@ -330,7 +334,7 @@ class Trainer:
         pieces = [replace(one, name=f"{one.name}-{k:02d}") for k, one in enumerate(pieces)]
         if not pieces:
             return {}, "there is no free motion to judge it"
-        old = [] if active is None or active.stem == name else [active.stem]
+        old = [] if active is None or active.stem == name or self._is_changed() else [active.stem]
         bundles = {one: load_bundle(folder.bundles / f"{one}.tauext") for one in (*old, name)}
         loaders = [lambda one=one: one for one in pieces]
         out = folder.results / name
@@ -374,7 +378,7 @@ class Trainer:
         folder, active = self.folder, self.folder.active()
         assert active is not None
         history = folder.history()
-        motion = self._morning_motion(self._segments(), history)
+        motion = self._strokes(self._segments(), history)
         self._progress("comparing the first strokes with earlier days")
         facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
         bundle, recordings = load_bundle(active), self._load(motion)

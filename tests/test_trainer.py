@@ -23,13 +23,15 @@ from tauext.commission.history import describe_folder, kept_of
 from tauext.commission.ledger import Ledger
 from tauext.commission.suspects import beyond_chance
 from tauext.commission.trainer import Trainer, named_steps, why_not
+from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, append_label, read_labels
-from tauext.errors import ConfigError
+from tauext.errors import ConfigError, FaultyDataError
 from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig, changed_friction
+from tauext.train.preparation import Given
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -291,6 +293,22 @@ def judged(false: int, seen: int, kept: bool = True, rejected: float = 0.0):
         rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
         injected=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)]),
     )
+
+
+def test_a_recording_with_a_fault_of_its_own_is_left_out_of_training(tmp_path, motion):
+    bad = cut(motion, slice(80_000, 90_000))
+    tau = bad.tau.copy()
+    tau[[2000, 5000, 8000], 1] += 500.0  # mixed-up messages
+    folder = filled(tmp_path / "cell", [replace(bad, tau=tau), cut(motion, slice(0, 80_000))])
+    one = Trainer(folder)
+    while one.step() not in ("train", "nothing"):
+        pass
+    assert (folder.bundles / "b0001.tauext").is_file(), words(folder)
+    assert any(line.startswith("left out of training for faults: seg-000001 (spike)") for line in words(folder))
+    filled(folder.path, [replace(cut(motion, slice(0, 60_000)), tau=-cut(motion, slice(0, 60_000)).tau)])
+    given = Given(folder.path / "robot.xml", PAPER_CASES["exact"], folder.load(folder.segments()[-6:]))
+    with pytest.raises(FaultyDataError):  # of all its motion
+        one._checked(given, one._config(1))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -17,6 +17,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.estimates import COLLISION
+from tauext.check.finding import Finding
 from tauext.check.preflight import WORTH_A_WARNING
 from tauext.commission.arm_change import change_words, find_change
 from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
@@ -31,7 +32,7 @@ from tauext.data.dataset import ROBOT_FILES, Dataset, Split
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.data.recording import Recording
-from tauext.errors import ConfigError, TauextError
+from tauext.errors import ConfigError, FaultyDataError, TauextError
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.results import EvaluatedBundle, to_json
@@ -261,9 +262,7 @@ class Trainer:
                     raise ConfigError("no training motion is left")
                 size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
                 expect_memory(size, f"training on {step.minutes:g} min")
-                given = Given(robot, PAPER_CASES[case], recordings)
-                dataset = Dataset(folder.path, Split((), (), ()))
-                checked = check_data(dataset, given, config, (), SILENT)
+                given, checked = self._checked(Given(robot, PAPER_CASES[case], recordings), config)
                 report = Share(lambda share: self._progress(f"training {out.stem}", share))
                 train_on_recordings(given, config, out, report, checked)
                 if number == rounds - 1 or not self._suspect(load_bundle(out), self._load(learning)):
@@ -275,6 +274,30 @@ class Trainer:
             return
         content = {"bundle": out.stem, "minutes": step.minutes, "trained_on": [one.name for one in training]}
         write_synced(folder.path / PENDING, json.dumps(content) + "\n")
+
+    def _checked(self, given: Given, config: TrainConfig) -> tuple[Given, dict[str, Any]]:
+        """Input of a training without recordings that have faults of their own, and the facts of the check.
+
+        Raises:
+            FaultyDataError: a fault concerns all recordings, or most of the motion.
+        """
+        dataset, left_out = Dataset(self.folder.path, Split((), (), ())), dict[str, str]()
+        total = sum(one.samples for one in given.training)
+        while True:
+            try:
+                checked = check_data(dataset, given, config, (), SILENT)
+                break
+            except FaultyDataError as error:
+                faults = {one.recording: one.code for one in error.findings if isinstance(one, Finding)}
+                good = [one for one in given.training if one.name not in faults]
+                if None in faults or len(good) == len(given.training) or 2 * sum(one.samples for one in good) < total:
+                    raise
+                left_out |= {str(name): code for name, code in faults.items()}
+                given = replace(given, training=good)
+        if left_out:
+            named = ", ".join(f"{name} ({code})" for name, code in sorted(left_out.items()))
+            self.folder.note("note", self.folder.seconds(), f"left out of training for faults: {named}")
+        return given, checked
 
     def _is_changed(self) -> bool:
         """Whether the bundle in charge is of the arm before a change that may be learned."""

@@ -31,6 +31,7 @@ from unseen.working import NAMES, STRETCH_S, Part, Working, working
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
+from tauext.bundle.history_file import read_events, read_history
 from tauext.commission.connect import as_data, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
@@ -361,7 +362,7 @@ def main() -> None:
     if options.tables:
         write_page(
             options.out / "README.md",
-            tables([json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]),
+            tables(options.out, [json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]),
         )
         return
     name = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
@@ -410,19 +411,41 @@ two minutes; touches are never answered. *Bundle after* counts from the start of
 question. A training takes the simulated time that it took here.""".splitlines()
 
 
-def tables(results: list[dict[str, Any]]) -> list[str]:
+def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
+    """False collisions of every part: before a bundle of the changed arm monitored, and all others."""
+    stretches = -(-round(one["hours"] * 3600 - 1) // round(STRETCH_S + JOIN_NS * 1e-9))
+    length_ns = stretches * (round(STRETCH_S * 1e9) + JOIN_NS) + PAUSE_NS
+    changes, changed, waits = set[str](), list[set[str]](), False
+    for line in read_history(folder):  # bundles that monitored when a change was learned, in the order of changes
+        if line["kind"] == "activation":
+            changes, waits = (set(), False) if waits else (changes, False)
+            changes.add(str(line["bundle"]))
+        elif line.get("learned"):
+            changed.append(set(changes))
+            waits = True
+    asked = [number for number, part in enumerate(one["parts"]) if part["asked"]]
+    old = dict(zip(asked, changed, strict=False))
+    counts = [[0, 0] for _ in one["parts"]]
+    for event in read_events(folder):
+        if event.get("level") == "collision" and event.get("answer") == "nothing":
+            number = min(event["t_ns"] // length_ns, len(counts) - 1)
+            counts[number][event["bundle"] not in old.get(number, ())] += 1
+    return [(before, after) for before, after in counts]
+
+
+def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
     """The page of all results."""
     lines = ["# Simulated days of `tauext commission`", "", *INTRO, ""]
     lines += head(
-        "arm | part | received [h] | bundle after [min] | touches detected | false collisions | in [h] | asked"
+        "arm | part | received [h] | bundle after [min] | touches detected | false collisions before that bundle | others "
+        "| in [h] | asked"
     )
     for one in results:
-        for part in one["parts"]:
+        for part, (before, others) in zip(one["parts"], false_by_part(out / stem(one), one), strict=True):
             waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
-            lines.append(table_row(
-                called(one), part["name"], f"{part['received_h']:.1f}", waited,
-                f"{part['detected']} of {part['touches']}", part["false"], f"{part['hours']:.1f}", len(part["asked"]),
-            ))  # fmt: skip
+            detected, asked = f"{part['detected']} of {part['touches']}", "; ".join(part["asked"])
+            received, hours = f"{part['received_h']:.1f}", f"{part['hours']:.1f}"
+            lines.append(table_row(called(one), part["name"], received, waited, detected, before, others, hours, asked))
     if compared := [one for one in results if "compared" in one]:
         lines += ["", "## Compared with the separate commands", ""]
         lines += head(
@@ -478,6 +501,11 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
             ),
         ]
     return lines
+
+
+def stem(one: dict[str, Any]) -> str:
+    """Name of the folder and of the result."""
+    return f"{one['arm']}{'' if one['model'] else '-no-model'}-{one['plan']}"
 
 
 def called(one: dict[str, Any]) -> str:

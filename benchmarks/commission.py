@@ -437,7 +437,7 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
     """The page of all results."""
     lines = ["# Simulated days of `tauext commission`", "", *INTRO, ""]
     lines += head(
-        "arm | part | received [h] | bundle after [min] | touches detected | false collisions before that bundle | others "
+        "arm | part | received [h] | bundle after [min] | touches detected | false before that bundle | other false "
         "| in [h] | asked"
     )
     for one in results:

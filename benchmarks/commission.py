@@ -306,14 +306,11 @@ class Simulation:
         out.mkdir(exist_ok=True)
         shutil.rmtree(data, ignore_errors=True)
         shutil.copytree(self.folder.path, data)
-        words = ("train", "--data", data, "--recipe", "prior", "--out", out / "trained.tauext")
-        tauext(*words, printed=out / "train.txt", accept=(0, 2))
-        if faults := re.findall(r"--accept (.+)", (out / "train.txt").read_text()):  # as a user accepts what is named
-            tauext(*words, "--accept", *faults[-1].split(), printed=out / "train.txt")
         bundle = out / "trained.tauext"
+        accepting("train", "--data", data, "--recipe", "prior", "--out", bundle, printed=out / "train.txt")
         if load_split(data).calibration:
             words = ("--bundle", bundle, "--data", data, "--out", out / "eight.tauext")
-            tauext("calibrate", *words, printed=out / "calibrate.txt")
+            accepting("calibrate", *words, printed=out / "calibrate.txt")
             bundle = out / "eight.tauext"
         shutil.rmtree(data)
         bundles = {"commission": load_bundle(active), "eight commands": load_bundle(bundle)}
@@ -339,6 +336,13 @@ class Simulation:
                 "limits": list(one.limits.sliding_nm),
             }
         return found
+
+
+def accepting(*words: object, printed: Path) -> None:
+    """Run a command of tauext; faults of the data are accepted as it names them: at 50 Hz an impact is a spike."""
+    tauext(*words, printed=printed, accept=(0, 2))
+    if faults := re.findall(r"--accept (.+)", printed.read_text()):
+        tauext(*words, "--accept", *faults[-1].split(), printed=printed)
 
 
 PLANS = {

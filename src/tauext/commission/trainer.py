@@ -23,7 +23,7 @@ from tauext.commission.arm_change import change_words, find_change
 from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, provenance_of, settled
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
-from tauext.commission.history import kept_of, promise_of
+from tauext.commission.history import kept_of
 from tauext.commission.keep import LEARN_FROM, learns_from
 from tauext.commission.ledger import THREADS, Ledger, meets
 from tauext.commission.suspects import Suspect, find_suspects
@@ -63,8 +63,9 @@ SPARE_S = 660.0
 MOST_ALARMED = 0.02
 """Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
 MOST_HITS_LOST = 0.05
-"""A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms, or
-its limits are for rarer ones."""
+"""A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
+LEAST_HITS_KEPT = 0.6
+"""One that promises rarer false alarms has higher limits, and may detect this share of the hits of the other."""
 PAUSE_S = 3600.0
 """Pause after which the first strokes are compared with earlier days, [s]; so are those after every start."""
 STROKES_S = 60.0
@@ -350,7 +351,7 @@ class Trainer:
             )
         (folder.path / PENDING).unlink(missing_ok=True)
 
-    def _judged(self, name: str, unseen: Sequence[Segment], is_rarer: bool = False) -> tuple[dict[str, Any], str]:
+    def _judged(self, name: str, unseen: Sequence[Segment]) -> tuple[dict[str, Any], str]:
         """Numbers of a bundle on unseen motion for the history, and why it does not pass."""
         folder, active = self.folder, self.folder.active()
         pieces = free_pieces(self._load(unseen))
@@ -392,7 +393,7 @@ class Trainer:
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"
-        return facts, why_not(new, before, is_rarer)
+        return facts, why_not(new, before)
 
     # Days: the first strokes after a pause are compared with those of earlier days.
 
@@ -536,8 +537,7 @@ class Trainer:
         ledger.put()
         rate = promised.budget.rate_per_hour
         unseen = self._unseen({}, [one for one in segments if one.set == "test"])
-        before = promise_of(folder.path, active.stem)[0]
-        found, why = self._judged(out.stem, unseen, is_rarer=before is None or rate < before)
+        found, why = self._judged(out.stem, unseen)
         numbers = {"promised_per_hour": rate, "sentence": promised.sentence(), "hours": 0.0, "alarms": 0, "kept": True}
         if why and found:
             folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
@@ -580,12 +580,8 @@ def hits(bundle: EvaluatedBundle) -> float | None:
     return round(sum(one.latched for one in curves) / events, 4) if events else None
 
 
-def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_rarer: bool = False) -> str:
-    """Why a bundle does not monitor the arm; empty: it does.
-
-    Args:
-        is_rarer: whether it is the old one with limits for rarer false alarms: these detect fewer hits.
-    """
+def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
+    """Why a bundle does not monitor the arm; empty: it does."""
     free, rejected = new.free_motion, new.rejected
     if not free.hours:
         return "it accepts none of the motion"
@@ -603,9 +599,11 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_rarer: bool = 
     seen, seen_before = hits(new), hits(old)
     if false > before + 1:
         return f"{false} false alarms, {before} with {old.name}"
-    if is_rarer or seen is None or seen_before is None or false < before:
+    if seen is None or seen_before is None or false < before:
         return ""
-    if seen < seen_before - MOST_HITS_LOST:
+    rate, rate_before = free.promised_per_hour, old.free_motion.promised_per_hour
+    is_rarer = rate is not None and (rate_before is None or rate < rate_before)
+    if seen < (LEAST_HITS_KEPT * seen_before if is_rarer else seen_before - MOST_HITS_LOST):
         return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
     return ""
 

@@ -412,7 +412,9 @@ place of a link, many of them below every limit.
 Parts of six hours (others are stated): bare, with a load in the hand, with twice that load, with another tool. Each
 begins cold after a pause of two hours. Alarms without a touch are answered `nothing`, questions with `learn yes` after
 two minutes; touches are never answered. *Bundle after* counts from the start of a part, or from the answer to its
-question. A training takes the simulated time that it took here.""".splitlines()
+question. A training takes the simulated time that it took here. Alarms are acknowledged after two seconds, so that a
+changed arm raises many until its first bundle monitors; in the command, one alarm stands for up to ten
+minutes.""".splitlines()
 
 
 def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:

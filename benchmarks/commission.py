@@ -32,7 +32,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
 from tauext.bundle.history_file import read_events, read_history
-from tauext.commission.connect import as_data, write_arm
+from tauext.commission.connect import as_data, provenance_of, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
 from tauext.commission.keep import KeepSink
@@ -318,7 +318,7 @@ class Simulation:
             self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, TEST_TOUCHES if k % 2 else 0)
             for k in range(TEST_STRETCHES)
         ]
-        made = [replace(one, name=f"test-{k}", provenance={}) for k, one in enumerate(made)]
+        made = [replace(one, name=f"test-{k}", provenance=provenance_of(self.arm.facts)) for k, one in enumerate(made)]
         loaders = [lambda one=one: one for one in made]
         results = evaluate(bundles, loaders[::2], loaders[1::2], out / "estimates", 0, 1, keep_free_estimates=0)
         shutil.rmtree(out / "estimates", ignore_errors=True)

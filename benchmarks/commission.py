@@ -246,6 +246,7 @@ class Simulation:
         if promised is not None:
             outcome.promised_h += hours
             outcome.allowed += promised * hours
+        stands = self.monitor.last.alarm != _core.Alarm.none  # since the recording before
         found: list[AlarmChange] = []
         over = []
         for chunk in replayed(self.monitor, part, acknowledge_after_s=2.0):
@@ -258,7 +259,7 @@ class Simulation:
                 outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
         later = np.concatenate(over)
         for one in found:
-            if one.was != NONE:
+            if one.was != NONE or (stands and one.t_ns == part.t_ns[0]):
                 continue
             self.alarms += 1
             true = any(a <= one.t_ns <= b + NEAR_NS for a, b in spans)
@@ -434,8 +435,9 @@ def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
     counts = [[0, 0] for _ in one["parts"]]
     for event in read_events(folder):
         if event.get("level") == "collision" and event.get("answer") == "nothing":
-            number = min(event["t_ns"] // length_ns, len(counts) - 1)
-            counts[number][event["bundle"] not in old.get(number, ())] += 1
+            number = event["t_ns"] // length_ns
+            if number < len(counts):  # else of a part that is not over
+                counts[number][event["bundle"] not in old.get(number, ())] += 1
     return [(before, after) for before, after in counts]
 
 
@@ -451,7 +453,8 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
             waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
             detected, asked = f"{part['detected']} of {part['touches']}", "; ".join(part["asked"])
             received, hours = f"{part['received_h']:.1f}", f"{part['hours']:.1f}"
-            lines.append(table_row(called(one), part["name"], received, waited, detected, before, others, hours, asked))
+            name = part["name"] + ", untouched" * (one["plan"] == "calm")
+            lines.append(table_row(called(one), name, received, waited, detected, before, others, hours, asked))
     if compared := [one for one in results if "compared" in one]:
         lines += ["", "## Compared with the separate commands", ""]
         lines += head(

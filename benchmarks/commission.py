@@ -410,7 +410,7 @@ arms](../unseen-arms/README.md): motor currents, a URDF whose masses are off by 
 touches the arm once in ten minutes, and nobody says so**: impacts of 20 to 150 N, pushes and holds of 10 to 60 N at any
 place of a link, many of them below every limit.
 
-Parts of six hours (others are stated): bare, with a load in the hand, with twice that load, with another tool. Each
+The parts of an arm: bare, with a load in the hand, with twice that load, with another tool; of a week: its days. Each
 begins cold after a pause of two hours. Alarms without a touch are answered `nothing`, questions with `learn yes` after
 two minutes; touches are never answered. *Bundle after* counts from the start of a part, or from the answer to its
 question. A training takes the simulated time that it took here. Alarms are acknowledged after two seconds, so that a

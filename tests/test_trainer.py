@@ -220,6 +220,8 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     monkeypatch.setattr(CommissionFolder, "seconds", lambda self: 230.0)
     found = kept_of(copy.path, "b0002", 230.0)
     assert (found.false, found.unanswered, found.kept) == (20, 1, False) and "BROKEN" in found.words()
+    assert not one.facts().is_broken  # a single alarm right after an exchange breaks nothing
+    monkeypatch.setattr(trainer, "WATCHED_S", 0.0)
     assert one.facts().is_broken and one.step() == "limits" and active(copy) == "b0003"
     assert not one.facts().is_broken
     one._compare(course.Step("promise"))

@@ -69,6 +69,9 @@ LEAST_HITS_KEPT = 0.6
 PAUSE_S = 3600.0
 """Pause after which the first strokes are compared with earlier days, [s]; so are those after every start."""
 STROKES_S = 60.0
+WATCHED_S = 1200.0
+"""Least time that a bundle monitors before its promise counts as broken, [s]: else single alarms replace it by one that
+hardly differs, again and again."""
 STEP, STEP_SPREADS = 0.5, 4.0
 """A change of friction is named if its logarithm exceeds the first, and so many standard deviations of earlier days."""
 REFIT_FROM, REFIT_WORTH = 0.1, 0.95
@@ -570,7 +573,11 @@ class Trainer:
         assert active is not None
         if ledger.hours <= 0 or not ledger.news(self.folder.labels()):
             return False
-        return not kept_of(self.folder.path, active.stem, self.folder.seconds()).kept
+        seconds = self.folder.seconds()
+        begun = [float(one["seconds"]) for one in self.folder.history() if one["kind"] == "activation"]
+        if begun and seconds < begun[-1] + WATCHED_S:
+            return False
+        return not kept_of(self.folder.path, active.stem, seconds).kept
 
 
 def hits(bundle: EvaluatedBundle) -> float | None:

@@ -468,14 +468,14 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
                     f"{found['delay_ms']:.0f}", found["false"], f"{found['hours']:.1f}",
                     "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
                 ))  # fmt: skip
-        lines += ["", "## Effect of the touches on the limits", ""]
-        lines += head("arm | limits for sliding, with touches [N m] | the same without touches [N m]")
         calm = {called(one): one for one in compared if one["plan"] == "calm"}
-        for one in compared:
-            if one["plan"] == "loads" and (other := calm.get(called(one))):
-                limits = [found["compared"]["commission"]["limits"] for found in (one, other)]
-                lines.append(table_row(called(one), *(joined(values, ".2g") for values in limits)))
         compared = [one for one in compared if one["plan"] == "loads"]
+        if pairs := [(one, calm[called(one)]) for one in compared if called(one) in calm]:
+            lines += ["", "## Effect of the touches on the limits", ""]
+            lines += head("arm | limits for sliding, with touches [N m] | the same without touches [N m]")
+            for pair in pairs:
+                limits = [joined(one["compared"]["commission"]["limits"], ".2g") for one in pair]
+                lines.append(table_row(called(pair[0]), *limits))
         lines += ["", "## Touches while learning, first part", ""]
         lines += head(
             "arm | touched, in training recordings [s] | trained on [s] | beyond a limit [s] | trained on [s] | "

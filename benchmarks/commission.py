@@ -128,7 +128,7 @@ class Simulation:
         self.model = 0
         self.recent: deque[tuple[Recording, bytes]] = deque()
         """The last REPEATED_S, and what the monitor carried before each of its recordings."""
-        self.alarms = self.number = self.parts = 0
+        self.alarms = self.number = 0
         self.now_ns = self.newest_s = 0
         self.most_bytes = 0
         self.training_s: list[tuple[str, float]] = []
@@ -415,7 +415,7 @@ begins cold after a pause of two hours. Alarms without a touch are answered `not
 two minutes; touches are never answered. *Bundle after* counts from the start of a part, or from the answer to its
 question. A training takes the simulated time that it took here. Alarms are acknowledged after two seconds, so that a
 changed arm raises many until its first bundle monitors; in the command, one alarm stands for up to ten
-minutes.""".splitlines()
+minutes. The tables contain the parts that were run, of the arms that were run.""".splitlines()
 
 
 def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:

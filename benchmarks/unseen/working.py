@@ -10,7 +10,6 @@ import numpy as np
 
 from tauext import _core
 from tauext.data.recording import Recording
-from tauext.data.servo import servo_of
 from tauext.monitor.source import Sample, ServoStage, SourceFacts, SourceSettings
 from tauext.robot.load import load_tree
 from tauext.sim.arms import rig_arm
@@ -215,7 +214,7 @@ def servos() -> Working:
                 np.round(run.volts / VOLTAGE_STEP_V)[:, None] * VOLTAGE_STEP_V, len(maker.joints), axis=1
             ),
         }
-        stage, unknown, dq, tau = ServoStage(servo_of_settings(settings)), np.full(5, np.nan), [], []
+        stage, unknown, dq, tau = ServoStage(settings.servo), np.full(5, np.nan), [], []
         for k in range(len(at)):
             row = {name: values[k] for name, values in registers.items()}
             made = stage.made(Sample(k * settings.period_ns, row.pop("q"), true["speed"][k], unknown, 0, **row))
@@ -227,13 +226,6 @@ def servos() -> Working:
         return recording_of(facts, f"stretch-{number:04d}", signals, touched)
 
     return Working(facts, maker.model, "", SO101_LOADS_KG, make)
-
-
-def servo_of_settings(settings: SourceSettings) -> _core.ServoSettings:
-    from tauext.data.servo import servo_facts
-
-    assert settings.servo is not None
-    return servo_of(servo_facts(settings.servo))
 
 
 # --- By name.

@@ -24,7 +24,7 @@ from tauext.commission.connect import as_data, as_entries, facts_of_data, judge,
 from tauext.commission.course import Facts, Step, next_step
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.commission.history import kept_of
-from tauext.commission.keep import LEARN_FROM, learns_from
+from tauext.commission.keep import LEARN_FROM, learns_from, motion_s
 from tauext.commission.ledger import THREADS, Ledger, meets
 from tauext.commission.suspects import Suspect, find_suspects
 from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
@@ -124,7 +124,7 @@ class Trainer:
         strokes_s = sum(one.seconds for one in strokes)
         return Facts(
             seconds=seconds,
-            kept_s=sum(one.seconds for one in segments if one.set != "calibration"),
+            kept_s=motion_s(folder, segments, ("train", "test")),
             checked_s=self._checked_s if "arm" in folder.facts else seconds,
             trained_min=max([*trained, float(pending.get("minutes") or 0.0)], default=0.0),
             unseen_s=sum(one.seconds for one in self._unseen(pending, segments)) if pending else None,
@@ -136,7 +136,7 @@ class Trainer:
             promised_s=max(promised, default=0.0),
             is_asking=bool(question),
             is_answered=question.get("answer") in ("learn", "leave"),
-            is_changed=self._is_changed(),
+            is_changed=is_changed(history),
             is_early=0 < strokes_s < STROKES_S,
             is_morning=strokes_s >= STROKES_S,
         )
@@ -254,7 +254,7 @@ class Trainer:
             case, _ = chosen_case(None, robot)
             learning = [one for one in segments if one.set != "calibration"]
             active, rounds = folder.active(), FIRST_ROUNDS
-            if self._is_changed():
+            if is_changed(folder.history()):
                 self._withdraw(learning)
             elif active is not None:
                 self._suspect(load_bundle(active), self._load(learning))
@@ -303,11 +303,6 @@ class Trainer:
             self.folder.note("note", self.folder.seconds(), f"left out of training for faults: {named}")
         return given, checked
 
-    def _is_changed(self) -> bool:
-        """Whether the bundle in charge is of the arm before a change that may be learned."""
-        kinds = [one["kind"] for one in self.folder.history() if one["kind"] == "activation" or one.get("learned")]
-        return bool(kinds) and kinds[-1] != "activation"
-
     def _withdraw(self, segments: Sequence[Segment]) -> None:
         """Withdraw labels of alarms without an answer: the changed arm itself raises them under the earlier bundle."""
         for label in self.folder.labels():
@@ -338,7 +333,7 @@ class Trainer:
         unseen = self._unseen(pending, self._segments())
         self._progress(f"judging {name}")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
-        if self._is_changed():
+        if is_changed(folder.history()):
             self._withdraw(unseen)
         self._suspect(candidate, self._load(unseen))
         facts, why = self._judged(name, unseen)
@@ -361,7 +356,7 @@ class Trainer:
         pieces = [replace(one, name=f"{one.name}-{k:02d}") for k, one in enumerate(pieces)]
         if not pieces:
             return {}, "there is no free motion to judge it"
-        old = [] if active is None or active.stem == name or self._is_changed() else [active.stem]
+        old = [] if active is None or active.stem == name or is_changed(folder.history()) else [active.stem]
         bundles = {one: load_bundle(folder.bundles / f"{one}.tauext") for one in (*old, name)}
         loaders = [lambda one=one: one for one in pieces]
         out = folder.results / name
@@ -613,6 +608,12 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
     if seen < (LEAST_HITS_KEPT * seen_before if is_rarer else seen_before - MOST_HITS_LOST):
         return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
     return ""
+
+
+def is_changed(history: Sequence[dict[str, Any]]) -> bool:
+    """Whether the bundle in charge is of the arm before a change that may be learned."""
+    kinds = [one["kind"] for one in history if one["kind"] == "activation" or one.get("learned")]
+    return bool(kinds) and kinds[-1] != "activation"
 
 
 def base_of(folder: CommissionFolder, bundle: str) -> str:

@@ -436,14 +436,10 @@ def collect_rows(
     return Rows(error, near, features, period_s, t_ns, number, tuple(numbers))
 
 
-def limit_weights(rows: Rows, joint: int, near: np.ndarray | None = None) -> np.ndarray:
-    """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below LEAST_CONSTANT.
-
-    Args:
-        near: weights of almost the same rows, where the search begins.
-    """
+def limit_weights(rows: Rows, joint: int) -> np.ndarray:
+    """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below LEAST_CONSTANT."""
     features = rows.features[:, joint]
-    weights = fit_weights(features, rows.error_nm[:, joint], rows.power, near)
+    weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
     weights = weights / float(np.median(features @ weights))
     weights[0] = max(weights[0], LEAST_CONSTANT)
     speed, standstill = (FEATURES.index(kind) for kind in (_core.MotionFeature.speed, _core.MotionFeature.standstill))
@@ -475,12 +471,8 @@ def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
     return scaled if scaled.any() else np.r_[max(rms, 1e-6), np.zeros(len(weights) - 1)]
 
 
-def fit_weights(features: np.ndarray, error: np.ndarray, power: float, near: np.ndarray | None = None) -> np.ndarray:
-    """Fit the weights w >= 0 of the module's equation, (features,), up to a factor; the constant's is above 0.
-
-    Args:
-        near: weights where the search begins; None: equal parts of all features.
-    """
+def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:
+    """Fit the weights w >= 0 of the module's equation, (features,), up to a factor; the constant's is above 0."""
     if not error.any():  # no error in any motion: only the constant
         return np.r_[1.0, np.zeros(features.shape[1] - 1)]
     size = features.mean(axis=0)
@@ -498,8 +490,6 @@ def fit_weights(features: np.ndarray, error: np.ndarray, power: float, near: np.
         return value, (F / sigma[:, None]).mean(axis=0) - (F / sigma[:, None]).T @ high / total
 
     start = np.full(F.shape[1], 1.0 / F.shape[1])
-    if near is not None and (total := float((near * size)[used].sum())) > 0:
-        start = np.maximum((near * size)[used] / total, [LEAST_CONSTANT / 10] + [0.0] * (F.shape[1] - 1))
     bounds = [(LEAST_CONSTANT / 10, None)] + [(0, None)] * (F.shape[1] - 1)
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
     weights = np.zeros(len(size))

@@ -315,12 +315,11 @@ def other_motion(
     rows = rows.only(np.lexsort((rows.t_ns, rows.recording)))
     counts = dict.fromkeys(rows.recordings, 0)
     peaks: list[np.ndarray] = []
-    near = [limit_weights(rows, j) for j in range(len(joints))]
     for turn in np.array_split(numbers, min(len(numbers), MOST_TURNS)):
         left_out = np.isin(rows.recording, turn)
         own, others = rows.only(left_out), rows.only(~left_out)
         try:
-            limit_nm = factor * _limits(others, own, near, joints, promised, level_confidence)
+            limit_nm = factor * _limits(others, own, joints, promised, level_confidence)
         except TooFewPeaks:
             return None
         if reserve_nm is not None:
@@ -339,22 +338,14 @@ def other_motion(
 
 
 def _limits(
-    others: Rows,
-    own: Rows,
-    near: Sequence[np.ndarray],
-    joints: Sequence[str],
-    promised: PromisedLimits,
-    level_confidence: float,
+    others: Rows, own: Rows, joints: Sequence[str], promised: PromisedLimits, level_confidence: float
 ) -> np.ndarray:
     """Collision limits on these rows that follow from other rows, (own rows, joints), [N m].
-
-    Args:
-        near: weights of each joint from all rows.
 
     Raises:
         TooFewPeaks: the other rows have too few.
     """
-    weights = np.array([limit_weights(others, j, near[j]) for j in range(len(joints))])
+    weights = np.array([limit_weights(others, j) for j in range(len(joints))])
     scale = np.einsum("rjf,jf->rj", others.features, weights)
     collector = PeakCollector(joints, promised.hold_s)
     for number in np.unique(others.recording):

@@ -248,16 +248,17 @@ class Simulation:
             outcome.allowed += promised * hours
         stands = self.monitor.last.alarm != _core.Alarm.none  # since the recording before
         found: list[AlarmChange] = []
-        over = []
+        beyond, over = [], []
         for chunk in replayed(self.monitor, part, acknowledge_after_s=2.0):
-            beyond = (np.abs(chunk.estimates["tau_ext"]) > chunk.estimates["contact_limit_nm"]).any(axis=1)
-            over.append(chunk.t_ns[beyond])
+            one = chunk.estimates
+            beyond.append((np.abs(one["tau_ext"]) > one["contact_limit_nm"]).any(axis=1))
+            over.append(1 - one["margin_nm"] / one["limit_nm"])
             found += [one for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm != NONE]
         for a, b in spans:
             if part.t_ns[0] <= a <= part.t_ns[-1]:
                 outcome.touches += 1
                 outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
-        later = np.concatenate(over)
+        later, ratio = part.t_ns[np.concatenate(beyond)], np.concatenate(over)
         for one in found:
             if one.was != NONE or (stands and one.t_ns == part.t_ns[0]):
                 continue
@@ -269,6 +270,8 @@ class Simulation:
             answer = None if true else "nothing"
             level = "collision" if collides else "contact"
             content = {"id": self.alarms, "epoch": self.sink.epoch, "t_ns": one.t_ns, "wall": wall(), "level": level}
+            lasts = (part.t_ns >= one.t_ns) & (part.t_ns < one.t_ns + 2_000_000_000)
+            content["over"] = np.nan_to_num(ratio[lasts].max(axis=0)).round(4).tolist()
             append_line(self.folder.events_file, content | {"bundle": self.bundle, "answer": answer})
             end = int(later[(later >= one.t_ns) & (later < one.t_ns + 2_000_000_000)].max(initial=one.t_ns))
             self.folder.append_label(

@@ -105,6 +105,7 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         assert one.keeper.answer_to(1) == "touched"
     (event,) = read_events(one.folder.path)
     assert event["ended"] and event["answer"] == "touched" and event["held_ns"] > event["t_ns"]
+    assert len(event["over"]) == len(JOINTS) and 1 < event["over"][0] and abs(event["over"][1]) < event["over"][0]
 
 
 def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
+import os
 import re
 import shutil
 import time
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from made_commission import active, add_event, filled, words
 
+from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import active_bundle, read_history
 from tauext.cli import main
@@ -215,7 +218,8 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     [one.step() for _ in range(3)]
     epoch = copy.facts["epoch"]
     for k in range(1, 22):
-        add_event(copy, id=k, level="collision", bundle="b0002", answer="nothing" if k < 21 else None)
+        over = [0.5, 1.0 + 0.1 * k] if k % 2 else [1.3, 0.0]
+        add_event(copy, id=k, level="collision", bundle="b0002", answer="nothing" if k < 21 else None, over=over)
         append_label(copy.path, Label(k, epoch, k * 10**9, k * 10**9, "nothing", "page", "", "b0002"))
     monkeypatch.setattr(CommissionFolder, "seconds", lambda self: 230.0)
     found = kept_of(copy.path, "b0002", 230.0)
@@ -226,6 +230,23 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert not one.facts().is_broken
     one._compare(course.Step("promise"))
     assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
+
+    # The alarms do not appear in a replay of their motion. All but those that the rate allows would have been silent.
+    old, new = (load_bundle(copy.bundles / f"{name}.tauext") for name in ("b0002", "b0003"))
+    allowed = int(found.promised_per_hour * found.hours)
+    assert 0 <= allowed < 5
+    largest_left = 1.0 + 0.1 * (19 - 2 * allowed)
+    for name in ("sliding_limit_nm", "near_stiction_limit_nm"):
+        raised = np.divide(getattr(new, name), getattr(old, name))
+        np.testing.assert_allclose(raised, [1.3, largest_left], rtol=1e-3)
+    facts = json.loads(new.provenance)["limits"]
+    assert len(facts["raised"]) == 2
+    assert "Limits are raised for false alarms" in facts["sentence"]
+
+    # Later limits keep it, whether or not the promise was broken meanwhile.
+    one._limits(course.Step("limits"))
+    later = load_bundle(copy.bundles / "b0004.tauext")
+    np.testing.assert_allclose(later.sliding_limit_nm, new.sliding_limit_nm, rtol=1e-3)
 
 
 def another_day(factor: float = 1.0, ball_kg: float = 0.0):
@@ -276,6 +297,56 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
         assert one.step() == "judge" and active(copy) == "b0002"  # it is not compared with one of another arm
     else:
         assert [label.answer for label in copy.labels() if label.id > 0] == ["unanswered", "touched"]
+
+
+def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, motion, monkeypatch):
+    """No pause precedes the other tool. Early bundles, touches, and a change that is not learned ask nothing."""
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(course, "CHECKS_S", ())
+    bare, heavy = cut(motion, slice(130_000, 200_000)), another_day(ball_kg=1.5)
+    heavy = replace(heavy, t_ns=heavy.t_ns + bare.t_ns[-1] + 1_000_000)
+    joined = {
+        name: np.concatenate([getattr(one, name) for one in (bare, heavy)]) for name in ("t_ns", "q", "dq", "tau")
+    }
+    filled(copy.path, [replace(bare, tau_jts=None, **joined)])
+    monkeypatch.setattr(trainer, "MOST_TEST_S", 100.0)
+    epoch, begin, end = copy.facts["epoch"], int(heavy.t_ns[0]), int(heavy.t_ns[-1])
+    one = Trainer(copy)
+    assert one.step() == "morning"  # after the start
+    while one.step() != "nothing":
+        pass
+    alarm = Label(1, epoch, begin, end, "unanswered", "nobody", "", "b0001")
+    append_label(copy.path, alarm)
+    assert one.step() == "nothing"  # the arm is new
+    monkeypatch.setattr(trainer, "CHANGED_AFTER_S", 100.0)
+    append_label(copy.path, replace(alarm, answer="touched"))
+    assert one.step() == "nothing"
+    append_label(copy.path, replace(alarm, to_ns=begin + 60_000_000_000))
+    assert one.step() == "nothing"
+    append_label(copy.path, alarm)
+    assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
+    question = json.loads(copy.question_file.read_text())
+    assert re.match(r"the hand carries 1\.[2-8]\d* kg more than in training", question["words"])
+    copy.question_file.write_text(json.dumps(question | {"answer": "leave"}))
+    assert [one.step() for _ in range(2)] == ["answer", "nothing"]
+
+
+def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
+    (copy.bundles / "b0001.tauext").unlink()
+    copy.history_file.unlink()
+    one, failures = Trainer(copy), [os.strerror(errno.ENOSPC), "the motion teaches nothing"]
+
+    def failing(*_: object) -> None:
+        raise CoreError(f"cannot write b0001.tauext: {failures[0]}")
+
+    monkeypatch.setattr(trainer, "train_on_recordings", failing)
+    for _ in range(2):
+        with pytest.raises(CoreError):
+            one._train(course.Step("train", 1))
+    assert not words(copy)
+    failures.pop(0)
+    one._train(course.Step("train", 1))
+    assert "the motion teaches nothing" in words(copy)[-1]
 
 
 def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):

@@ -144,7 +144,7 @@ void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, s
 }
 
 void FrictionFactors::learn(std::span<const double> dq, std::span<const double> tau_ext, std::span<const double> sigma,
-                            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted) noexcept {
+                            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted, DriftTracker& slow) noexcept {
   if (!on() || !state_.started) return;
   for (int j = 0; j < joints_; ++j) {
     Joint& joint = state_.joints[static_cast<std::size_t>(j)];
@@ -157,8 +157,26 @@ void FrictionFactors::learn(std::span<const double> dq, std::span<const double> 
     const bool turned = joint.open.seconds > 0 && joint.open.travel * dq[j] < 0;
     if (near || turned) close(j);
     // NaN compares false: without an error scale nothing is learned.
-    if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j])
+    if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j]) {
       add(joint, dq[j], tau_ext[j], sigma[j]);
+      if (slow.on()) take_over(j, slow);
+    }
+  }
+}
+
+void FrictionFactors::take_over(int j, DriftTracker& slow) noexcept {
+  Joint& joint = state_.joints[static_cast<std::size_t>(j)];
+  const double share = std::min(seconds(state_.step_ns) / kTakeOver_s, 1.0);
+  const double whole = std::fabs(joint.filtered[0]) + std::fabs(joint.filtered[1]);
+  for (std::size_t m = 0; m < kParts; ++m) {
+    const double friction = joint.filtered[m];
+    if (!(std::fabs(friction) > kWorth * whole)) continue;
+    const int term = DriftTracker::kFriction + static_cast<int>(m);
+    const double more = share * slow.part(j, term) / friction, sum = joint.wanted[m] + more;
+    if (!(std::fabs(sum) <= std::max(share_, std::fabs(joint.wanted[m])))) continue;  // NaN compares false
+    joint.wanted[m] = sum;
+    joint.factors[m] += more;
+    slow.give(j, term, share);
   }
 }
 

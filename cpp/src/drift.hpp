@@ -24,7 +24,7 @@ namespace tauext {
 // low limits are passed often in easy motion.
 class DriftTracker {
  public:
-  static constexpr int kTerms = 3;  // constant, Coulomb, viscous
+  static constexpr int kTerms = 3, kFriction = 1;  // constant, Coulomb, viscous; the first term of friction
   static constexpr double kCoulombSpeed = 0.05, kViscousSpeed = 1.0;  // [rad/s]
   static constexpr double kForgottenShare = 3;  // times 1/K0 after stiction: the observer's memory
 
@@ -61,6 +61,11 @@ class DriftTracker {
         state_.coefficients[m][j] = std::clamp(coefficients[m][j], -settings_.size_nm[j], settings_.size_nm[j]);
   }
 
+  // One joint's part of the drift at the last sample, [N m].
+  double part(int joint, int term) const noexcept { return state_.coefficients[term][joint] * state_.filtered[term][joint]; }
+  // Reduces a coefficient by this share, since another part of the drift contains it now.
+  void give(int joint, int term, double share) noexcept { state_.coefficients[term][joint] *= 1 - share; }
+
   bool on() const noexcept { return settings_.on(); }
   // One bit per joint: a coefficient is at its bound. Retraining is due.
   std::uint32_t saturated() const noexcept { return state_.saturated; }
@@ -93,6 +98,10 @@ class DriftTracker {
 // Forces that are constant, act in one direction or in some poses only, or oppose the tool's velocity do not fit. If a
 // joint moves alone, a force that opposes its motion both ways at a constant lever looks like friction. At most `share`
 // of the joint's friction is then learned, and nothing of a larger force.
+//
+// While a joint slides, the factors take over what the slow tracker has learned as friction, without changing the drift.
+// If each kept its own part, every cold start would add to the factors, and every warm-up would subtract it in the slow
+// tracker. Both cancel in motion; at rest, the slow tracker's part vanishes and the factors' remains.
 class FrictionFactors {
  public:
   static constexpr int kParts = 2;               // Coulomb, viscous
@@ -108,6 +117,8 @@ class FrictionFactors {
   static constexpr double kApart = 0.2;          // usual difference of the two factors
   static constexpr double kGlidePerSecond = 0.2; // rate limit of a factor
   static constexpr double kForgottenShare = 3;   // times 1/K0 after stiction: the observer's memory
+  static constexpr double kTakeOver_s = 10;      // of sliding: short against the slow tracker's minutes
+  static constexpr double kWorth = 0.1;          // of the joint's friction: a smaller part takes over nothing
 
   using Parts = std::array<double, kParts>;
   // Sums over one stroke, times dt.
@@ -155,9 +166,10 @@ class FrictionFactors {
   // factors to each joint's drift, [N m].
   void step(std::int64_t t_ns, std::span<const double> coulomb, std::span<const double> viscous,
             std::span<double> drift) noexcept;
-  // Learns from tau_ext of the current sample, drift subtracted. If trusted is false, the open strokes are discarded.
+  // Learns from tau_ext of the current sample, drift subtracted, and from the slow tracker after its step(). If trusted
+  // is false, the open strokes are discarded.
   void learn(std::span<const double> dq, std::span<const double> tau_ext, std::span<const double> sigma,
-             std::span<const double> doubt, std::uint32_t near_stiction, bool trusted) noexcept;
+             std::span<const double> doubt, std::uint32_t near_stiction, bool trusted, DriftTracker& slow) noexcept;
 
   // One bit per joint: friction is off by more than may be learned. Retraining is due.
   std::uint32_t saturated() const noexcept { return state_.saturated; }
@@ -174,6 +186,7 @@ class FrictionFactors {
   };
 
   void add(Joint& joint, double dq, double tau_ext, double sigma) noexcept;
+  void take_over(int joint, DriftTracker& slow) noexcept;
   void close(int joint) noexcept;
   Evidence evidence(const Joint& joint) const noexcept;
   void conclude(int joint) noexcept;

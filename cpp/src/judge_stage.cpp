@@ -202,7 +202,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   // With a load, joints in unknown units learn nothing either, like joints near stiction.
   const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
   if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
-  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches);
+  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches, drift_);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
   report_alarm();

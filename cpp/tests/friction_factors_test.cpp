@@ -18,17 +18,26 @@ constexpr std::int64_t kMs = 1'000'000;
 constexpr double kDt = 1e-3, kGain = 50.0, kSigma = 0.2, kCoulomb = 8.0, kViscous = 6.0, kPeriod = 4.0;
 constexpr double kPi = 3.14159265358979323846;
 
+Limits wide_limits() {
+  Limits limits;
+  limits.near_stiction_rad_s = 0.02;
+  limits.collision = limits.contact = {{100, 100}, {100, 100}, 0.0};
+  return limits;
+}
+
 // Two joints that go to and fro, half a turn in 2 s, as a sine; the second is a quarter of a period behind. What the
 // tracker is given is found here by sums of its own: friction through the observer's filter, times what it is off by.
 struct Arm {
   FrictionFactors tracker;
+  DriftTracker slow;
   std::int64_t t_ns = 0;
   double drift[2] = {0, 0}, tau_ext[2] = {0, 0}, speed[2] = {0, 0};
   double now[2][2] = {}, filtered[2][2] = {};  // joint, part
   std::mt19937 random{7};
   double noise[2] = {0, 0};
 
-  explicit Arm(double share = 0.4) : tracker(share, 2, kGain) {}
+  explicit Arm(double share = 0.4, const DriftSettings& settings = {})
+      : tracker(share, 2, kGain), slow(settings, settings.on() ? wide_limits() : Limits{}, 2, kGain) {}
 
   // pushes: what else r shows of each joint, of the time and the joints' speeds.
   using Push = std::function<double(double, int, const double*)>;
@@ -50,7 +59,7 @@ struct Arm {
         }
         noise[j] += kDt / 0.1 * -noise[j] + std::sqrt(2 * kDt / 0.1) * 0.5 * kSigma * normal(random);  // of 0.1 s
       }
-      drift[0] = drift[1] = 0;
+      slow.step(t_ns, speed, drift);  // 0 if it is off
       tracker.step(t_ns, coulomb, viscous, drift);
       std::uint32_t near = 0;
       const double sigma[2] = {kSigma, kSigma}, doubt[2] = {0, 0};
@@ -59,9 +68,12 @@ struct Arm {
         if (push) tau_ext[j] += push(t, j, speed);
         if (std::fabs(speed[j]) < 0.02) near |= 1u << j;
       }
-      tracker.learn(speed, tau_ext, sigma, doubt, near, trusted);
+      const double scale[2] = {1, 1};
+      slow.learn(tau_ext, scale, doubt, near, trusted);
+      tracker.learn(speed, tau_ext, sigma, doubt, near, trusted, slow);
     }
   }
+  double b(std::size_t term) const { return slow.state().coefficients[term][0]; }
   double off(std::size_t part, std::size_t joint = 0) const { return tracker.state().joints[joint].factors[part]; }
   bool learned() const { return off(0) != 0 || off(1) != 0 || off(0, 1) != 0 || off(1, 1) != 0; }
 };
@@ -175,12 +187,13 @@ void without_a_standard_error_or_a_share_nothing_is_learned() {
   none.move(30, 0.3, 0.3);
   CHECK(!none.learned() && none.drift[0] == 0 && !none.tracker.on());
   FrictionFactors blind(0.4, 1, kGain);
+  DriftTracker off({}, {}, 1, kGain);
   for (int k = 1; k < 30'000; ++k) {
     const double dq[] = {std::sin(2e-3 * k)}, coulomb[] = {-8 * std::tanh(dq[0] / 0.01)}, viscous[] = {0};
     const double left[] = {0.3 * coulomb[0]}, sigma[] = {std::numeric_limits<double>::quiet_NaN()}, doubt[] = {0};
     double drift[] = {0};
     blind.step(k * kMs, coulomb, viscous, drift);
-    blind.learn(dq, left, sigma, doubt, std::fabs(dq[0]) < 0.02, true);
+    blind.learn(dq, left, sigma, doubt, std::fabs(dq[0]) < 0.02, true, off);
   }
   CHECK(blind.state().joints[0].factors[0] == 0 && blind.state().joints[0].strokes[0].seconds == 0);
 }
@@ -212,6 +225,41 @@ void a_restored_or_reset_tracker_goes_on_as_it_should() {
   CHECK(!one.learned() && one.tracker.state().joints[0].strokes[0].seconds == 0);
 }
 
+// Cold gears are off at once, and warm up too slowly for the factors: the slow tracker follows, and gives to the factors.
+// Were each to keep its own part, the factors would grow by 0.2 a day up to their bound, and the slow tracker would hold
+// as much against them: nothing in motion, 1.6 N m a day at rest.
+void cold_mornings_do_not_add_up() {
+  const DriftSettings settings{30.0, {3.0, 3.0}, 1.0, 0.0, 0.0};
+  Arm arm(0.4, settings);
+  for (int day = 0; day < 5; ++day) {
+    for (int minute = 0; minute < 12; ++minute) {
+      const double off = 0.2 * std::exp(-minute / 3.0);
+      arm.move(60, off, off);
+      if (minute == 0) CHECK_CLOSE(arm.off(0), 0.2, 0.04);
+    }
+    for (const std::size_t joint : {0u, 1u}) CHECK_CLOSE(arm.off(0, joint), 0, 0.03);
+    CHECK_CLOSE(arm.b(1), 0, 0.03 * kCoulomb);
+  }
+}
+
+void what_the_slow_tracker_knows_goes_into_the_factors_without_a_change_of_the_drift() {
+  const DriftSettings settings{1e6, {3.0, 3.0}, 1e-9, 0.0, 0.0};  // it learns nothing more
+  Arm arm(0.4, settings), kept(0.4, settings), far(0.05, settings);
+  DriftTracker::Terms known{};
+  known[1].fill(-0.1 * kCoulomb);  // friction is opposite to the speed
+  known[2].fill(-0.1 * kViscous);
+  for (Arm* one : {&arm, &kept, &far}) one->slow.put_coefficients(known);
+  arm.move(60, 0.1, 0.1);
+  CHECK_CLOSE(arm.off(0), 0.1, 0.01);
+  CHECK_CLOSE(arm.off(1), 0.1, 0.02);  // its joint is too slow for it at times
+  CHECK_CLOSE(arm.b(1), 0, 0.01 * kCoulomb);
+  CHECK(std::fabs(arm.tau_ext[0]) < 4 * kSigma);
+  kept.move(60, 0.1, 0.1, {}, false);
+  CHECK(!kept.learned() && kept.b(1) == known[1][0]);
+  far.move(60, 0.1, 0.1);
+  CHECK(far.off(0) <= 0.05 && far.b(1) < -0.04 * kCoulomb);  // the rest stays where it is
+}
+
 }  // namespace
 
 int main() {
@@ -226,5 +274,7 @@ int main() {
   without_a_standard_error_or_a_share_nothing_is_learned();
   strokes_grow_old();
   a_restored_or_reset_tracker_goes_on_as_it_should();
+  cold_mornings_do_not_add_up();
+  what_the_slow_tracker_knows_goes_into_the_factors_without_a_change_of_the_drift();
   return check::result();
 }

@@ -30,10 +30,15 @@ class Kept:
     sentence: str
     hours: float
     """Hours that it monitored."""
-    false: int
-    """Collision alarms that a person answered with `nothing`."""
+    false_alarms: Sequence[dict[str, Any]]
+    """Collision alarms that a person answered with `nothing`, as events.jsonl has them."""
     unanswered: int
     """Collision alarms without an answer, which may be false."""
+
+    @property
+    def false(self) -> int:
+        """Number of false alarms."""
+        return len(self.false_alarms)
 
     @property
     def kept(self) -> bool:
@@ -58,9 +63,10 @@ def kept_of(folder: Place, bundle: str, seconds: float) -> Kept:
     """The promise of a bundle of this folder, up to so many received seconds."""
     hours = sum(one.to_s - one.from_s for one in watches(read_history(folder), seconds) if one.bundle == bundle) / 3600
     alarms = [one for one in read_events(folder) if one.get("bundle") == bundle and one.get("level") == "collision"]
-    answers = [one.get("answer") for one in alarms]
+    false = [one for one in alarms if one.get("answer") == "nothing"]
+    unanswered = sum(one.get("answer") is None for one in alarms)
     promised, sentence = promise_of(folder, bundle)
-    return Kept(bundle, promised, sentence, hours, answers.count("nothing"), answers.count(None))
+    return Kept(bundle, promised, sentence, hours, false, unanswered)
 
 
 def promise_of(folder: Place, bundle: str) -> tuple[float | None, str]:

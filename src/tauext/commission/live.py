@@ -144,6 +144,8 @@ class LiveSink:
         self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
         self._held = (0, 0)
         """Number of an alarm, and the last stamp at which its touch was over a limit, [ns]."""
+        self._over = np.zeros(0)
+        """Largest torque of each joint while that touch lasted, times its collision limit."""
         self._report: LoopReport | None = None
         self._readers: dict[socket.socket, bytes] = {}
         self._wake, self._ended = threading.Event(), False
@@ -177,6 +179,8 @@ class LiveSink:
         if verdict.sample is not None:
             self._sample = verdict.sample
         if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
+            over = 1 - verdict.estimates["margin_nm"][0] / verdict.estimates["limit_nm"][0]
+            self._over = np.fmax(self._over, over) if self._held[0] == verdict.alarm_id else over
             self._held = verdict.alarm_id, verdict.t_ns
         if verdict.changes:
             self._changes.append(verdict)
@@ -227,7 +231,8 @@ class LiveSink:
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
         number, held_ns = self._held
-        return event | {"bundle": self.bundle} | ({"held_ns": held_ns} if number == event["id"] else {})
+        held = {"held_ns": held_ns, "over": rounded(self._over)} if number == event["id"] else {}
+        return event | {"bundle": self.bundle} | held
 
     def _follow_touch(self) -> None:
         """Report the end of a touch whose alarm still stands."""
@@ -236,7 +241,7 @@ class LiveSink:
             return
         if self._held[1] > alarm["held_ns"] and self._newest.t_ns > self._held[1] + OVER_S * 1e9:
             alarm["held_ns"] = self._held[1]
-            self.changed(dict(alarm))
+            self.changed(self._held_until(alarm))
 
     def _line(self, shown: Verdict | None) -> dict[str, Any]:
         """shown: the sample at which an alarm rose; None: the newest."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -65,10 +67,16 @@ MOST_ALARMED = 0.02
 MOST_HITS_LOST = 0.05
 """A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
 LEAST_HITS_KEPT = 0.6
-"""One that promises rarer false alarms has higher limits, and may detect this share of the hits of the other."""
+"""One that promises rarer false alarms, or repairs a broken promise, may detect this share of the hits of the other."""
+RAISED = "raised"
+"""Entry of a bundle's limits: factors on the limits from calibration, by joint, with which a promise was repaired."""
 PAUSE_S = 3600.0
 """Pause after which the first strokes are compared with earlier days, [s]; so are those after every start."""
 STROKES_S = 60.0
+CHANGED_SHARE = 0.9
+"""Share of the newest recordings with alarms, none of them a touch, from which the arm may have changed at work."""
+CHANGED_AFTER_S = 1200.0
+"""Least motion of the arm as it is before that, [s]: early bundles raise alarms in motion that they have not seen."""
 WATCHED_S = 1200.0
 """Least time that a bundle monitors before its promise counts as broken, [s]: else single alarms replace it by one that
 hardly differs, again and again."""
@@ -154,17 +162,23 @@ class Trainer:
         return content if isinstance(content, dict) else {}
 
     def _strokes(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
-        """The first strokes after the newest pause, up to STROKES_S; empty if they were compared before."""
+        """Motion to compare with earlier days, up to STROKES_S, but for motion that was compared before.
+
+        These are the first strokes after the newest pause. Once they are compared, it is the newest motion if alarms
+        without a touch came during nearly all of the last MOST_TEST_S: the arm may have changed without a pause.
+        """
         begins = [k for k, (a, b) in enumerate(pairwise(segments), 1) if b.epoch != a.epoch or _pause(a, b) > PAUSE_S]
-        if not begins:
-            return []
-        first, motion, seconds = segments[begins[-1]], list[Segment](), 0.0
+        first = segments[begins[-1]].number if begins else 0
         done = max((int(one.get("segment") or 0) for one in history if one["kind"] == "morning"), default=0)
-        for one in segments[begins[-1] :]:
-            if seconds < STROKES_S:
-                motion.append(one)
-                seconds += one.seconds
-        return motion if first.number > done else []
+        if begins and first > done:
+            return _up_to(segments[begins[-1] :], STROKES_S)
+        asked = max((int(one.get("segment") or 0) for one in history if one["kind"] == "step"), default=-1)
+        newest = _up_to(segments[::-1], MOST_TEST_S)
+        if asked >= first or sum(one.seconds for one in segments) < CHANGED_AFTER_S or newest[-1].number <= done:
+            return []
+        labels = [one for one in self.folder.labels() if one.id > 0 and one.answer in ("unanswered", "nothing")]
+        alarmed = sum(any(meets(one, label) for label in labels) for one in newest)
+        return _up_to(newest, STROKES_S)[::-1] if alarmed >= CHANGED_SHARE * len(newest) else []
 
     def _pending(self) -> dict[str, Any]:
         try:
@@ -175,12 +189,8 @@ class Trainer:
 
     def _unseen(self, pending: dict[str, Any], segments: Sequence[Segment]) -> list[Segment]:
         """Newest motion that the bundle was not trained on, up to MOST_TEST_S."""
-        seen, chosen, seconds = set(pending.get("trained_on", ())), [], 0.0
-        for one in reversed(segments):
-            if one.name not in seen and seconds < MOST_TEST_S:
-                chosen.append(one)
-                seconds += one.seconds
-        return chosen[::-1]
+        seen = set(pending.get("trained_on", ()))
+        return _up_to([one for one in reversed(segments) if one.name not in seen], MOST_TEST_S)[::-1]
 
     # One step.
 
@@ -217,10 +227,7 @@ class Trainer:
     def _check(self, step: Step) -> None:
         """Check the stream: the newest three minutes suffice."""
         folder, seconds = self.folder, self.folder.seconds()
-        newest: list[Segment] = []
-        for one in reversed(folder.segments()):
-            if sum(kept.seconds for kept in newest) < MOST_TEST_S:
-                newest.append(one)
+        newest = _up_to(folder.segments()[::-1], MOST_TEST_S)
         try:
             facts = facts_of_data(folder.facts["arm"])
             lives = judge(self._load(newest[::-1]), self._robot(), facts)
@@ -272,6 +279,8 @@ class Trainer:
                 if number == rounds - 1 or not self._suspect(load_bundle(out), self._load(learning)):
                     break
         except TauextError as error:
+            if os.strerror(errno.ENOSPC) in str(error):  # no fault of the motion: it is tried again
+                raise
             why = " ".join(str(error).split())
             words = f"training on {step.minutes:g} min of motion failed: {why}"
             folder.note("training", folder.seconds(), words, minutes=step.minutes, passed=False, why=why)
@@ -349,8 +358,11 @@ class Trainer:
             )
         (folder.path / PENDING).unlink(missing_ok=True)
 
-    def _judged(self, name: str, unseen: Sequence[Segment]) -> tuple[dict[str, Any], str]:
-        """Numbers of a bundle on unseen motion for the history, and why it does not pass."""
+    def _judged(self, name: str, unseen: Sequence[Segment], is_broken: bool = False) -> tuple[dict[str, Any], str]:
+        """Numbers of a bundle on unseen motion for the history, and why it does not pass.
+
+        is_broken: the bundle in charge does not keep its promise.
+        """
         folder, active = self.folder, self.folder.active()
         pieces = free_pieces(self._load(unseen))
         pieces = [replace(one, name=f"{one.name}-{k:02d}") for k, one in enumerate(pieces)]
@@ -391,9 +403,9 @@ class Trainer:
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"
-        return facts, why_not(new, before)
+        return facts, why_not(new, before, is_broken)
 
-    # Days: the first strokes after a pause are compared with those of earlier days.
+    # Days: the first strokes after a pause, and motion full of alarms, are compared with earlier days.
 
     def _morning(self, step: Step) -> None:
         """Refit to the first strokes; name what is not explained by friction, or is far beyond the earlier days."""
@@ -524,8 +536,14 @@ class Trainer:
             ledger.put()
             return
         apply_promised(bundle, promised, alarm)
+        rate, sentence = promised.budget.rate_per_hour, promised.sentence()
+        is_broken = not kept_of(folder.path, active.stem, folder.seconds()).kept
+        if raised := self._raise(bundle, rate):
+            words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
+            sentence += f" Limits are raised for false alarms that the calibration does not contain: {words}."
         facts = json.loads(bundle.provenance or "{}")
-        facts["limits"] = promised.facts() | {"recordings": sorted({name for name, *_ in ledger.places})}
+        recordings = sorted({name for name, *_ in ledger.places})
+        facts["limits"] = promised.facts() | {"sentence": sentence, "recordings": recordings, RAISED: raised}
         settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
         facts["calibrated"] = provenance("tauext commission", settings, seed=None)
         facts["calibrated"]["base"] = ledger.base
@@ -533,17 +551,44 @@ class Trainer:
         write_bundle(bundle, out, facts, [], WallTimes({"calibrate": time.monotonic() - started}))
         ledger.limits_h = ledger.hours
         ledger.put()
-        rate = promised.budget.rate_per_hour
         unseen = self._unseen({}, [one for one in segments if one.set == "test"])
-        found, why = self._judged(out.stem, unseen)
-        numbers = {"promised_per_hour": rate, "sentence": promised.sentence(), "hours": 0.0, "alarms": 0, "kept": True}
+        found, why = self._judged(out.stem, unseen, is_broken)
+        numbers = {"promised_per_hour": rate, "sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}
         if why and found:
             folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
             for path in folder.bundles.glob(f"{out.stem}.*"):
                 path.unlink(missing_ok=True)
             return
         folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work", folder.seconds())
-        folder.note("promise", folder.seconds(), promised.sentence(), bundle=out.stem, **numbers)
+        folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
+
+    def _raise(self, bundle: _core.Bundle, rate_per_hour: float) -> dict[str, float]:
+        """Raise new limits so far that the false alarms under the bundle in charge would have kept this rate.
+
+        Some errors do not appear when the recordings of the alarms are replayed, since they depend on hours before.
+
+        Returns:
+            Factors by joint, also of earlier repairs.
+        """
+        folder, active = self.folder, self.folder.active()
+        assert active is not None
+        old, found = load_bundle(active), kept_of(folder.path, active.stem, folder.seconds())
+        earlier = (json.loads(old.provenance or "{}").get("limits") or {}).get(RAISED) or {}
+        joints = [link.joint_name for link in bundle.links]
+        factors = np.array([float(earlier.get(joint, 1.0)) for joint in joints])
+        overs = [] if found.kept else [np.array(one.get("over") or (), dtype=float) for one in found.false_alarms]
+        peaks = sorted(
+            (over.max(), int(over.argmax())) for over in overs if len(over) == len(joints) and over.max() > 1
+        )
+        for over, j in peaks[: max(0, len(peaks) - int(rate_per_hour * found.hours))]:
+            kept = (
+                old.sliding_limit_nm[j] / bundle.sliding_limit_nm[j],
+                old.near_stiction_limit_nm[j] / bundle.near_stiction_limit_nm[j],
+            )
+            factors[j] = max(factors[j], over * max(kept))
+        bundle.sliding_limit_nm = (factors * bundle.sliding_limit_nm).tolist()
+        bundle.near_stiction_limit_nm = (factors * bundle.near_stiction_limit_nm).tolist()
+        return {joint: round(float(factor), 4) for joint, factor in zip(joints, factors, strict=True) if factor > 1}
 
     def _compare(self, step: Step) -> None:
         """Add what was promised and what happened to the history."""
@@ -582,8 +627,11 @@ def hits(bundle: EvaluatedBundle) -> float | None:
     return round(sum(one.latched for one in curves) / events, 4) if events else None
 
 
-def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
-    """Why a bundle does not monitor the arm; empty: it does."""
+def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool = False) -> str:
+    """Why a bundle does not monitor the arm; empty: it does.
+
+    is_broken: the old bundle does not keep its promise.
+    """
     free, rejected = new.free_motion, new.rejected
     if not free.hours:
         return "it accepts none of the motion"
@@ -604,7 +652,7 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None) -> str:
     if seen is None or seen_before is None or false < before:
         return ""
     rate, rate_before = free.promised_per_hour, old.free_motion.promised_per_hour
-    is_rarer = rate is not None and (rate_before is None or rate < rate_before)
+    is_rarer = rate is not None and (rate_before is None or rate < rate_before or is_broken)
     if seen < (LEAST_HITS_KEPT * seen_before if is_rarer else seen_before - MOST_HITS_LOST):
         return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
     return ""
@@ -646,6 +694,12 @@ def named_steps(
 
 def _pause(before: Segment, after: Segment) -> float:
     return 1e-9 * (after.from_ns - before.to_ns)
+
+
+def _up_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
+    """The first of these recordings, until they last so long."""
+    lasts = np.cumsum([one.seconds for one in segments])
+    return list(segments[: int(np.searchsorted(lasts, seconds)) + 1])
 
 
 # --- The process.

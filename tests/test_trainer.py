@@ -20,12 +20,13 @@ from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import active_bundle, read_history
 from tauext.cli import main
-from tauext.commission import course, keep, trainer
+from tauext.commission import arm_change, course, keep, promises, trainer
+from tauext.commission.arm_change import named_steps
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
-from tauext.commission.ledger import Ledger
+from tauext.commission.promises import Ledger
 from tauext.commission.suspects import beyond_chance
-from tauext.commission.trainer import Trainer, named_steps, why_not
+from tauext.commission.trainer import Trainer, why_not
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
@@ -122,11 +123,11 @@ def test_kill_9_during_a_training_costs_that_training_alone(copy):
 
 
 def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
-    monkeypatch.setattr(Trainer, "_strokes", lambda *_: [])
+    monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
     assert Trainer(copy).step() == "train"  # two minutes are there
-    pending = json.loads((copy.path / trainer.PENDING).read_text())
+    pending = json.loads(copy.pending_file.read_text())
     assert pending["minutes"] == 2 and len(pending["trained_on"]) == 11
-    (copy.path / trainer.PENDING).unlink()
+    copy.pending_file.unlink()
     (copy.path / "robot.xml").write_text("<mujoco/>")
     Trainer(copy).step()
     assert "failed" in words(copy)[-1] and Trainer(copy).step() == "nothing"
@@ -135,7 +136,7 @@ def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion,
 def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
     copy.path.joinpath("active.json").unlink()
     content = {"bundle": "b0001", "minutes": 1, "trained_on": []}
-    path = copy.path / trainer.PENDING
+    path = copy.pending_file
     for change, why in (
         ({"sliding_limit_nm": [0.01, 0.01], "near_stiction_limit_nm": [0.01, 0.01]}, "it reports collisions during"),
         ({"possible_speed_rad_s": [0.5, 0.5]}, "it rejects"),
@@ -160,8 +161,8 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch):
     """Limits from minutes of calibration."""
-    monkeypatch.setattr(trainer, "SPARE_S", 0.0)
-    monkeypatch.setattr(Trainer, "_strokes", lambda *_: [])
+    monkeypatch.setattr(promises, "SPARE_S", 0.0)
+    monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
     monkeypatch.setattr(course, "LEARN_S", 30.0)
     monkeypatch.setattr(course, "LIMITS_AT_H", (0.01, 0.02))
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
@@ -172,7 +173,7 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     one = Trainer(copy)
     assert [one.step() for _ in range(3)] == ["learn", "limits", "nothing"]
-    hours = one.ledger().hours
+    hours = one.promises.ledger().hours
     assert active(copy) == "b0002" and 50 / 3600 < hours < 70 / 3600
     promise = copy.history()[-1]
     assert promise["kind"] == "promise" and abs(promise["promised_per_hour"] - 3.0 / hours) < 0.1 / hours
@@ -183,9 +184,9 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     for segment in copy.segments():
         if segment.set == "calibration":
             (copy.path / segment.name).unlink()
-    assert keep.learned_up_to(copy) == one.ledger().learned > 0
+    assert keep.learned_up_to(copy) == one.promises.ledger().learned > 0
     again = Trainer(copy)
-    assert again.ledger().hours == hours and again.ledger().base == "b0001"
+    assert again.promises.ledger().hours == hours and again.promises.ledger().base == "b0001"
 
 
 def test_answers_change_the_peaks(copy, motion, quick):
@@ -199,17 +200,17 @@ def test_answers_change_the_peaks(copy, motion, quick):
     one.step()
 
     def largest() -> float:
-        return max(float(of[0]) for joint in one.ledger().collectors[0].peaks().nm for of in joint if len(of))
+        return max(float(of[0]) for joint in one.promises.ledger().collectors[0].peaks().nm for of in joint if len(of))
 
     free = largest()
     append_label(copy.path, replace(alarm, answer="nothing", by="page"))
-    assert one.ledger().news(copy.labels())
-    one.ledger().learn([], copy.segments())
-    assert largest() > 3 * free and not one.ledger().news(copy.labels())
+    assert one.promises.ledger().news(copy.labels())
+    one.promises.ledger().learn([], copy.segments())
+    assert largest() > 3 * free and not one.promises.ledger().news(copy.labels())
     append_label(copy.path, replace(alarm, answer="touched", by="page"))
-    one.ledger().learn([], copy.segments())
+    one.promises.ledger().learn([], copy.segments())
     assert largest() == free
-    assert Ledger.load(copy, "b0001").collectors[0].peaks().hours == one.ledger().hours
+    assert Ledger.load(copy, "b0001").collectors[0].peaks().hours == one.promises.ledger().hours
 
 
 def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypatch):
@@ -225,10 +226,10 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     found = kept_of(copy.path, "b0002", 230.0)
     assert (found.false, found.unanswered, found.kept) == (20, 1, False) and "BROKEN" in found.words()
     assert not one.facts().is_broken  # a single alarm right after an exchange breaks nothing
-    monkeypatch.setattr(trainer, "WATCHED_S", 0.0)
+    monkeypatch.setattr(promises, "WATCHED_S", 0.0)
     assert one.facts().is_broken and one.step() == "limits" and active(copy) == "b0003"
     assert not one.facts().is_broken
-    one._compare(course.Step("promise"))
+    one.promises.compare()
     assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
 
     # The alarms do not appear in a replay of their motion. All but those that the rate allows would have been silent.
@@ -244,7 +245,7 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert "Limits are raised for false alarms" in facts["sentence"]
 
     # Later limits keep it, whether or not the promise was broken meanwhile.
-    one._limits(course.Step("limits"))
+    one.promises.renew()
     later = load_bundle(copy.bundles / "b0004.tauext")
     np.testing.assert_allclose(later.sliding_limit_nm, new.sliding_limit_nm, rtol=1e-3)
 
@@ -265,7 +266,7 @@ def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch
     Trainer(copy).step()  # the second epoch of the fixture
     filled(copy.path, [another_day(1.35)])
     one = Trainer(copy)
-    assert one.step() == "morning" and trainer.base_of(copy, "b0002") == "b0001"
+    assert one.step() == "morning" and promises.base_of(copy, "b0002") == "b0001"
     assert [one.step() for _ in range(2)] == ["judge", "nothing"]
     (morning,) = [line for line in copy.history() if line["kind"] == "morning" and line["segment"] > 13]
     assert all(1.15 < factor < 1.5 for factor in morning["friction"].values())
@@ -289,8 +290,8 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
     assert one.step() == "answer" and not copy.question_file.exists()
     assert one.facts().trained_min == (0 if answer == "learn" else 1) and active(copy) == "b0001"
     if answer == "learn":
-        assert one.step() == "train" and json.loads((copy.path / trainer.PENDING).read_text())["bundle"] == "b0002"
-        names = json.loads((copy.path / trainer.PENDING).read_text())["trained_on"]
+        assert one.step() == "train" and json.loads(copy.pending_file.read_text())["bundle"] == "b0002"
+        names = json.loads(copy.pending_file.read_text())["trained_on"]
         assert min(names) >= f"seg-{question['segment']:06d}.parquet"
         assert [label.answer for label in copy.labels() if label.id > 0] == ["touched"]  # the arm raised it itself
         filled(copy.path, [another_day(ball_kg=1.5)])
@@ -309,7 +310,7 @@ def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, mo
         name: np.concatenate([getattr(one, name) for one in (bare, heavy)]) for name in ("t_ns", "q", "dq", "tau")
     }
     filled(copy.path, [replace(bare, tau_jts=None, **joined)])
-    monkeypatch.setattr(trainer, "MOST_TEST_S", 100.0)
+    monkeypatch.setattr(arm_change, "CHANGED_FOR_S", 100.0)
     epoch, begin, end = copy.facts["epoch"], int(heavy.t_ns[0]), int(heavy.t_ns[-1])
     one = Trainer(copy)
     assert one.step() == "morning"  # after the start
@@ -318,7 +319,7 @@ def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, mo
     alarm = Label(1, epoch, begin, end, "unanswered", "nobody", "", "b0001")
     append_label(copy.path, alarm)
     assert one.step() == "nothing"  # the arm is new
-    monkeypatch.setattr(trainer, "CHANGED_AFTER_S", 100.0)
+    monkeypatch.setattr(arm_change, "CHANGED_AFTER_S", 100.0)
     append_label(copy.path, replace(alarm, answer="touched"))
     assert one.step() == "nothing"
     append_label(copy.path, replace(alarm, to_ns=begin + 60_000_000_000))
@@ -342,10 +343,10 @@ def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
     monkeypatch.setattr(trainer, "train_on_recordings", failing)
     for _ in range(2):
         with pytest.raises(CoreError):
-            one._train(course.Step("train", 1))
+            one._train(1)
     assert not words(copy)
     failures.pop(0)
-    one._train(course.Step("train", 1))
+    one._train(1)
     assert "the motion teaches nothing" in words(copy)[-1]
 
 

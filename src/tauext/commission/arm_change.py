@@ -1,17 +1,30 @@
-"""Names what has changed on the arm: the load in its hand, or single joints."""
+"""Compares the arm with earlier days, and names what has changed: the load in its hand, or single joints."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.commission.connect import load_known
+from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
+from tauext.commission.keep import LEARN_FROM, segments_of_arm
+from tauext.commission.promises import THREADS, base_of, meets
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
+from tauext.files.append_file import write_synced
+from tauext.files.plain_file import json_of, read_text
+from tauext.files.provenance import provenance
 from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_frame, see
+from tauext.progress import WallTimes
+from tauext.train.refit import refit_recordings
 
 MOST_LEFT = 0.3
 """Largest share of the squared errors that a named load leaves. On two simulated arms, loads of 0.3 kg and more left
@@ -88,3 +101,163 @@ def change_words(load: LoadChange | None, errors: Mapping[str, float], why: str)
         named = " and ".join(f"{joint} (error {error:.3g} times that of training)" for joint, error in odd.items())
         return f"only {named} {'is' if len(odd) == 1 else 'are'} not as before: gear, damage, or a weight on that link?"
     return f"the arm is not as before, and no friction explains it (tool, load or damage?): {why}"
+
+
+# --- Days: the first strokes after a pause, and motion full of alarms, are compared with earlier days.
+
+
+PAUSE_S = 3600.0
+"""Pause after which the first strokes are compared with earlier days, [s]; so are those after every start."""
+STROKES_S = 60.0
+CHANGED_SHARE = 0.9
+"""Share of the newest recordings with alarms, none of them a touch, from which the arm may have changed at work."""
+CHANGED_AFTER_S = 1200.0
+"""Least motion of the arm as it is before that, [s]: early bundles raise alarms in motion that they have not seen."""
+CHANGED_FOR_S = 180.0
+"""Newest motion in which alarms are counted, [s]."""
+STEP, STEP_SPREADS = 0.5, 4.0
+"""A change of friction is named if its logarithm exceeds the first, and so many standard deviations of earlier days."""
+REFIT_FROM, REFIT_WORTH = 0.1, 0.95
+"""Change of friction from which a refit is tried, and the ratio of errors below which it is used."""
+
+
+class Days:
+    """Refits friction in the morning, and asks a person about changes that are no friction."""
+
+    def __init__(self, folder: CommissionFolder):
+        self.folder = folder
+
+    def question(self) -> dict[str, Any]:
+        """The question about a change, with its answer if there is one; empty: none."""
+        try:
+            content = json_of(read_text(self.folder.question_file))
+        except (OSError, ValueError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+    def strokes(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
+        """Motion to compare with earlier days, up to STROKES_S, but for motion that was compared before.
+
+        These are the first strokes after the newest pause. Once they are compared, it is the newest motion if alarms
+        without a touch came during nearly all of the last CHANGED_FOR_S: the arm may have changed without a pause.
+        """
+        begins = [k for k, (a, b) in enumerate(pairwise(segments), 1) if b.epoch != a.epoch or _pause(a, b) > PAUSE_S]
+        first = segments[begins[-1]].number if begins else 0
+        done = max((int(one.get("segment") or 0) for one in history if one["kind"] == "morning"), default=0)
+        if begins and first > done:
+            return up_to(segments[begins[-1] :], STROKES_S)
+        asked = max((int(one.get("segment") or 0) for one in history if one["kind"] == "step"), default=-1)
+        newest = up_to(segments[::-1], CHANGED_FOR_S)
+        if asked >= first or sum(one.seconds for one in segments) < CHANGED_AFTER_S or newest[-1].number <= done:
+            return []
+        labels = [one for one in self.folder.labels() if one.id > 0 and one.answer in ("unanswered", "nothing")]
+        alarmed = sum(any(meets(one, label) for label in labels) for one in newest)
+        return up_to(newest, STROKES_S)[::-1] if alarmed >= CHANGED_SHARE * len(newest) else []
+
+    def compare(self) -> None:
+        """Refit to the first strokes; name what is not explained by friction, or is far beyond the earlier days."""
+        folder, active = self.folder, self.folder.active()
+        assert active is not None
+        history = folder.history()
+        motion = self.strokes(segments_of_arm(folder), history)
+        folder.progress("comparing the first strokes with earlier days")
+        facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
+        bundle, recordings = load_bundle(active), load_known(folder, motion)
+        try:
+            refitted = refit_recordings(bundle, recordings, THREADS)
+        except TauextError as error:
+            if not bundle.prior.terms:
+                folder.note(
+                    "morning", folder.seconds(), f"{active.stem} has no friction that could be refitted", **facts
+                )
+                return
+            change = find_change(bundle, recordings, THREADS)
+            self._ask(change_words(*change, " ".join(str(error).split())), facts)
+            return
+        factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
+        facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
+        earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
+        if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
+            load, errors = find_change(bundle, recordings, THREADS)
+            causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
+            self._ask(change_words(load, {}, "") if load else f"{'; '.join(steps)}: {causes}?", facts)
+            return
+        words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
+        folder.note(
+            "morning", folder.seconds(), f"friction of the first strokes, times that of training: {words}", **facts
+        )
+        if any(abs(np.log(one.coulomb[0])) > max(REFIT_FROM, 2 * one.coulomb[1]) for one in refitted.joints):
+            out = folder.next_bundle()
+            about = json.loads(bundle.provenance or "{}")
+            about["refitted"] = provenance("tauext commission", {"bundle": active.name}, seed=None) | refitted.facts()
+            about["calibrated"] = about.get("calibrated", {}) | {"base": base_of(folder, active.stem)}
+            refitted.bundle.name = out.stem
+            write_bundle(refitted.bundle, out, about, [], WallTimes())
+            content = {"bundle": out.stem, "minutes": 0, "refit": True, "trained_on": [one.name for one in motion]}
+            write_synced(folder.pending_file, json.dumps(content) + "\n")
+
+    def _factor(self, bundle: str, joint: str) -> float:
+        """Factor of a joint's friction that a refit has put into the bundle already."""
+        try:
+            about = json.loads(load_bundle(self.folder.bundles / f"{bundle}.tauext").provenance or "{}")
+        except (TauextError, ValueError):
+            return 1.0
+        joints = (about.get("refitted") or {}).get("joints") or []
+        return float(next((one["coulomb"][0] for one in joints if one["joint"] == joint), 1.0))
+
+    def judge_refit(self, name: str, facts: dict[str, Any], why: str) -> None:
+        """A refit monitors if it passes and is better: fewer false alarms, or smaller errors."""
+        folder = self.folder
+        better = facts.get("error_ratio", 1.0) < REFIT_WORTH or facts.get("per_hour", 0.0) < facts.get("before", 0.0)
+        why = why or ("" if better else "the drift tracker does as well")
+        words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
+        folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
+        if not why:
+            folder.activate(name, "friction of the first strokes of the day", folder.seconds())
+        (folder.pending_file).unlink(missing_ok=True)
+
+    def _ask(self, words: str, facts: dict[str, Any]) -> None:
+        """Name a change and ask a person whether it may be learned."""
+        self.folder.note("morning", self.folder.seconds(), words, **facts)
+        self.folder.note("step", self.folder.seconds(), words, segment=facts["segment"])
+        content = {"words": words, "asked": wall(), "segment": facts["segment"]}
+        write_synced(self.folder.question_file, json.dumps(content) + "\n")
+
+    def answer(self) -> None:
+        """learn: train on motion since the change alone. leave: the bundle in charge stays, and the motion is used."""
+        folder, question = self.folder, self.question()
+        learns = question["answer"] == "learn"
+        if learns:
+            folder.save(**{LEARN_FROM: int(question.get("segment") or 0)})
+        words = "the change is learned: training begins again" if learns else "the change is not learned"
+        folder.note("step", folder.seconds(), f"{words} ({question.get('words')})", learned=learns)
+        folder.question_file.unlink(missing_ok=True)
+
+
+def is_changed(history: Sequence[dict[str, Any]]) -> bool:
+    """Whether the bundle in charge is of the arm before a change that may be learned."""
+    kinds = [one["kind"] for one in history if one["kind"] == "activation" or one.get("learned")]
+    return bool(kinds) and kinds[-1] != "activation"
+
+
+def named_steps(
+    now: Mapping[str, float], errors: Mapping[str, float], earlier: Sequence[Mapping[str, float]]
+) -> list[str]:
+    """Joints whose friction is far from that of earlier days, in words.
+
+    Args:
+        now: friction of the first strokes, times that of training. errors: its standard errors.
+        earlier: the same of earlier days.
+    """
+    found = []
+    for joint, factor in now.items():
+        logs = np.log([one[joint] for one in earlier if one.get(joint, 0.0) > 0] or [1.0])
+        usual, spread = float(np.median(logs)), float(np.std(logs))
+        apart = abs(float(np.log(factor)) - usual)
+        if apart > max(STEP, STEP_SPREADS * float(np.hypot(spread, errors[joint]))):
+            found.append(f"friction of {joint} is {factor / np.exp(usual):.2f} times that of earlier days")
+    return found
+
+
+def _pause(before: Segment, after: Segment) -> float:
+    return 1e-9 * (after.from_ns - before.to_ns)

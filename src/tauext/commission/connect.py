@@ -18,6 +18,7 @@ from tauext.check.effort import HIGH, LOW, SEARCH_S
 from tauext.check.examine import Diagnosis, examine
 from tauext.check.finding import CODES, Finding
 from tauext.check.motion import MOVING_RAD_S
+from tauext.commission.folder import CommissionFolder, Segment
 from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
 from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, derives_velocity, servo_facts, servo_of
@@ -492,3 +493,10 @@ def servo_type(joint: ServoConstants) -> str:
 def as_entries(lives: Iterable[Live]) -> list[dict[str, Any]]:
     """Entries of findings.json."""
     return [asdict(live) for live in lives]
+
+
+def load_known(folder: CommissionFolder, segments: Sequence[Segment]) -> list[Recording]:
+    """Recordings with their labels, and with what is known of the torque by now."""
+    recordings, arm = folder.load(segments), folder.facts.get("arm")
+    known = {} if arm is None else provenance_of(facts_of_data(arm))
+    return [replace(one, provenance=one.provenance | known) for one in recordings] if known else recordings

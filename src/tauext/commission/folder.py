@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,6 +33,7 @@ from tauext.errors import ConfigError, TauextError
 from tauext.files.append_file import append_line, lock, read_lines, reserve, write_synced
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
+from tauext.files.provenance import write_json
 
 # --- The index of recordings, from which split.json follows.
 
@@ -62,6 +63,12 @@ class Segment:
         return self.name.removesuffix(".parquet")
 
 
+def up_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
+    """The first of these recordings, until they last so long."""
+    lasts = np.cumsum([one.seconds for one in segments])
+    return list(segments[: int(np.searchsorted(lasts, seconds)) + 1])
+
+
 def split_of(segments: Iterable[Segment]) -> Split:
     """The split of these recordings."""
     sets: dict[str, list[str]] = {"train": [], "test": [], "calibration": []}
@@ -87,6 +94,8 @@ class CommissionFolder:
         self.history_file, self.events_file = path / HISTORY, path / EVENTS
         self.coverage_file, self.findings_file = path / "coverage.json", path / "findings.json"
         self.question_file, self.progress_file = path / "question.json", path / "trainer.json"
+        self.pending_file = path / "pending.json"
+        """The bundle that waits to be judged, and what it was trained on."""
 
     @classmethod
     def open(cls, path: Path, create: bool = False) -> CommissionFolder:
@@ -120,6 +129,11 @@ class CommissionFolder:
                 raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
             reserve(path)
         return folder
+
+    def progress(self, doing: str, share: float = 0.0) -> None:
+        """Show what the training process does; empty: nothing."""
+        with suppress(OSError):
+            write_json({"doing": doing, "share": round(share, 3)}, self.progress_file)
 
     @contextmanager
     def locked(self, name: str = "lock") -> Iterator[None]:

@@ -214,6 +214,12 @@ def learns_from(folder: CommissionFolder) -> int:
     return int(folder.facts.get(LEARN_FROM) or 0)
 
 
+def segments_of_arm(folder: CommissionFolder) -> list[Segment]:
+    """Recordings of the arm as it is."""
+    begin = learns_from(folder)
+    return [one for one in folder.segments() if one.number >= begin]
+
+
 def motion_s(folder: CommissionFolder, segments: Sequence[Segment], sets: Collection[str] = ("train",)) -> float:
     """Motion of the arm as it is in these sets, [s]."""
     begin = learns_from(folder)

@@ -1,0 +1,274 @@
+"""Limits from all calibration motion, also of recordings that the disk no longer holds, and what they promise."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.commission.folder import CommissionFolder, Segment, up_to
+from tauext.commission.history import Kept, kept_of
+from tauext.commission.keep import LEARNED, segments_of_arm
+from tauext.commission.suspects import Suspect
+from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.data.labels import MARGINS, Label
+from tauext.errors import TauextError
+from tauext.files.append_file import write_synced
+from tauext.files.checkpoint import Checkpoint
+from tauext.files.provenance import provenance
+from tauext.progress import WallTimes
+from tauext.train.calibrate import no_freeze
+from tauext.train.held_peaks import collect_peaks
+from tauext.train.promised_limits import apply_promised, promised_limits
+
+THREADS = 1
+"""Training must not take cores from the loop."""
+
+
+class Ledger:
+    """Peaks and hours of the calibration motion under one model, and what of the labels they contain."""
+
+    def __init__(self, folder: CommissionFolder, base: str):
+        self._folder, self.base = folder, base
+        self.collectors: list[Any] = []
+        self.names: list[str] = []
+        self.places: list[tuple[str, int, int, int]] = []
+        """Name, epoch, first and last stamp of each recording in the peaks."""
+        self.learned = 0
+        self.limits_h = 0.0
+        self.counted: set[int] = set()
+        """Alarms answered `nothing` whose motion is in the peaks."""
+        self.forgotten: dict[int, tuple[int, int]] = {}
+        """Spans of labels whose peaks were left out."""
+        self._checkpoint = Checkpoint(folder.path / "peaks.state", base)
+
+    @classmethod
+    def load(cls, folder: CommissionFolder, base: str) -> Ledger:
+        made = cls(folder, base)
+        if (state := made._checkpoint.load()) is not None:
+            (made.collectors, made.names, made.places, made.learned) = state[:4]
+            (made.limits_h, made.counted, made.forgotten) = state[4:]
+            made.names = made.names[: len(made.places)]
+        return made
+
+    def put(self) -> None:
+        """Keep the state, then allow the recorder to drop what was learned."""
+        state = [self.collectors, self.names, self.places, self.learned, self.limits_h, self.counted, self.forgotten]
+        self._checkpoint.put(state)
+        write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
+
+    @property
+    def hours(self) -> float:
+        return float(self.collectors[0].peaks().hours) if self.collectors else 0.0
+
+    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
+        """Part of KeptPeaks: the collectors after one more recording."""
+        self.collectors = collectors
+
+    def news(self, labels: Sequence[Label]) -> bool:
+        """Whether answers are not in the peaks yet."""
+        return any(one.answer == "nothing" and one.id not in self.counted for one in labels)
+
+    def learn(self, fresh: Sequence[Segment], segments: Sequence[Segment]) -> None:
+        """Add calibration motion; then leave out what labels called a touch since, and add answered alarms."""
+        labels = self._folder.labels()
+        learned = max([self.learned, *(one.number for one in fresh)])
+        again = [one for one in labels if one.answer == "nothing" and one.id not in self.counted]
+        false = [one for one in segments if any(meets(one, label) for label in again)]
+        false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
+        bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
+        recordings = [*self._folder.load(fresh), *self._folder.load(false)]
+        if recordings:
+            places = [(r.name, int(r.provenance["epoch"]), int(r.t_ns[0]), int(r.t_ns[-1])) for r in recordings]
+            with no_freeze(bundle):
+                collect_peaks(bundle, recordings, AlarmConfig().holds_s, THREADS, margins=FreeMotionConfig(), kept=self)
+            self.places += places
+            self.names += [one.name for one in recordings]
+        self.learned = learned
+        self.counted = {one.id for one in labels if one.answer == "nothing"}
+        self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
+        self._forget(labels)
+        self.put()
+
+    def _forget(self, labels: Sequence[Label]) -> None:
+        before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
+        for label in labels:
+            span = (label.from_ns - before, label.to_ns + after)
+            if label.answer == "nothing" or self.forgotten.get(label.id) == span:
+                continue
+            for k, (_, epoch, from_ns, to_ns) in enumerate(self.places):
+                if epoch == label.epoch and from_ns <= span[1] and to_ns >= span[0]:
+                    for collector in self.collectors:
+                        collector.forget(k, span[0] - from_ns, span[1] - from_ns)
+            self.forgotten[label.id] = span
+
+
+def base_of(folder: CommissionFolder, bundle: str) -> str:
+    """The bundle whose model a bundle with other limits, or with today's friction, comes from."""
+    try:
+        facts = json.loads(load_bundle(folder.bundles / f"{bundle}.tauext").provenance or "{}")
+    except (TauextError, ValueError):
+        return bundle
+    return str((facts.get("calibrated") or {}).get("base") or bundle)
+
+
+def meets(one: Segment | Suspect, label: Label) -> bool:
+    return one.epoch == label.epoch and one.from_ns <= label.to_ns and one.to_ns >= label.from_ns
+
+
+# --- Limits and promises.
+
+
+MOST_TEST_S = 180.0
+"""Newest motion outside of training that judges a bundle, [s]."""
+SPARE_S = 660.0
+"""Calibration motion is learned when it is this old, [s]: answers about it have then come."""
+RAISED = "raised"
+"""Entry of a bundle's limits: factors on the limits from calibration, by joint, with which a promise was repaired."""
+WATCHED_S = 1200.0
+"""Least time that a bundle monitors before its promise counts as broken, [s]: else single alarms replace it by one that
+hardly differs, again and again."""
+Judge = Callable[[str, Sequence[Segment], bool], tuple[dict[str, Any], str]]
+
+
+class Promises:
+    """Limits of the bundle in charge from calibration motion, and whether they keep what they promise."""
+
+    def __init__(self, folder: CommissionFolder, judged: Judge):
+        """judged: numbers of a bundle on these recordings, and why it does not pass; the last argument:
+        whether the bundle in charge breaks its promise."""
+        self.folder, self._judged = folder, judged
+        self._ledger: Ledger | None = None
+        self._bases: dict[str, str] = {}
+        """Names of bundles and of those whose model they have."""
+
+    def ledger(self) -> Ledger:
+        """Peaks of the calibration motion for the model of the bundle in charge."""
+        active = self.folder.active()
+        assert active is not None
+        if active.stem not in self._bases:
+            self._bases[active.stem] = base_of(self.folder, active.stem)
+        base = self._bases[active.stem]
+        if self._ledger is None or self._ledger.base != base:
+            self._ledger = Ledger.load(self.folder, base)
+        return self._ledger
+
+    def unlearned(self, segments: Sequence[Segment]) -> list[Segment]:
+        """Calibration motion that can be learned."""
+        later, found, ledger = 0.0, list[Segment](), self.ledger()
+        for one in reversed(segments):
+            if one.set == "calibration" and one.number > ledger.learned and later >= SPARE_S:
+                found.append(one)
+            later += one.seconds
+        return found[::-1]
+
+    def learn(self) -> None:
+        """Collect the peaks of new calibration motion, and of alarms that were answered with `nothing`."""
+        ledger = self.ledger()
+        segments = segments_of_arm(self.folder)
+        fresh = self.unlearned(segments)
+        self.folder.progress(f"learning from {sum(one.seconds for one in fresh) / 60:.0f} min of motion")
+        ledger.learn(fresh, segments)
+
+    def renew(self) -> None:
+        """A copy of the bundle in charge with limits from all learned calibration motion."""
+        folder, ledger = self.folder, self.ledger()
+        active = folder.active()
+        assert active is not None
+        out = folder.next_bundle()
+        folder.progress(f"limits of {out.stem}")
+        started = time.monotonic()
+        segments = segments_of_arm(folder)
+        ledger.learn([], segments)
+        bundle = load_bundle(folder.bundles / f"{ledger.base}.tauext")  # without the refit of a morning
+        alarm = AlarmConfig()
+        try:
+            with no_freeze(bundle):
+                promised = promised_limits(bundle, lambda: [], alarm, THREADS, kept=ledger)
+        except TauextError as error:
+            folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
+            ledger.limits_h = ledger.hours
+            ledger.put()
+            return
+        apply_promised(bundle, promised, alarm)
+        rate, sentence = promised.budget.rate_per_hour, promised.sentence()
+        happened = kept_of(folder.path, active.stem, folder.seconds())
+        if raised := raise_limits(bundle, load_bundle(active), happened, rate):
+            words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
+            sentence += f" Limits are raised for false alarms that the calibration does not contain: {words}."
+        facts = json.loads(bundle.provenance or "{}")
+        recordings = sorted({name for name, *_ in ledger.places})
+        facts["limits"] = promised.facts() | {"sentence": sentence, "recordings": recordings, RAISED: raised}
+        settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
+        facts["calibrated"] = provenance("tauext commission", settings, seed=None)
+        facts["calibrated"]["base"] = ledger.base
+        bundle.name = out.stem
+        write_bundle(bundle, out, facts, [], WallTimes({"calibrate": time.monotonic() - started}))
+        ledger.limits_h = ledger.hours
+        ledger.put()
+        tests = [one for one in segments if one.set == "test"]
+        found, why = self._judged(out.stem, up_to(tests[::-1], MOST_TEST_S)[::-1], not happened.kept)
+        numbers = {"promised_per_hour": rate, "sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}
+        if why and found:
+            folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
+            for path in folder.bundles.glob(f"{out.stem}.*"):
+                path.unlink(missing_ok=True)
+            return
+        folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work", folder.seconds())
+        folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
+
+    def compare(self) -> None:
+        """Add what was promised and what happened to the history."""
+        folder, active = self.folder, self.folder.active()
+        assert active is not None
+        found = kept_of(folder.path, active.stem, folder.seconds())
+        folder.note(
+            "promise",
+            folder.seconds(),
+            found.words(),
+            bundle=found.bundle,
+            promised_per_hour=found.promised_per_hour,
+            sentence=found.sentence,
+            hours=round(found.hours, 3),
+            alarms=found.false,
+            kept=found.kept,
+        )
+
+    def is_broken(self) -> bool:
+        """Whether the promise is broken and new limits would differ, since there are new answers."""
+        active = self.folder.active()
+        assert active is not None
+        ledger = self.ledger()
+        if ledger.hours <= 0 or not ledger.news(self.folder.labels()):
+            return False
+        seconds = self.folder.seconds()
+        begun = [float(one["seconds"]) for one in self.folder.history() if one["kind"] == "activation"]
+        if begun and seconds < begun[-1] + WATCHED_S:
+            return False
+        return not kept_of(self.folder.path, active.stem, seconds).kept
+
+
+def raise_limits(bundle: _core.Bundle, old: _core.Bundle, happened: Kept, rate_per_hour: float) -> dict[str, float]:
+    """Raise the limits of a bundle so far that the false alarms under the old one would have kept this rate.
+
+    Some errors do not appear when the recordings of the alarms are replayed, since they depend on hours before.
+
+    Returns:
+        Factors by joint, also of earlier repairs.
+    """
+    joints = [link.joint_name for link in bundle.links]
+    earlier = (json.loads(old.provenance or "{}").get("limits") or {}).get(RAISED) or {}
+    factors = np.array([float(earlier.get(joint, 1.0)) for joint in joints])
+    before, now = (np.array([one.sliding_limit_nm, one.near_stiction_limit_nm]) for one in (old, bundle))
+    overs = [] if happened.kept else [np.array(one.get("over") or (), dtype=float) for one in happened.false_alarms]
+    peaks = sorted((over.max(), int(over.argmax())) for over in overs if len(over) == len(joints) and over.max() > 1)
+    for over, j in peaks[: max(0, len(peaks) - int(rate_per_hour * happened.hours))]:
+        factors[j] = max(factors[j], over * (before / now)[:, j].max())
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (factors * now).tolist()
+    return {joint: round(float(factor), 4) for joint, factor in zip(joints, factors, strict=True) if factor > 1}

@@ -128,6 +128,8 @@ class Simulation:
         self.model = 0
         self.recent: deque[tuple[Recording, bytes]] = deque()
         """The last REPEATED_S, and what the monitor carried before each of its recordings."""
+        self.newest: Label | None = None
+        """Of the newest alarm."""
         self.alarms = self.number = 0
         self.now_ns = self.newest_s = 0
         self.most_bytes = 0
@@ -259,6 +261,10 @@ class Simulation:
                 outcome.touches += 1
                 outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
         later, ratio = part.t_ns[np.concatenate(beyond)], np.concatenate(over)
+        if stands and self.newest is not None:  # its touch may last into this recording
+            again = later[later < self.newest.from_ns + 2_000_000_000]
+            if len(again):
+                self.folder.append_label(replace(self.newest, to_ns=int(again[-1])))
         for one in found:
             if one.was != NONE or (stands and one.t_ns == part.t_ns[0]):
                 continue
@@ -274,9 +280,9 @@ class Simulation:
             content["over"] = np.nan_to_num(ratio[lasts].max(axis=0)).round(4).tolist()
             append_line(self.folder.events_file, content | {"bundle": self.bundle, "answer": answer})
             end = int(later[(later >= one.t_ns) & (later < one.t_ns + 2_000_000_000)].max(initial=one.t_ns))
-            self.folder.append_label(
-                Label(self.alarms, self.sink.epoch, one.t_ns, end, answer or "unanswered", "sim", wall(), self.bundle)
-            )
+            span = self.sink.epoch, one.t_ns, end
+            self.newest = Label(self.alarms, *span, answer or "unanswered", "sim", wall(), self.bundle)
+            self.folder.append_label(self.newest)
 
     # Afterwards.
 

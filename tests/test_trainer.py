@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from made_commission import active, add_event, filled, words
 
+from tauext import _core
 from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import active_bundle, read_history
@@ -187,6 +188,29 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     assert keep.learned_up_to(copy) == one.promises.ledger().learned > 0
     again = Trainer(copy)
     assert again.promises.ledger().hours == hours and again.promises.ledger().base == "b0001"
+
+
+def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(copy, quick):
+    """Peaks are errors of a monitor that ran through all motion before; friction is off by a third."""
+    day = another_day(1.35)
+    filled(copy.path, [day])
+    one = Trainer(copy)
+    while one.step() != "learn":
+        pass
+    peaks = one.promises.ledger().collectors[0].peaks()
+    bundle = load_bundle(copy.bundles / "b0001.tauext")
+    bundle.drift.freeze_share = 0.0
+    run = _core.Monitor(bundle).run(day.t_ns, day.q, day.dq, day.tau)
+    error = np.maximum(np.abs(run["tau_ext"]) - run["doubt"], 0) / run["limit_scale"]
+    late = [part for part in copy.segments() if part.set == "calibration" and part.epoch == copy.facts["epoch"]]
+    assert len(late) > 2
+    at = np.any([(day.t_ns >= part.from_ns) & (day.t_ns <= part.to_ns) for part in late], axis=0)
+    largest = np.nanmax(error[at], axis=0)
+    np.testing.assert_allclose([max(float(of[0]) for of in joint) for joint in peaks.nm], largest, rtol=1e-9)
+    first = slice(late[4].from_ns // 1_000_000, late[5].from_ns // 1_000_000)  # alone, its friction is an error again
+    alone = _core.Monitor(bundle).run(*(values[first] for values in (day.t_ns, day.q, day.dq, day.tau)))
+    rms = [np.sqrt(np.nanmean(one**2)) for one in (alone["tau_ext"], run["tau_ext"][first])]
+    assert rms[0] > 1.5 * rms[1]
 
 
 def test_answers_change_the_peaks(copy, motion, quick):

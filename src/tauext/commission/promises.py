@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.commission.folder import CommissionFolder, Segment, up_to
+from tauext.commission.folder import CommissionFolder, Segment, joined, up_to
 from tauext.commission.history import Kept, kept_of
 from tauext.commission.keep import LEARNED, segments_of_arm
 from tauext.commission.suspects import Suspect
 from tauext.config import AlarmConfig, FreeMotionConfig
-from tauext.data.labels import MARGINS, Label
+from tauext.data.free_motion import free_samples
+from tauext.data.labels import EPOCH, MARGINS, Label
+from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.append_file import write_synced
 from tauext.files.checkpoint import Checkpoint
@@ -29,6 +33,12 @@ from tauext.train.promised_limits import apply_promised, promised_limits
 
 THREADS = 1
 """Training must not take cores from the loop."""
+LEAD_S = 600.0
+"""Motion before calibration motion that the drift tracker learns from, [s]."""
+TURN_S = 1800.0
+"""Calibration motion in memory at a time, [s]."""
+Place = tuple[str, int, int, int]
+"""Name, epoch, first and last stamp of a motion in the peaks."""
 
 
 class Ledger:
@@ -38,8 +48,7 @@ class Ledger:
         self._folder, self.base = folder, base
         self.collectors: list[Any] = []
         self.names: list[str] = []
-        self.places: list[tuple[str, int, int, int]] = []
-        """Name, epoch, first and last stamp of each recording in the peaks."""
+        self.places: list[Place] = []
         self.learned = 0
         self.limits_h = 0.0
         self.counted: set[int] = set()
@@ -83,18 +92,52 @@ class Ledger:
         false = [one for one in segments if any(meets(one, label) for label in again)]
         false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
         bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
-        recordings = [*self._folder.load(fresh), *self._folder.load(false)]
-        if recordings:
-            places = [(r.name, int(r.provenance["epoch"]), int(r.t_ns[0]), int(r.t_ns[-1])) for r in recordings]
+        numbers = {one.number for one in (*fresh, *false)}
+        before, places = copy.deepcopy(self.collectors), list[Place]()
+        try:
             with no_freeze(bundle):
-                collect_peaks(bundle, recordings, AlarmConfig().holds_s, THREADS, margins=FreeMotionConfig(), kept=self)
-            self.places += places
-            self.names += [one.name for one in recordings]
+                counted = self._counted([one for one in segments if one.number in numbers], segments, places)
+                if (first := next(counted, None)) is not None:
+                    recordings = chain([first], counted)
+                    holds_s = AlarmConfig().holds_s
+                    collect_peaks(bundle, recordings, holds_s, THREADS, margins=FreeMotionConfig(), kept=self)
+        except BaseException:
+            self.collectors = before
+            raise
+        self.places += places
+        self.names += [name for name, *_ in places]
         self.learned = learned
         self.counted = {one.id for one in labels if one.answer == "nothing"}
         self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
         self._forget(labels)
         self.put()
+
+    def _counted(
+        self, chosen: Sequence[Segment], segments: Sequence[Segment], places: list[Place]
+    ) -> Iterator[Recording]:
+        """Motion of the chosen recordings, each after the motion before it: the drift tracker then has learned what it
+        has learned in the loop. Only chosen motion counts; the other is of unknown contact.
+
+        Args:
+            places: receives the place of each motion.
+        """
+        at_s = dict(zip((one.number for one in segments), np.cumsum([one.seconds for one in segments]), strict=True))
+        groups: list[list[Segment]] = []
+        for one in chosen:
+            group, now_s = groups[-1] if groups else [], at_s[one.number]
+            if group and now_s - at_s[group[-1].number] < LEAD_S and now_s - at_s[group[0].number] < TURN_S:
+                group.append(one)
+            else:
+                groups.append([one])
+        for group in groups:
+            begin_s, end_s = at_s[group[0].number] - LEAD_S, at_s[group[-1].number]
+            loaded = self._folder.load([one for one in segments if begin_s <= at_s[one.number] <= end_s])
+            for epoch, runs in groupby(loaded, lambda one: int(one.provenance[EPOCH])):
+                own = [one for one in group if one.epoch == epoch]
+                motion = joined([_only(own, run) for run in runs])  # the drift tracker goes on after a gap
+                if own and free_samples(motion).any():
+                    places.append((own[0].stem, epoch, int(motion.t_ns[0]), int(motion.t_ns[-1])))
+                    yield replace(motion, name=own[0].stem)
 
     def _forget(self, labels: Sequence[Label]) -> None:
         before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
@@ -107,6 +150,16 @@ class Ledger:
                     for collector in self.collectors:
                         collector.forget(k, span[0] - from_ns, span[1] - from_ns)
             self.forgotten[label.id] = span
+
+
+def _only(own: Sequence[Segment], motion: Recording) -> Recording:
+    """Motion whose contact is unknown outside of these recordings, but for touches."""
+    known = np.zeros(motion.samples, dtype=np.int8) if motion.contact is None else motion.contact
+    contact = np.where(known == 1, 1, -1).astype(np.int8)
+    for one in own:
+        rows = slice(*np.searchsorted(motion.t_ns, (one.from_ns, one.to_ns + 1)))
+        contact[rows] = known[rows]
+    return replace(motion, contact=contact)
 
 
 def base_of(folder: CommissionFolder, bundle: str) -> str:

@@ -155,32 +155,15 @@ void FrictionFactors::learn(std::span<const double> dq, std::span<const double> 
     const bool near = near_stiction >> j & 1;
     joint.stuck_ns = near ? forget_ns_ : std::max<std::int64_t>(joint.stuck_ns - state_.step_ns, 0);
     const bool turned = joint.open.seconds > 0 && joint.open.travel * dq[j] < 0;
-    if (near || turned) close(j);
+    if (near || turned) close(j, slow);
     // NaN compares false: without an error scale nothing is learned.
-    if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j]) {
-      add(joint, dq[j], tau_ext[j], sigma[j]);
-      if (slow.on()) take_over(j, slow);
-    }
+    if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j])
+      add(j, dq[j], tau_ext[j], sigma[j], slow);
   }
 }
 
-void FrictionFactors::take_over(int j, DriftTracker& slow) noexcept {
+void FrictionFactors::add(int j, double dq, double tau_ext, double sigma, const DriftTracker& slow) noexcept {
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
-  const double share = std::min(seconds(state_.step_ns) / kTakeOver_s, 1.0);
-  const double whole = std::fabs(joint.filtered[0]) + std::fabs(joint.filtered[1]);
-  for (std::size_t m = 0; m < kParts; ++m) {
-    const double friction = joint.filtered[m];
-    if (!(std::fabs(friction) > kWorth * whole)) continue;
-    const int term = DriftTracker::kFriction + static_cast<int>(m);
-    const double more = share * slow.part(j, term) / friction, sum = joint.wanted[m] + more;
-    if (!(std::fabs(sum) <= std::max(share_, std::fabs(joint.wanted[m])))) continue;  // NaN compares false
-    joint.wanted[m] = sum;
-    joint.factors[m] += more;
-    slow.give(j, term, share);
-  }
-}
-
-void FrictionFactors::add(Joint& joint, double dq, double tau_ext, double sigma) noexcept {
   const double dt = seconds(state_.step_ns), c = joint.filtered[0], v = joint.filtered[1];
   const double e = tau_ext + joint.factors[0] * c + joint.factors[1] * v;
   Stroke& s = joint.open;
@@ -193,10 +176,12 @@ void FrictionFactors::add(Joint& joint, double dq, double tau_ext, double sigma)
   s.ve += v * e * dt;
   s.ee += e * e * dt;
   s.sigma2 += sigma * sigma * dt;
+  for (std::size_t m = 0; m < kParts; ++m)
+    s.slow[m] += joint.filtered[m] * slow.part(j, DriftTracker::kFriction + static_cast<int>(m)) * dt;
 }
 
 // Ends the stroke of a joint.
-void FrictionFactors::close(int j) noexcept {
+void FrictionFactors::close(int j, DriftTracker& slow) noexcept {
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
   const Stroke ended = joint.open;
   joint.open = {};
@@ -205,7 +190,29 @@ void FrictionFactors::close(int j) noexcept {
   joint.strokes[static_cast<std::size_t>(joint.next)] = ended;
   joint.strokes[static_cast<std::size_t>(joint.next)].end_ns = state_.t_ns;
   joint.next = (joint.next + 1) % kStrokes;
+  cancel(j, ended, slow);
   conclude(j);
+}
+
+void FrictionFactors::cancel(int j, const Stroke& ended, DriftTracker& slow) noexcept {
+  Joint& joint = state_.joints[static_cast<std::size_t>(j)];
+  const double share = std::min(ended.seconds / kCancel_s, 1.0);
+  Parts more{};
+  for (std::size_t m = 0; m < kParts; ++m) {
+    const double squares = m == 0 ? ended.cc : ended.vv, factor = ended.slow[m] / squares, wanted = joint.wanted[m];
+    // NaN compares false: a joint without this part of friction.
+    if (!(squares > kWorth * kWorth * square(ended, 1, 1)) || !(factor * wanted < 0)) continue;
+    more[m] = std::clamp(share * factor, -std::fabs(wanted), std::fabs(wanted));
+    joint.wanted[m] += more[m];
+    slow.give(j, DriftTracker::kFriction + static_cast<int>(m), more[m] / factor);
+  }
+  // tau_ext without the factors now has more of this friction, in earlier strokes, too.
+  for (Stroke& s : joint.strokes) {
+    const double ce = s.ce, ve = s.ve;
+    s.ce += more[0] * s.cc + more[1] * s.cv;
+    s.ve += more[0] * s.cv + more[1] * s.vv;
+    s.ee += 2 * (more[0] * ce + more[1] * ve) + square(s, more[0], more[1]);
+  }
 }
 
 FrictionFactors::Evidence FrictionFactors::evidence(const Joint& joint) const noexcept {

@@ -99,9 +99,9 @@ class DriftTracker {
 // joint moves alone, a force that opposes its motion both ways at a constant lever looks like friction. At most `share`
 // of the joint's friction is then learned, and nothing of a larger force.
 //
-// While a joint slides, the factors take over what the slow tracker has learned as friction, without changing the drift.
-// If each kept its own part, every cold start would add to the factors, and every warm-up would subtract it in the slow
-// tracker. Both cancel in motion; at rest, the slow tracker's part vanishes and the factors' remains.
+// After each stroke, a part of a factor that the slow tracker has learned with the opposite sign is cancelled in both.
+// Else, every cold start would add to the factors, and every warm-up would subtract it in the slow tracker: the sum is
+// right in motion, but at rest the slow tracker's part vanishes and the factors' remains.
 class FrictionFactors {
  public:
   static constexpr int kParts = 2;               // Coulomb, viscous
@@ -117,8 +117,8 @@ class FrictionFactors {
   static constexpr double kApart = 0.2;          // usual difference of the two factors
   static constexpr double kGlidePerSecond = 0.2; // rate limit of a factor
   static constexpr double kForgottenShare = 3;   // times 1/K0 after stiction: the observer's memory
-  static constexpr double kTakeOver_s = 10;      // of sliding: short against the slow tracker's minutes
-  static constexpr double kWorth = 0.1;          // of the joint's friction: a smaller part takes over nothing
+  static constexpr double kCancel_s = 10;        // of sliding: short against the slow tracker's minutes
+  static constexpr double kWorth = 0.1;          // of the joint's friction, RMS: with a smaller part nothing is cancelled
 
   using Parts = std::array<double, kParts>;
   // Sums over one stroke, times dt.
@@ -127,6 +127,7 @@ class FrictionFactors {
     double seconds = 0, travel = 0;  // 0 s: empty
     double cc = 0, cv = 0, vv = 0;   // of f f'
     double ce = 0, ve = 0, ee = 0;   // of f e and e e
+    Parts slow{};                    // of f times the slow tracker's part, Coulomb and viscous
     double sigma2 = 0;
   };
   struct Joint {
@@ -185,9 +186,9 @@ class FrictionFactors {
     double change2 = 0, whole2 = 0, friction2 = 0, sigma2 = 0;  // mean squares of change, x f, friction and sigma
   };
 
-  void add(Joint& joint, double dq, double tau_ext, double sigma) noexcept;
-  void take_over(int joint, DriftTracker& slow) noexcept;
-  void close(int joint) noexcept;
+  void add(int joint, double dq, double tau_ext, double sigma, const DriftTracker& slow) noexcept;
+  void close(int joint, DriftTracker& slow) noexcept;
+  void cancel(int joint, const Stroke& ended, DriftTracker& slow) noexcept;
   Evidence evidence(const Joint& joint) const noexcept;
   void conclude(int joint) noexcept;
 

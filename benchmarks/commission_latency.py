@@ -56,7 +56,7 @@ def measured(arm: str, seconds: float, with_page: bool, flags: list[str]) -> lis
         words += ["--port", str(port)] if with_page else ["--no-page"]
         command = subprocess.Popen([sys.executable, "-m", "tauext", *words], stdout=subprocess.DEVNULL)
         try:
-            live = connected(folder / "live.sock")
+            live = connected(command, folder / "live.sock")
             if with_page:
                 threading.Thread(target=read_page, args=(port,), daemon=True).start()
             end = time.monotonic() + seconds
@@ -79,7 +79,7 @@ def measured(arm: str, seconds: float, with_page: bool, flags: list[str]) -> lis
     return seen
 
 
-def connected(path: Path) -> socket.socket:
+def connected(command: subprocess.Popen[bytes], path: Path) -> socket.socket:
     until = time.monotonic() + READY_S
     while True:
         live = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -87,6 +87,8 @@ def connected(path: Path) -> socket.socket:
             live.connect(str(path))
         except OSError:
             live.close()
+            if command.poll() is not None:
+                sys.exit(command.returncode)  # it has printed why
             if time.monotonic() > until:
                 raise
             time.sleep(0.2)

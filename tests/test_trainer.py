@@ -374,6 +374,15 @@ def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
     assert "the motion teaches nothing" in words(copy)[-1]
 
 
+def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypatch):
+    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    Trainer(copy).step()
+    filled(copy.path, [another_day(ball_kg=0.3)])
+    assert Trainer(copy).step() == "morning"
+    named = re.match(r"the hand carries ([0-9.]+) kg more", json.loads(copy.question_file.read_text())["words"])
+    assert named and abs(float(named[1]) - 0.3) < 0.1
+
+
 def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()

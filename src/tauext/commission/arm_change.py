@@ -155,7 +155,7 @@ class Days:
         return up_to(newest, STROKES_S)[::-1] if alarmed >= CHANGED_SHARE * len(newest) else []
 
     def compare(self) -> None:
-        """Refit to the first strokes; name what is not explained by friction, or is far beyond the earlier days."""
+        """Refit to the first strokes; name a load, and what no friction explains or is far beyond the earlier days."""
         folder, active = self.folder, self.folder.active()
         assert active is not None
         history = folder.history()
@@ -163,25 +163,22 @@ class Days:
         folder.progress("comparing the first strokes with earlier days")
         facts: dict[str, Any] = {"bundle": active.stem, "segment": motion[0].number}
         bundle, recordings = load_bundle(active), load_known(folder, motion)
+        load, errors = find_change(bundle, recordings, THREADS)
+        if load is not None:
+            return self._ask(change_words(load, {}, ""), facts)
         try:
             refitted = refit_recordings(bundle, recordings, THREADS)
         except TauextError as error:
-            if not bundle.prior.terms:
-                folder.note(
-                    "morning", folder.seconds(), f"{active.stem} has no friction that could be refitted", **facts
-                )
-                return
-            change = find_change(bundle, recordings, THREADS)
-            self._ask(change_words(*change, " ".join(str(error).split())), facts)
-            return
+            if bundle.prior.terms:
+                return self._ask(change_words(None, errors, " ".join(str(error).split())), facts)
+            words = f"{active.stem} has no friction that could be refitted"
+            return folder.note("morning", folder.seconds(), words, **facts)
         factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
         earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
         if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
-            load, errors = find_change(bundle, recordings, THREADS)
             causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
-            self._ask(change_words(load, {}, "") if load else f"{'; '.join(steps)}: {causes}?", facts)
-            return
+            return self._ask(f"{'; '.join(steps)}: {causes}?", facts)
         words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
         folder.note(
             "morning", folder.seconds(), f"friction of the first strokes, times that of training: {words}", **facts

@@ -211,7 +211,7 @@ class Days:
         folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
         if not why:
             folder.activate(name, "friction of the first strokes of the day", folder.seconds())
-        (folder.pending_file).unlink(missing_ok=True)
+        folder.pending_file.unlink(missing_ok=True)
 
     def _ask(self, words: str, facts: dict[str, Any]) -> None:
         """Name a change and ask a person whether it may be learned."""

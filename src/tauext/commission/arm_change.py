@@ -26,9 +26,10 @@ from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_fram
 from tauext.progress import WallTimes
 from tauext.train.refit import refit_recordings
 
-MOST_LEFT = 0.3
+MOST_LEFT = 0.5
 """Largest share of the squared errors that a named load leaves. On two simulated arms, loads of 0.3 kg and more left
-at most 0.18 of them; the best load left at least 0.97 of those of another friction."""
+at most 0.18 of them; the best load left at least 0.97 of those of another friction. On a simulated SO-101, 60 g left
+0.18 to 0.30, more in the cold; the best load left at least 0.83 where nothing had changed."""
 ERRORS, SHARE = 2.0, 0.05
 """A mass is named with so many standard errors, at least this share of it; and if it exceeds twice as many."""
 USUAL, ODD = 2.0, 5.0

@@ -447,6 +447,8 @@ def test_rare_large_errors_of_free_motion_are_no_suspects_but_what_stands_out_of
 )
 def test_a_bundle_is_replaced_by_none_that_is_worse(new, why):
     assert why_not(new, judged(1, 80)) == why
+    assert why_not(judged(1, 50), judged(1, 80), is_broken=True) == ""  # higher limits repair a broken promise
+    assert why_not(judged(1, 40), judged(1, 80), is_broken=True) == "it detects 40% of the hits, old 80%"
 
 
 def test_steps_are_named_beyond_what_earlier_days_differ():

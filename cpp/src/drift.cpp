@@ -144,7 +144,8 @@ void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, s
 }
 
 void FrictionFactors::learn(std::span<const double> dq, std::span<const double> tau_ext, std::span<const double> sigma,
-                            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted, DriftTracker& slow) noexcept {
+                            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
+                            DriftTracker& slow) noexcept {
   if (!on() || !state_.started) return;
   for (int j = 0; j < joints_; ++j) {
     Joint& joint = state_.joints[static_cast<std::size_t>(j)];

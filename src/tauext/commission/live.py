@@ -142,10 +142,9 @@ class LiveSink:
         self._newest: Verdict | None = None
         self._sample: Sample | None = None
         self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
-        self._held = (0, 0)
-        """Number of an alarm, and the last stamp at which its touch was over a limit, [ns]."""
-        self._over = np.zeros(0)
-        """Largest torque of each joint while that touch lasted, times its collision limit."""
+        self._held = (0, 0, np.zeros(0))
+        """Number of an alarm, the last stamp at which its touch was over a limit, [ns], and the largest torque of each
+        joint in that time, divided by its collision limit."""
         self._report: LoopReport | None = None
         self._readers: dict[socket.socket, bytes] = {}
         self._wake, self._ended = threading.Event(), False
@@ -180,8 +179,8 @@ class LiveSink:
             self._sample = verdict.sample
         if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
             over = 1 - verdict.estimates["margin_nm"][0] / verdict.estimates["limit_nm"][0]
-            self._over = np.fmax(self._over, over) if self._held[0] == verdict.alarm_id else over
-            self._held = verdict.alarm_id, verdict.t_ns
+            before = self._held[2] if self._held[0] == verdict.alarm_id else over
+            self._held = verdict.alarm_id, verdict.t_ns, np.fmax(before, over)
         if verdict.changes:
             self._changes.append(verdict)
             self._wake.set()
@@ -230,8 +229,8 @@ class LiveSink:
                 self._send(json.dumps(self._line(shown)).encode() + b"\n")
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
-        number, held_ns = self._held
-        held = {"held_ns": held_ns, "over": rounded(self._over)} if number == event["id"] else {}
+        number, held_ns, over = self._held
+        held = {"held_ns": held_ns, "over": rounded(over)} if number == event["id"] else {}
         return event | {"bundle": self.bundle} | held
 
     def _follow_touch(self) -> None:

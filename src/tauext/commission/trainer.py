@@ -67,10 +67,7 @@ class Trainer:
     def __init__(self, folder: CommissionFolder):
         self.folder = folder
         self._checked_s = 0.0
-        self.days = Days(folder)
-        self.promises = Promises(
-            folder, lambda name, tests, broken: self._judged(name, self._unseen({}, tests), broken)
-        )
+        self.days, self.promises = Days(folder), Promises(folder, self._judged)
         self._repair()
 
     def _repair(self) -> None:
@@ -371,8 +368,8 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool =
     if seen is None or seen_before is None or false < before:
         return ""
     rate, rate_before = free.promised_per_hour, old.free_motion.promised_per_hour
-    is_rarer = rate is not None and (rate_before is None or rate < rate_before or is_broken)
-    if seen < (LEAST_HITS_KEPT * seen_before if is_rarer else seen_before - MOST_HITS_LOST):
+    may_lose = rate is not None and (rate_before is None or rate < rate_before or is_broken)
+    if seen < (LEAST_HITS_KEPT * seen_before if may_lose else seen_before - MOST_HITS_LOST):
         return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
     return ""
 

@@ -67,6 +67,8 @@ def main() -> None:
     if torch:
         capability = torch.backends.cpu.get_cpu_capability()
         print(f"PyTorch {torch.__version__} on the CPU: {capability}, oneDNN {torch.backends.mkldnn.is_available()}")
+        if torch.cuda.is_available():
+            print(f"{BACKEND} runs on {torch.cuda.get_device_name()}")
     else:
         print(f"PyTorch is not measured: {why_not}")
     print(f"H = {HIDDEN}, {rounds} rounds in turns; ms: median (min max); ratio of medians\n")

@@ -75,6 +75,7 @@ def undisturbed(fleet) -> dict[str, bytes]:
     return written(out)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_the_task_it_was_at(fleet, undisturbed, tmp_path):
     driver = started(fleet, tmp_path, "--workers", "2", "--json")
     (first, *_) = until(lambda: parts(tmp_path), driver)

@@ -129,8 +129,10 @@ def test_the_gradient_equals_the_cores_and_one_in_double_precision(torch, backen
         assert loss == pytest.approx(exact_loss, rel=1e-5)
         assert relative(gradient, exact) < 1e-5  # float against double, through up to 29 steps
     assert relative(ours.gradient(parameters, ends)[1], core.gradient(parameters, ends)[1]) < 1e-5
+    # cuDNN on an H200: up to 5e-6 off, also without TF32; the CPU: 1e-7.
+    atol = 1e-6 if ours.device.type == "cpu" else 1e-5
     np.testing.assert_allclose(
-        ours.predict(parameters, windows, windows.ends), core.predict(parameters, windows, windows.ends), atol=1e-6
+        ours.predict(parameters, windows, windows.ends), core.predict(parameters, windows, windows.ends), atol=atol
     )
 
 

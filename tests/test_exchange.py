@@ -144,7 +144,7 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
 }
 
 
-@pytest.mark.parametrize("model", [3, 5])
+@pytest.mark.parametrize("model", [3, pytest.param(5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("phase", PHASES)
 def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path, monkeypatch):
     monkeypatch.setattr(exchange, "RING_S", 2.0)  # what was learned before comes by the mark alone

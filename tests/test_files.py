@@ -196,6 +196,7 @@ def test_a_dataset_is_simulated_and_imported_into_a_store(s3, tmp_path, capsys):
     assert "s3://arms/imported: is not empty" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_fleet_reads_from_a_store_and_sees_what_changed(s3, folder, tmp_path, capsys):
     upload(s3, folder)
     (tmp_path / "fleet.toml").write_text(
@@ -209,6 +210,7 @@ def test_a_fleet_reads_from_a_store_and_sees_what_changed(s3, folder, tmp_path, 
     assert "inputs changed: dataset free-0.parquet" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path, capsys, monkeypatch, undrawn):
     """By workers in this process: test_a_fleet_reads_from_a_store has others."""
     workers_here(monkeypatch, STAGES)

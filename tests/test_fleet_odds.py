@@ -84,6 +84,7 @@ def test_a_cold_day_of_an_arm_and_a_winter_of_all_are_no_wear():
     assert found.centre.mean() + found.shift.mean() == pytest.approx(x.mean(), abs=0.05)
 
 
+@pytest.mark.slow
 def test_days_that_differ_much_hide_what_calm_ones_show():
     worn = np.zeros((20, 6))
     worn[3, 2] = np.log(1.3)

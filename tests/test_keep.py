@@ -175,6 +175,7 @@ def test_a_week_stays_within_its_bound():
     assert len({name for names in vars(split_of(kept)).values() for name in names}) == len(kept)
 
 
+@pytest.mark.slow
 def test_labels_beyond_the_bound_do_not_break_it():
     labels = tuple(Label(k, 1, k * 10**11, k * 10**11, "touched", "page", "") for k in range(6048))
     assert week(500_000_000, labels)[1] <= 500_000_000

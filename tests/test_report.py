@@ -125,6 +125,7 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
     assert f'<a href="{link}">collisions-000</a>' in page
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(noticing, written, tmp_path):
     """But for the pictures, of which test_flight_report draws some twice."""
     with no_pictures():
@@ -155,6 +156,7 @@ def test_another_dataset_than_the_one_that_was_evaluated_is_refused(copied, tmp_
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_a_report_of_seven_joints_and_bundles_of_other_names_has_every_figure(tmp_path, undrawn):
     folders = make_results(tmp_path, joints=7, bundles=("mine", "exact"), seconds=20, scale=None)
     page = write_report(*folders, tmp_path / "report", page_mb=0).read_text()

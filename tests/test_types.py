@@ -137,6 +137,7 @@ def test_pairs_are_tuples_as_the_stub_states() -> None:
 
 
 @needs_stub_beside_sources
+@pytest.mark.slow
 def test_right_programs_pass_a_strict_check_and_wrong_ones_do_not(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     (tmp_path / "right.py").write_text(RIGHT)

@@ -56,7 +56,7 @@ class Arm:
         self.loop = Loop(self.bundle, source, [self.record, self.keeper, self.live])
         self.loop.alarms = self.keeper.newest
         self.live.follow(self.bundle, self.loop.monitor)
-        self.steering = Steering(self.keeper)
+        self.steering = Steering(self.keeper, self.loop.stop)
         self.steering.loop = self.loop
         self._thread = threading.Thread(target=self.loop.run, daemon=True)
         self._thread.start()
@@ -93,6 +93,10 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         (shown,) = lines_of(one.live._path)
         assert shown["alarm"]["id"] == 1 and shown["alarm"]["level"] == "collision" and shown["alarm"]["answer"] is None
         assert shown["alarm"]["sentence"].startswith("COLLISION") and JOINTS[0] in shown["alarm"]["sentence"]
+        until(lambda: len(one.notes) == 2, "the alarm's lines in the terminal")
+        contact, collision = one.notes
+        assert contact.startswith("alarm 1: Contact: ") and collision.startswith("alarm 1: COLLISION")
+        assert collision.endswith("limit 2 Nm; answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
         assert shown["bundle"] == one.bundle.name and len(shown["tau_ext"]) == len(shown["q"]) == len(JOINTS)
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
         assert obey("nothing 7", one.steering, "test") == "error: nothing: there is no alarm 7; the newest is 1"
@@ -129,7 +133,10 @@ def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
         labels = {label.id: label for label in read_labels(one.folder.path)}
         assert labels[1].by == "a" and min(labels) < 0 and labels[min(labels)].by == "b"
         assert labels[min(labels)].to_ns - labels[min(labels)].from_ns == 3_000_000_000
-        assert obey("nothing", one.steering, "b") == "error: nothing: there is no alarm without an answer"
+        assert obey("nothing", one.steering, "b") == "error: nothing: the newest alarm (1) has an answer"
+        one.keeper.is_asked = lambda: False
+        refused = "error: learn: there is no question about a change of the arm"
+        assert obey("learn yes", one.steering, "b") == obey("learn no", one.steering, "b") == refused
 
 
 def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
@@ -192,11 +199,14 @@ def test_lines_come_before_there_is_an_arm_and_slow_readers_hold_up_nobody(tmp_p
 
 
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):
+    stopped: list[str] = []
     keeper = EventKeeper(tmp_path, lambda: 0, print)
-    for line in ("touched", "nothing 1", "learn yes", "acknowledge", "stop", "sim push"):
-        assert obey(line, Steering(keeper), "test").startswith("error: "), line
+    steering = Steering(keeper, stopped.append)
+    for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
+        assert obey(line, steering, "test").startswith("error: "), line
     with pytest.raises(ConfigError, match="no arm is connected yet"):
-        Steering(keeper).acknowledge("test")
+        steering.acknowledge("test")
+    assert obey("stop", steering, "test") == "ok" and stopped == ["test"]  # the command, which is still connecting
     keeper.end()
 
 

@@ -6,12 +6,14 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from made_bundles import pushed
 
 from tauext.cli import main
 from tauext.cli.commission import answer, keys
@@ -19,7 +21,9 @@ from tauext.commission.connect import as_data
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.run import Options, run
 from tauext.data.labels import read_labels
+from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
+from tauext.monitor.control_lines import obey
 from tauext.robot.write import write_placeholder
 from tauext.sim.source import KINDS, write_robot_file
 
@@ -159,6 +163,21 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert main(["commission", "--source", "sim:rig", "--out", str(tmp_path), "--no-page"]) == 2
     assert "is not empty and no folder of `tauext commission`" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path):
+    save_recording(pushed(seconds=4), tmp_path / "log.parquet")
+    lines, controls = [], []
+    words = tmp_path / "cell", f"replay:{tmp_path / 'log.parquet'}", Options(), lines.append, controls.append
+    command = threading.Thread(target=run, args=words, daemon=True)
+    command.start()
+    end = time.monotonic() + PATIENCE_S
+    while "has ended; training continues" not in "\n".join(lines):
+        assert command.is_alive() and time.monotonic() < end, lines
+        time.sleep(0.01)
+    assert obey("stop", controls[0], "test") == "ok"
+    command.join(PATIENCE_S)
+    assert not command.is_alive()
 
 
 def test_a_folder_belongs_to_one_process(tmp_path, capsys):

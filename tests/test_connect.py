@@ -85,7 +85,7 @@ def test_early_topics_wait_for_motion_and_nothing_is_a_fault(samples, robot):
 def test_without_a_robot_file_the_sign_is_judged_by_friction_alone(samples):
     found = judged(samples, facts=replace(FACTS, signal="unknown"))
     assert "friction and inertia after" in found["sign"].words
-    assert "--robot FILE" in found["robot-file"].remedy and "only a robot file can confirm" in found["signal"].words
+    assert "--robot" in found["robot-file"].remedy and "only a robot file can confirm" in found["signal"].words
 
 
 @pytest.mark.parametrize(
@@ -237,8 +237,8 @@ def test_facts_survive_json_and_damage_is_refused(facts):
 
 def test_another_arm_is_a_fault_with_another_folder_as_its_remedy():
     live = another_arm(FACTS, SEVEN)
-    assert live.severity == "fault" and live.words.startswith("this is another arm: it has joints")
-    assert live.remedy == "use another --out"
+    assert live.severity == "fault" and live.words.startswith("the source does not match this folder: it has joints")
+    assert live.remedy == "restore it, or use another --out"
 
 
 @pytest.mark.parametrize("facts", ALL.values(), ids=ALL)

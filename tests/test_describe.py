@@ -308,7 +308,7 @@ def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
     source = LastingSource(first, again, FACTS)
     source.open(FACTS.settings)
     came, notes, until = [], [], time.monotonic() + WAIT_S
-    while "another arm" not in source.away and time.monotonic() < until:
+    while "does not match" not in source.away and time.monotonic() < until:
         if (sample := source.next_sample(0.01)) is not None:
             came.append(sample.t_ns)
         notes += source.notes()
@@ -319,7 +319,10 @@ def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
         "is away: of a library",
         "is back",
     ]
-    assert source.away == "this is another arm: it has joints a, c, not a, b" and source.next_sample(0.01) is None
+    assert (
+        source.away == "the source does not match this folder: it has joints a, c, not a, b"
+        and source.next_sample(0.01) is None
+    )
     with pytest.raises(RuntimeError, match="is away"):
         source.stop()
     source.close()
@@ -346,7 +349,7 @@ def test_after_a_silence_a_source_must_still_have_the_rate_of_its_arm(monkeypatc
         why.add(source.away)
         notes += source.notes()
     assert came == [one.t_ns for one in [*samples[:10], *samples[420:450]]]
-    other = "this is another arm: it has 250 samples a second, not 1000"
+    other = "the source does not match this folder: it has 250 samples a second, not 1000"
     assert other in why and source.away == ""
     assert notes == [f"script is away: {other}", "script is back"] and source.counts.refused == 110
     source.close()

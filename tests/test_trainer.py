@@ -469,7 +469,7 @@ def test_the_folder_is_a_dataset_for_other_commands(copy, tmp_path, capsys):
     before = {path.name: path.read_bytes() for path in copy.path.glob("seg-*.parquet")}
     assert "b0001" in run(capsys, "show", cell) and json.loads(run(capsys, "show", cell, "--json"))["bundle"] == "b0001"
     assert run(capsys, "report", cell, "--out", str(tmp_path / "page")).strip().endswith("history.html")
-    assert "b0001 monitors the arm" in (tmp_path / "page" / "history.html").read_text()
+    assert "b0001 is chosen" in (tmp_path / "page" / "history.html").read_text()
     run(capsys, "check", "--data", cell)
     run(capsys, "refit", bundle, "--data", cell, "--out", str(tmp_path / "morning.tauext"))
     run(capsys, "evaluate", "--data", cell, "--bundles", bundle, "--out", str(tmp_path / "results"))

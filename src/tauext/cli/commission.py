@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 LEAST_DISK_GB, MOST_DISK_GB = 0.1, 1e5
 KEYS = {"t": "touched", "n": "nothing", "y": "learn", "x": "leave"}
 """Keys of a terminal, and the answers that they give."""
+STORED = {"touched": "touched", "nothing": "nothing there", "learn": "learn the change", "leave": "do not learn it"}
 MOST_CORES = 1024
 
 
@@ -56,9 +57,10 @@ def commission(
         ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
         reactions: TOML file of reactions to a collision, contact or fault; docs/running.md.
         no_page: serve no page.
-        host: address of the page. Any other than this machine's own needs the token that is printed.
+        host: address on which the page listens. 127.0.0.1: this computer only; 0.0.0.0: the network, with a token in
+            the printed address.
         port: port of the page; if it is in use, the next free one.
-        disk_gb: bound of the folder's size, [GB].
+        disk_gb: bound of recordings and flights, [GB]; bundles and logs come on top.
         core: processor core of the loop and the receiver of samples. None: any.
         priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
             scheduling.
@@ -82,10 +84,10 @@ def commission(
         found = free_port(host, port)
         token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
         if found != port:
-            say(f"port {port} is in use; this one is {found}")
+            say(f"port {port} is in use; the page is on port {found}")
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-        reach = "this machine alone can open it" if host in LOOPBACK else "whoever has this address can answer"
-        address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach}; Ctrl-C ends)"
+        reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
+        address = f"page: http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach})"
     chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     options = Options(
         robot=robot,
@@ -114,7 +116,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def keys() -> Iterator[Callable[[Steering], None]]:
-    """Keys t and n of a terminal answer the newest alarm; without a terminal nothing is read."""
+    """Keys of a terminal answer the newest alarm or a question; without a terminal nothing is read."""
     if not sys.stdin or not sys.stdin.isatty():
         yield lambda steering: None
         return
@@ -142,7 +144,7 @@ def keys() -> Iterator[Callable[[Steering], None]]:
 
         reading.append(threading.Thread(target=work, name="keys", daemon=True))
         reading[0].start()
-        say("keys: t touched, n nothing there")
+        say("keys: t touched, n nothing there; after a question: y learn, x do not; Ctrl-C ends tauext, not the arm")
 
     tty.setcbreak(file)
     try:
@@ -165,4 +167,4 @@ def answer(steering: Steering, key: str) -> None:
     except TauextError as error:
         say(str(error))
     else:
-        say(f"{what}: stored")
+        say(f"stored: {STORED[what]}")

@@ -49,6 +49,8 @@ class EventKeeper:
         self._path, self._epoch, self._note = folder / EVENTS, epoch, note
         self.learn: Callable[[bool, str], None] = lambda yes, by: None
         """Called in the keeper's thread with the answer about a named change of the arm, and its origin."""
+        self.is_asked: Callable[[], bool] = lambda: True
+        """Whether a named change of the arm waits for an answer."""
         self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
         self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
         """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
@@ -168,6 +170,9 @@ class EventKeeper:
         self._events[event["id"]] = (
             known | {"epoch": self._epoch()} | event | {name: known[name] for name in ("epoch", *KEPT) if name in known}
         )
+        if event.get("level") != known.get("level") and event.get("sentence"):
+            number = event["id"]
+            self._note(f"alarm {number}: {event['sentence']}; answer: `touched {number}` or `nothing {number}`")
         if self._events[event["id"]] != known:
             append_line(self._path, self._events[event["id"]])
         if len(self._events) > MOST_EVENTS:
@@ -190,8 +195,9 @@ class EventKeeper:
 class Steering:
     """The control of whatever loop runs now. An answer comes back once it is on the disk."""
 
-    def __init__(self, keeper: EventKeeper):
-        self._keeper = keeper
+    def __init__(self, keeper: EventKeeper, stop: Callable[[str], None]):
+        """stop: ends the command, not the loop alone."""
+        self._keeper, self.stop = keeper, stop
         self._answering = threading.Lock()
         self.loop: Control | None = None
 
@@ -201,8 +207,11 @@ class Steering:
             raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {keeper.newest}")
         if what in ("touched", "nothing") and alarm is None and (asked := keeper.unanswered) is not None:
             alarm = asked["id"] if what == "nothing" or age_s(asked.get("wall")) < ASKING_S else None
+        if what in ("learn", "leave") and not keeper.is_asked():
+            raise ConfigError("learn: there is no question about a change of the arm")
         if what == "nothing" and alarm is None:
-            raise ConfigError("nothing: there is no alarm without an answer")
+            newest = f"the newest alarm ({keeper.newest}) has an answer" if keeper.newest else "there was no alarm"
+            raise ConfigError(f"nothing: {newest}{'; give the number of another' if keeper.newest > 1 else ''}")
         with self._answering:
             since = keeper.done
             loop.answer(what, by, alarm)

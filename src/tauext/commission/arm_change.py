@@ -182,7 +182,7 @@ class Days:
             return self._ask(f"{'; '.join(steps)}: {causes}?", facts)
         words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
         folder.note(
-            "morning", folder.seconds(), f"friction of the first strokes, times that of training: {words}", **facts
+            "morning", folder.seconds(), f"friction of the first strokes, relative to training: {words}", **facts
         )
         if any(abs(np.log(one.coulomb[0])) > max(REFIT_FROM, 2 * one.coulomb[1]) for one in refitted.joints):
             out = folder.next_bundle()
@@ -207,7 +207,7 @@ class Days:
         """A refit monitors if it passes and is better: fewer false alarms, or smaller errors."""
         folder = self.folder
         better = facts.get("error_ratio", 1.0) < REFIT_WORTH or facts.get("per_hour", 0.0) < facts.get("before", 0.0)
-        why = why or ("" if better else "the drift tracker does as well")
+        why = why or ("" if better else "it is no better than the drift tracker alone")
         words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
         folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
         if not why:
@@ -216,7 +216,7 @@ class Days:
 
     def _ask(self, words: str, facts: dict[str, Any]) -> None:
         """Name a change and ask a person whether it may be learned."""
-        self.folder.note("morning", self.folder.seconds(), words, **facts)
+        self.folder.note("morning", self.folder.seconds(), "the arm differs from earlier days", **facts)
         self.folder.note("step", self.folder.seconds(), words, segment=facts["segment"])
         content = {"words": words, "asked": wall(), "segment": facts["segment"]}
         write_synced(self.folder.question_file, json.dumps(content) + "\n")

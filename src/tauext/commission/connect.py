@@ -81,8 +81,8 @@ REMEDIES = {
     "repeated-rows": "let the driver send each measurement once, or lower its rate to that of the robot's state",
     "spike": "no action is needed while it is rare: a lost or mixed-up message, or a glitch of a sensor",
     "joint-names": "give the robot file of this arm (--robot), or name the joints in the driver as the file does",
-    "effort-scale": "a current is used as it comes, and training finds the torque constants; for another unit, let the "
-    "driver send N m; or a payload is missing in the robot file",
+    "effort-scale": "for a current, no action is needed: training finds the torque constants; for another unit, let "
+    "the driver send N m; if the arm carries a load, add it to the robot file",
 }
 """Remedies that differ from those of `tauext check`, which are about an import."""
 MOVE = "let the arm run its program"
@@ -166,7 +166,7 @@ def _topic(
     if topic == "rate":
         return _good(topic, f"{1e9 / settings.period_ns:g} samples a second")
     if topic == "clock":
-        return _good(topic, "the stamps are even")
+        return _good(topic, "the time stamps are evenly spaced")
     if topic == "units" and any("velocity_factor" in fact for fact in diagnosis.facts):
         return _good(topic, f"{name}: the velocity is the derivative of the position")
     if topic == "sign" and diagnosis.fits:
@@ -178,7 +178,7 @@ def _topic(
         return _signal(judged, diagnosis, robot, facts)
     if topic == "robot-file" and robot is None:
         words = "no robot file: the order of joints, the direction of gravity and a payload cannot be checked"
-        return Live(topic, "note", None, words, "--robot FILE (URDF or MJCF) makes the limits narrower")
+        return Live(topic, "note", None, words, "a robot file (--robot, and a new --out) makes the limits narrower")
     if topic == "robot-file" and judged and moved_s >= SEARCH_S:
         return _good(topic, f"{robot.name if robot else ''} fits the measured torques")
     needs = f" (needs {SEARCH_S:g} s of motion, {moved_s:.0f} s so far)" if topic == "robot-file" else ""
@@ -194,7 +194,8 @@ def _signal(judged: Sequence[Mapping[str, Any]], diagnosis: Diagnosis, robot: Pa
     if robot is not None and inside:
         return _good("signal", f"{name}: a torque in {unit}, {inside[0]:.2f} to {inside[-1]:.2f} times the model's")
     if facts.signal == "unknown" and robot is not None:
-        return _waiting("signal", f"{name}: taken as a torque in N m; gravity has shown too little of it so far", MOVE)
+        words = f"{name}: taken as a torque in N m; gravity has loaded the joints too little to confirm it"
+        return _waiting("signal", words, MOVE)
     if facts.signal == "unknown":
         words = f"{name}: taken as a torque in N m, which only a robot file can confirm"
         return Live("signal", "note", None, words, "--robot FILE; or make sure that the driver sends N m")
@@ -395,7 +396,10 @@ def provenance_of(facts: SourceFacts) -> dict[str, Any]:
 def another_arm(known: SourceFacts, now: SourceFacts) -> Live | None:
     """The fault of a source that is not the arm of this folder; None: it is."""
     why = why_another(known, now)
-    return Live("another-arm", "fault", None, f"this is another arm: {why}", "use another --out") if why else None
+    if not why:
+        return None
+    remedy = "restore it, or use another --out"
+    return Live("another-arm", "fault", None, f"the source does not match this folder: {why}", remedy)
 
 
 def settled(facts: SourceFacts, lives: Collection[Live]) -> SourceFacts:
@@ -488,6 +492,12 @@ def servo_type(joint: ServoConstants) -> str:
     constants = (joint.volts, joint.ohm, joint.back_emf_v_s)
     fits = (name for name, one in SERVO_TYPES.items() if (one.volts, one.ohm, one.back_emf_v_s) == constants)
     return next(fits, "")
+
+
+def sentence_of(live: Live) -> str:
+    """One line for the terminal."""
+    joint, remedy = f"{live.joint}: " if live.joint else "", f"; {live.remedy}" if live.remedy else ""
+    return f"{live.severity}: {joint}{live.words}{remedy}"
 
 
 def as_entries(lives: Iterable[Live]) -> list[dict[str, Any]]:

@@ -236,7 +236,7 @@ class CommissionFolder:
         replaced = None if old is None else old.stem
         content = {"format": FORMAT, "bundle": bundle, "replaces": replaced, "at": wall(), "why": why}
         write_synced(self.path / ACTIVE, json.dumps(content) + "\n")
-        self.note("activation", seconds, f"{bundle} monitors the arm: {why}", bundle=bundle, replaces=replaced, **facts)
+        self.note("activation", seconds, f"{bundle} is chosen: {why}", bundle=bundle, replaces=replaced, **facts)
 
     def next_bundle(self) -> Path:
         """File of the next bundle."""

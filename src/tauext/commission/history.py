@@ -55,8 +55,8 @@ class Kept:
         promised = f"{self.bundle} promises at most 1 false alarm in {duration(1 / self.promised_per_hour)}"
         if not happened:
             return promised
-        more = f", and {self.unanswered} without an answer" if self.unanswered else ""
-        return f"{promised}; there were {happened}{more}: {'kept' if self.kept else 'BROKEN'}"
+        more = f", {self.unanswered} alarm{'s' * (self.unanswered != 1)} without an answer" if self.unanswered else ""
+        return f"{promised}; counted: {happened}{more}: {'kept' if self.kept else 'BROKEN'}"
 
 
 def kept_of(folder: Place, bundle: str, seconds: float) -> Kept:

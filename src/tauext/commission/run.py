@@ -22,7 +22,7 @@ from typing import Any, cast
 from tauext import _core
 from tauext.bundle.history_file import ACTIVE
 from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
-from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, write_arm
+from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, sentence_of, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink
@@ -55,6 +55,7 @@ CARRIED_S = 10.0
 """Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
 SETTLED_S = 3.5
 TEND_S = 1.0
+HOW_TO_ANSWER = " y or `learn yes`: train again from this change on; x or `learn no`: keep the bundle."
 CARRIED = "carried.bin"
 LONGEST_SOCKET = 100
 """Longest path of a socket, [bytes]; systems allow 103 to 107."""
@@ -153,7 +154,7 @@ class Commission:
 
     def __init__(self, folder: CommissionFolder, text: str, options: Options, echo: Echo, stack: ExitStack):
         self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
-        self._stopping = threading.Event()
+        self._asked_to_stop, self._stopping = threading.Event(), threading.Event()
         self._by = ""
         self._record: KeepSink | None = None
         self._flights: FlightSink | None = None
@@ -164,9 +165,9 @@ class Commission:
         stack.callback(self._live.end)
         self._keeper = EventKeeper(folder.path, lambda: self._record.epoch if self._record else 0, self._note)
         stack.callback(self._keeper.end)
-        self._keeper.learn = self._learn
+        self._keeper.learn, self._keeper.is_asked = self._learn, lambda: bool(self._question())
         self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
-        self.steering = Steering(self._keeper)
+        self.steering = Steering(self._keeper, self.stop)
         control = ControlSocket(at / "control.sock", self.steering)
         stack.callback(control.close)
         folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
@@ -180,6 +181,8 @@ class Commission:
         """Time of active.json when the loop took its bundle."""
         self._exchanges: deque[Exchanged] = deque()
         self._again = False
+        self._failed = ""
+        """The last failure of what is done beside the loop."""
         self._arm: Any = None
         """The description with which the loop runs."""
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
@@ -188,7 +191,9 @@ class Commission:
         if self._options.address:
             self._echo(self._options.address)
         self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
-        self._live.says = "connecting: the arm is looked at for some seconds before anything is recorded"
+        if self._folder.facts.get("arm") and self._options.robot is not None and self._robot() == self._options.robot:
+            self._note("--robot is not used: this folder began without a robot file; use a new --out to have one")
+        self._live.says = "connecting: the stream is checked for 3 s before anything is recorded"
         with self._until_signal():
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
@@ -211,7 +216,7 @@ class Commission:
         known = self._folder.facts.get("arm")
         source, publishers = self._open()  # refuses a wrong option at once
         try:
-            facts = facts_of_data(known) if known else self._described(source.name)
+            facts = facts_of_data(known) if known else self._described()
             if facts is None:
                 source.close()
                 return None
@@ -230,12 +235,8 @@ class Commission:
             source = cast(Source, lasting)
         return source, facts, publishers
 
-    def _described(self, name: str) -> SourceFacts | None:
-        """Describe a new arm in the folder; None if the run ends before the arm answers.
-
-        Args:
-            name: of the source, for messages.
-        """
+    def _described(self) -> SourceFacts | None:
+        """Describe a new arm in the folder; None if the run ends before the arm answers."""
         wait_s = RETRY_S
         while True:
             try:
@@ -245,14 +246,14 @@ class Commission:
                 if str(error) != self._live.says:
                     self._live.says = str(error)
                     self._note(f"{error}; it is tried again")
-            if self._stopping.wait(wait_s):
+            if self._asked_to_stop.wait(wait_s):
                 return None
             wait_s = min(2 * wait_s, LONGEST_RETRY_S)
         write_arm(found.facts, self._robot(), self._folder.path)
         write_synced(self._folder.findings_file, json.dumps({"findings": as_entries(found.lives)}) + "\n")
         for live in found.lives:
             if live.severity in ("fault", "warning"):
-                self._note(f"{live.severity}: {live.joint or name}: {live.words}; {live.remedy}")
+                self._note(sentence_of(live))
         self._folder.save(arm=as_data(found.facts))
         return found.facts
 
@@ -316,9 +317,9 @@ class Commission:
             self._again = False
             return True
         if not self._by:
-            self._note(f"{source.name} has ended; the training goes on with what was recorded, and Ctrl-C ends it")
+            self._note(f"{source.name} has ended; training continues with what was recorded until Ctrl-C")
             live.lost = "the source has ended"
-            self._stopping.wait()
+            self._asked_to_stop.wait()
         return False
 
     def _first_bundle(self) -> _core.Bundle | None:
@@ -347,10 +348,16 @@ class Commission:
         """Linux ends a child with the thread that started it: this one lives until the children are ended."""
         try:
             while not self._stopping.wait(TEND_S):
+                failed = ""
                 try:
                     self._tend()
-                except Exception as error:  # a full disk, for example; the loop goes on
-                    self._note(f"{type(error).__name__}: {error}")
+                except OSError as error:  # a full disk, for example
+                    failed = error.strerror or str(error)
+                except Exception as error:
+                    failed = f"{type(error).__name__}: {error}"
+                if failed not in ("", self._failed):
+                    self._note(f"a task beside the monitor failed and is tried again each second: {failed}")
+                self._failed = failed
         finally:
             for child in (*self._children, self._trainer):
                 child.end()
@@ -390,7 +397,7 @@ class Commission:
     def _exchanged(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)
         replayed_s = done.replayed * self._arm["period_ns"] * 1e-9
-        words = f"{done.bundle} has taken over between two samples, after {replayed_s:.0f} s of replay"
+        words = f"{done.bundle} monitors the arm now, after a replay of {replayed_s:.0f} s"
         facts = {"bundle": done.bundle, "replaces": done.replaced, "replayed_s": round(replayed_s, 3)}
         self._folder.note("exchange", self._folder.seconds(), words, took_us=round(done.took_us), **facts)
 
@@ -404,7 +411,8 @@ class Commission:
         """Print what trainings have added to the history."""
         history = self._folder.history()
         for line in history[self._shown :]:
-            self._echo(str(line.get("words")))
+            is_question = line["kind"] == "step" and "learned" not in line
+            self._echo(f"{line.get('words')}{HOW_TO_ANSWER if is_question else ''}")
         self._shown = len(history)
 
     def _show_state(self) -> None:
@@ -425,11 +433,13 @@ class Commission:
         if (record := self._record) is not None and record.is_losing:
             live.says = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
         if state != live.state:
-            live.state = state
+            before, live.state = live.state, state
             self._folder.save(state=state)
             self._folder.log(f"state: {state}")
             if state in ("learning", "connecting"):
                 self._echo(f"{state}: NOTHING IS MONITORED")
+            elif before == "connecting":
+                self._echo(f"{live.bundle} monitors the arm" if live.bundle else "NOTHING IS MONITORED")
 
     # Answers and messages.
 
@@ -470,10 +480,9 @@ class Commission:
     def stop(self, by: str) -> None:
         """End the run cleanly; any thread."""
         self._by = by
+        self._asked_to_stop.set()
         if self._loop is not None:
             self._loop.stop(by)
-        else:
-            self._stopping.set()
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,9 +19,18 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.check.finding import Finding
-from tauext.check.preflight import WORTH_A_WARNING
+from tauext.check.preflight import WORTH_A_WARNING, finding_lines
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
-from tauext.commission.connect import as_data, as_entries, facts_of_data, judge, load_known, settled
+from tauext.commission.connect import (
+    Live,
+    as_data,
+    as_entries,
+    facts_of_data,
+    judge,
+    load_known,
+    sentence_of,
+    settled,
+)
 from tauext.commission.course import Facts, next_step
 from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
 from tauext.commission.keep import motion_s, segments_of_arm
@@ -76,7 +85,7 @@ class Trainer:
         active, pending = folder.active(), self._pending()
         begun = [one.get("bundle") for one in history if one["kind"] == "activation"]
         if active is not None and (not begun or begun[-1] != active.stem):
-            words = f"{active.stem} monitors the arm"
+            words = f"{active.stem} is chosen"
             folder.note(
                 "activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None
             )
@@ -169,10 +178,21 @@ class Trainer:
             lives = judge(load_known(self.folder, newest[::-1]), self._robot(), facts)
             if (now := settled(facts, lives)) != facts:
                 folder.save(arm=as_data(now))
+            self._report(lives)
             write_synced(folder.findings_file, json.dumps({"findings": as_entries(lives)}, default=float) + "\n")
         except TauextError as error:
             folder.log(f"the stream cannot be checked: {error}")
         self._checked_s = max(seconds, self._checked_s)
+
+    def _report(self, lives: Sequence[Live]) -> None:
+        """Add faults and warnings that the last check did not find to the history."""
+        known: list[dict[str, Any]] = []
+        with suppress(OSError, ValueError):
+            known = json_of(read_text(self.folder.findings_file))["findings"]
+        before = {(one.get("code"), one.get("joint"), one.get("severity")) for one in known}
+        for live in lives:
+            if live.severity in ("fault", "warning") and (live.code, live.joint, live.severity) not in before:
+                self.folder.note("finding", self.folder.seconds(), sentence_of(live))
 
     # Training.
 
@@ -211,7 +231,11 @@ class Trainer:
         except TauextError as error:
             if os.strerror(errno.ENOSPC) in str(error):  # no fault of the motion: it is tried again
                 raise
-            why = " ".join(str(error).split())
+            text = str(error)
+            if isinstance(error, FaultyDataError):  # without the option of `tauext train` that accepts them
+                found = finding_lines([one for one in error.findings if isinstance(one, Finding)])
+                text = "; ".join([*found, "correct it at the source, then begin with a new --out"])
+            why = " ".join(text.split())
             words = f"training on {minutes:g} min of motion failed: {why}"
             folder.note("training", folder.seconds(), words, minutes=minutes, passed=False, why=why)
             return
@@ -261,7 +285,8 @@ class Trainer:
             self.folder.append_label(Label(number, *span, "suspect", "trainer", wall(), bundle.name))
         if found:
             seconds = 1e-9 * sum(one.to_ns - one.from_ns for one in found)
-            words = f"{len(found)} touch{'es' * (len(found) > 1)} that nobody reported, {seconds:.1f} s, left out"
+            count = f"{len(found)} suspected touch{'es' * (len(found) > 1)} that nobody reported"
+            words = f"{count}, {seconds:.1f} s in all, left out of training"
             self.folder.note("note", self.folder.seconds(), words, bundle=bundle.name)
         return found
 

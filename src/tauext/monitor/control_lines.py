@@ -78,7 +78,8 @@ def reach_of_text(text: str) -> float:
 def alarm_of_text(text: str) -> int | None:
     """Parse the number of an alarm; empty text gives None."""
     if text and not (text.isascii() and text.isdecimal() and len(text) < 19 and int(text)):
-        raise ConfigError(f"{text[:60]!r} must be the number of an alarm, or nothing for the one that stands")
+        words = "must be the number of an alarm; without one, the newest alarm without an answer is meant"
+        raise ConfigError(f"{text[:60]!r} {words}")
     return int(text) if text else None
 
 

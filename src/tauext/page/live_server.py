@@ -357,7 +357,8 @@ class Handler(BaseHTTPRequestHandler):
         """Exchange the address with the token for a cookie, so that the token stays in no history."""
         shown = parse_qs(query).get("token", [""])[0]
         if self.server.token and not self._is_token(shown):
-            return self._refuse(HTTPStatus.FORBIDDEN, "this token is not valid; the folder's log has the present one")
+            words = "this token is not valid: each start makes a new one; open the address that was printed last"
+            return self._refuse(HTTPStatus.FORBIDDEN, words)
         self.send_response(HTTPStatus.SEE_OTHER)
         self.send_header("Location", "/")
         if self.server.token:

@@ -121,7 +121,7 @@ class LastingSource:
             self._judged, self._why = None, ""
             return True
         judged.clear()
-        self._be_away(f"this is another arm: {other}")
+        self._be_away(f"the source does not match this folder: {other}")
         return False
 
     def _be_away(self, why: str) -> None:
@@ -195,7 +195,7 @@ class LastingSource:
                 if isinstance(source, Describes):
                     found = source.describe(DESCRIBE_S, self._robot)
                     if other := why_another(self._facts, found):
-                        raise ConfigError(f"this is another arm: {other}")
+                        raise ConfigError(f"the source does not match this folder: {other}")
                 source.open(self._settings)
             except Exception as error:  # of a library too: an arm that is away for a night must be found in the morning
                 if source is not None:

@@ -4,7 +4,7 @@
 
 Runs the command in real time on a simulated arm and checks that nothing is lost that was confirmed. Writes
 OUT/failures.md with eight pictures of the page, and exits with 1 if a check fails. Needs Linux, Chromium and the
-websockets of tauext[live]; the full disk also needs the right to mount a file system. Takes ten minutes.
+websockets (extra `dev`); the full disk also needs the right to mount a file system. Takes ten minutes.
 """
 
 from __future__ import annotations

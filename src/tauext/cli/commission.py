@@ -87,7 +87,7 @@ def commission(
             say(f"port {port} is in use; the page is on port {found}")
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
-        address = f"page: http://{shown}:{found}/{f'?token={token}' if token else ''}  ({reach})"
+        address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  (the page, {reach})"
     chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     options = Options(
         robot=robot,

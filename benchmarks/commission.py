@@ -321,7 +321,7 @@ class Simulation:
         if load_split(data).calibration:
             words = ("--bundle", bundle, "--data", data, "--out", out / "eight.tauext")
             accepting("calibrate", *words, printed=out / "calibrate.txt")
-            bundle = out / "eight.tauext"
+            bundle = eight if (eight := out / "eight.tauext").exists() else bundle  # too few peaks: no limits
         shutil.rmtree(data)
         bundles = {"commission": load_bundle(active), "eight commands": load_bundle(bundle)}
         made = [
@@ -492,10 +492,12 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
         )
         for one in compared:
             found = one["learning"]
+            beyond = (f"{found[name]:.2f}" if one["model"] else "–" for name in ("beyond_s", "beyond_trained_on_s"))
             lines.append(table_row(
-                called(one), f"{found['touched_s']:.2f}", f"{found['trained_on_s']:.2f}", f"{found['beyond_s']:.2f}",
-                f"{found['beyond_trained_on_s']:.2f}", found["suspects"], found["suspects_touches"],
+                called(one), f"{found['touched_s']:.2f}", f"{found['trained_on_s']:.2f}", *beyond,
+                found["suspects"], found["suspects_touches"],
             ))  # fmt: skip
+        lines += ["", "Without a model, limits are in A, so touches cannot be compared with them."]
     if weeks := [one for one in results if one["plan"] == "week"]:
         lines += ["", "## Promises day by day", ""]
         lines += head(

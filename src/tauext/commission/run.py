@@ -417,7 +417,10 @@ class Commission:
 
     def _show_state(self) -> None:
         live, loop, source = self._live, self._loop, self._source
-        live.lost = getattr(source, "away", "") if source is not None else ""
+        lost = getattr(source, "away", "") if source is not None else ""
+        if bool(lost) != bool(live.lost):
+            self._note(f"NOTHING IS MONITORED: {lost}" if lost else "samples come again")
+        live.lost = lost
         asks = self._keeper.unanswered
         if loop is None or not loop.samples:
             state = "connecting"

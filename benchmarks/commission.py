@@ -477,6 +477,11 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
                     f"{found['delay_ms']:.0f}", found["false"], f"{found['hours']:.1f}",
                     "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
                 ))  # fmt: skip
+        lines += [
+            "",
+            "The command renews its limits at 1, 2 and 4 h of calibration motion; the separate commands use all of it.",
+            "Limits from a few hours scatter by factors of 2 to 4 in single joints, both ways.",
+        ]
         calm = {called(one): one for one in compared if one["plan"] == "calm"}
         compared = [one for one in compared if one["plan"] == "loads"]
         if pairs := [(one, calm[called(one)]) for one in compared if called(one) in calm]:

@@ -467,7 +467,8 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
     if compared := [one for one in results if "compared" in one]:
         lines += ["", "## Compared with the separate commands", ""]
         lines += head(
-            "arm | bundle | touches detected | median delay [ms] | false collisions | in [h] | promised an hour"
+            "arm | bundle | touches detected | median delay [ms] | false collisions | in [h] | promised an hour | "
+            "limits for sliding [N m, A without a model]"
         )
         for one in compared:
             for bundle, found in one["compared"].items() if one["plan"] == "loads" else ():
@@ -476,11 +477,11 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
                     called(one), bundle, f"{found['detected']} of {found['touches']} ({share:.1%})",
                     f"{found['delay_ms']:.0f}", found["false"], f"{found['hours']:.1f}",
                     "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
+                    joined(found["limits"], ".2g"),
                 ))  # fmt: skip
         lines += [
             "",
-            "The command renews its limits at 1, 2 and 4 h of calibration motion; the separate commands use all of it.",
-            "Limits from a few hours scatter by factors of 2 to 4 in single joints, both ways.",
+            "The command renews its limits at 1, 2, 3 and 4 h of calibration; the separate commands use all of it.",
         ]
         calm = {called(one): one for one in compared if one["plan"] == "calm"}
         compared = [one for one in compared if one["plan"] == "loads"]

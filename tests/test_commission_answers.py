@@ -134,9 +134,13 @@ def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
         assert labels[1].by == "a" and min(labels) < 0 and labels[min(labels)].by == "b"
         assert labels[min(labels)].to_ns - labels[min(labels)].from_ns == 3_000_000_000
         assert obey("nothing", one.steering, "b") == "error: nothing: the newest alarm (1) has an answer"
-        one.keeper.is_asked = lambda: False
-        refused = "error: learn: there is no question about a change of the arm"
-        assert obey("learn yes", one.steering, "b") == obey("learn no", one.steering, "b") == refused
+
+        def refuse(yes, by):
+            raise ConfigError("no change of the arm waits for an answer")
+
+        one.keeper.learn = refuse
+        for line, what in (("learn yes", "learn"), ("learn no", "leave")):
+            assert obey(line, one.steering, "b") == f"error: {what}: no change of the arm waits for an answer"
 
 
 def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
@@ -157,6 +161,7 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
+    one._has_ended = False
     one._loop, one._source, one._keeper = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
     one._record = SimpleNamespace(
         is_losing=True, count=RecordCount(error=f"{one._folder.path}/seg-000001.parquet: full")
@@ -204,7 +209,7 @@ def test_control_is_refused_while_no_arm_is_connected(tmp_path):
     steering = Steering(keeper, stopped.append)
     for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
         assert obey(line, steering, "test").startswith("error: "), line
-    with pytest.raises(ConfigError, match="no arm is connected yet"):
+    with pytest.raises(ConfigError, match="no arm is connected"):
         steering.acknowledge("test")
     assert obey("stop", steering, "test") == "ok" and stopped == ["test"]  # the command, which is still connecting
     keeper.end()

@@ -19,7 +19,7 @@ from tauext.cli import main
 from tauext.cli.commission import answer, keys
 from tauext.commission.connect import as_data
 from tauext.commission.folder import CommissionFolder
-from tauext.commission.run import Options, run
+from tauext.commission.run import TEND_S, Options, run
 from tauext.data.labels import read_labels
 from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
@@ -172,9 +172,12 @@ def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path)
     command = threading.Thread(target=run, args=words, daemon=True)
     command.start()
     end = time.monotonic() + PATIENCE_S
-    while "has ended; training continues" not in "\n".join(lines):
+    while "NOTHING IS MONITORED: the source has ended" not in lines:
         assert command.is_alive() and time.monotonic() < end, lines
         time.sleep(0.01)
+    assert obey("learn yes", controls[0], "test") == "error: no arm is connected"
+    time.sleep(2 * TEND_S)
+    assert any("has ended; training continues" in line for line in lines) and "samples come again" not in lines
     assert obey("stop", controls[0], "test") == "ok"
     command.join(PATIENCE_S)
     assert not command.is_alive()

@@ -319,10 +319,8 @@ def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
         "is away: of a library",
         "is back",
     ]
-    assert (
-        source.away == "the source does not match this folder: it has joints a, c, not a, b"
-        and source.next_sample(0.01) is None
-    )
+    assert source.away == "the source does not match this folder: it has joints a, c, not a, b"
+    assert source.next_sample(0.01) is None
     with pytest.raises(RuntimeError, match="is away"):
         source.stop()
     source.close()

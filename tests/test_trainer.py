@@ -418,6 +418,18 @@ def test_a_recording_with_a_fault_of_its_own_is_left_out_of_training(tmp_path, m
         one._checked(given, one._config(1))
 
 
+def test_a_training_refused_for_the_whole_stream_names_a_remedy_that_the_command_has(tmp_path, motion):
+    wrong = cut(motion, slice(0, 90_000))
+    folder = filled(tmp_path / "cell", [replace(wrong, tau=-wrong.tau)])
+    one = Trainer(folder)
+    while one.step() not in ("train", "nothing"):
+        pass
+    refused = next(line for line in words(folder) if line.startswith("training on"))
+    assert "joint1: the torque is positive where it pushes in the negative direction" in refused, refused
+    assert "reverse this joint's effort in the driver" in refused and refused.endswith("then begin with a new --out")
+    assert "--accept" not in refused and folder.active() is None
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_rare_large_errors_of_free_motion_are_no_suspects_but_what_stands_out_of_them_is(seed):
     """Errors of abrupt stops: every twentieth window is several times the others."""

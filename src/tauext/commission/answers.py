@@ -48,9 +48,8 @@ class EventKeeper:
         """
         self._path, self._epoch, self._note = folder / EVENTS, epoch, note
         self.learn: Callable[[bool, str], None] = lambda yes, by: None
-        """Called in the keeper's thread with the answer about a named change of the arm, and its origin."""
-        self.is_asked: Callable[[], bool] = lambda: True
-        """Whether a named change of the arm waits for an answer."""
+        """Called in the keeper's thread with the answer about a named change of the arm, and its origin; may raise
+        ConfigError."""
         self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
         self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
         """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
@@ -155,6 +154,8 @@ class EventKeeper:
                     self._flown(one)
                 else:
                     self._changed(one)
+            except ConfigError as refused:
+                error = str(refused)
             except OSError as failed:  # a full disk: the label is stored, the event's line is not
                 error = failed.strerror or str(failed)
                 self._note(f"an event is not stored: {error}")
@@ -207,8 +208,6 @@ class Steering:
             raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {keeper.newest}")
         if what in ("touched", "nothing") and alarm is None and (asked := keeper.unanswered) is not None:
             alarm = asked["id"] if what == "nothing" or age_s(asked.get("wall")) < ASKING_S else None
-        if what in ("learn", "leave") and not keeper.is_asked():
-            raise ConfigError("learn: there is no question about a change of the arm")
         if what == "nothing" and alarm is None:
             newest = f"the newest alarm ({keeper.newest}) has an answer" if keeper.newest else "there was no alarm"
             raise ConfigError(f"nothing: {newest}{'; give the number of another' if keeper.newest > 1 else ''}")
@@ -224,5 +223,5 @@ class Steering:
     @property
     def _present(self) -> Control:
         if self.loop is None:
-            raise ConfigError("no arm is connected yet")
+            raise ConfigError("no arm is connected")
         return self.loop

@@ -105,7 +105,7 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
     low = {finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"}
     early = {*TOPICS["sign"], *TOPICS["signal"]}
     lives = [
-        _live(finding)
+        as_live(finding)
         for finding in diagnosis.findings
         if finding.code not in WAITING
         and not (finding.code in early and finding.joint in low)  # a torque is judged by the joint's motion
@@ -119,7 +119,8 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
     return sorted(lives, key=lambda live: (order.index(live.severity), live.waits))
 
 
-def _live(finding: Finding) -> Live:
+def as_live(finding: Finding) -> Live:
+    """A finding of `tauext check` in words for a live stream."""
     if finding.code in HARMLESS:
         return Live(finding.code, "note", finding.joint, _words(finding), HARMLESS[finding.code])
     remedy = REMEDIES.get(finding.code) or re.sub(

@@ -9,7 +9,7 @@ from tauext.commission.keep import SCHEDULE_MIN
 
 LEAST_TEST_S = 60.0
 """Motion outside of its training that judges a bundle, [s]."""
-LIMITS_AT_H = (0.25, 0.5, 1, 2, 4, 8, 16, 24, 48)
+LIMITS_AT_H = (0.25, 0.5, 1, 2, 3, 4, 6, 8, 12, 16, 24, 48)
 """Hours of learned calibration after which limits are found again; then after each further day."""
 DAY_H = 24.0
 CHECKS_S = (10.0, 30.0, 60.0, 180.0)

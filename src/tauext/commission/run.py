@@ -165,7 +165,7 @@ class Commission:
         stack.callback(self._live.end)
         self._keeper = EventKeeper(folder.path, lambda: self._record.epoch if self._record else 0, self._note)
         stack.callback(self._keeper.end)
-        self._keeper.learn, self._keeper.is_asked = self._learn, lambda: bool(self._question())
+        self._keeper.learn = self._learn
         self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
         self.steering = Steering(self._keeper, self.stop)
         control = ControlSocket(at / "control.sock", self.steering)
@@ -181,6 +181,8 @@ class Commission:
         """Time of active.json when the loop took its bundle."""
         self._exchanges: deque[Exchanged] = deque()
         self._again = False
+        self._has_ended = False
+        """The source has ended for good."""
         self._failed = ""
         """The last failure of what is done beside the loop."""
         self._arm: Any = None
@@ -317,8 +319,8 @@ class Commission:
             self._again = False
             return True
         if not self._by:
+            self._has_ended, self.steering.loop = True, None  # whose answers nobody would store
             self._note(f"{source.name} has ended; training continues with what was recorded until Ctrl-C")
-            live.lost = "the source has ended"
             self._asked_to_stop.wait()
         return False
 
@@ -417,7 +419,7 @@ class Commission:
 
     def _show_state(self) -> None:
         live, loop, source = self._live, self._loop, self._source
-        lost = getattr(source, "away", "") if source is not None else ""
+        lost = "the source has ended" if self._has_ended else getattr(source, "away", "")
         if bool(lost) != bool(live.lost):
             self._note(f"NOTHING IS MONITORED: {lost}" if lost else "samples come again")
         live.lost = lost
@@ -455,9 +457,10 @@ class Commission:
         return {}
 
     def _learn(self, yes: bool, by: str) -> None:
-        if question := self._question():
-            answer = {"answer": "learn" if yes else "leave", "by": by, "answered": wall()}
-            write_synced(self._folder.question_file, json.dumps(question | answer) + "\n")
+        if not (question := self._question()):
+            raise ConfigError("no change of the arm waits for an answer")
+        answer = {"answer": "learn" if yes else "leave", "by": by, "answered": wall()}
+        write_synced(self._folder.question_file, json.dumps(question | answer) + "\n")
 
     def _note(self, text: str) -> None:
         self._folder.log(text)

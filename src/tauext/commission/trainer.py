@@ -19,12 +19,13 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.check.finding import Finding
-from tauext.check.preflight import WORTH_A_WARNING, finding_lines
+from tauext.check.preflight import WORTH_A_WARNING
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
 from tauext.commission.connect import (
     Live,
     as_data,
     as_entries,
+    as_live,
     facts_of_data,
     judge,
     load_known,
@@ -187,7 +188,7 @@ class Trainer:
     def _report(self, lives: Sequence[Live]) -> None:
         """Add faults and warnings that the last check did not find to the history."""
         known: list[dict[str, Any]] = []
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError, LookupError, TypeError):  # none yet, or damaged
             known = json_of(read_text(self.folder.findings_file))["findings"]
         before = {(one.get("code"), one.get("joint"), one.get("severity")) for one in known}
         for live in lives:
@@ -233,8 +234,8 @@ class Trainer:
                 raise
             text = str(error)
             if isinstance(error, FaultyDataError):  # without the option of `tauext train` that accepts them
-                found = finding_lines([one for one in error.findings if isinstance(one, Finding)])
-                text = "; ".join([*found, "correct it at the source, then begin with a new --out"])
+                found = [sentence_of(as_live(one)) for one in error.findings if isinstance(one, Finding)]
+                text = "; ".join([*found, "then begin with a new --out"])
             why = " ".join(text.split())
             words = f"training on {minutes:g} min of motion failed: {why}"
             folder.note("training", folder.seconds(), words, minutes=minutes, passed=False, why=why)

@@ -240,6 +240,17 @@ def test_damage_by_a_power_failure_is_removed(tmp_path):
     assert [one.number for one in Script(folder.path).go(10).end().segments()] == [1, 2, 3, 6]
 
 
+def test_damaged_coverage_costs_the_cells_but_no_time(tmp_path):
+    folder = Script(tmp_path / "cell").go(45).end()
+    path, arm = folder.path / "coverage.npz", ARM
+    whole, kept = path.read_bytes(), Coverage.load(path, arm)
+    assert kept.seconds == pytest.approx(45) and kept.cells.any()
+    for damaged in (whole[:100], whole[: len(whole) // 2], whole[:-10], b"", whole[:300] + bytes(200) + whole[500:]):
+        path.write_bytes(damaged)
+        found = Coverage.load(path, arm)
+        assert (found.seconds, found.kept_s, found.dropped_s) == (kept.seconds, kept.kept_s, kept.dropped_s)
+
+
 def test_a_disk_that_is_full_loses_recordings_but_no_answer(tmp_path, monkeypatch):
     script = Script(tmp_path / "cell")
     told = []

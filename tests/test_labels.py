@@ -98,6 +98,7 @@ def test_the_last_label_of_an_id_counts_and_damaged_lines_do_not(tmp_path):
     append_label(tmp_path, label(2, 4, 5, "suspect"))
     append_label(tmp_path, label(1, 2, 3, "touched"))
     append_label(tmp_path, label(2, 4, 5, "withdrawn"))
+    append_label(tmp_path, label(1, 2, 3, "withdrawn"))  # an answer that came meanwhile stays
     with (tmp_path / FILE_NAME).open("ab") as file:  # the process was killed here
         file.write(b'{"format": 1, "id": 3, "epo')
     assert [one.answer for one in read_labels(tmp_path)] == ["touched"]

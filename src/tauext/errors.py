@@ -36,6 +36,10 @@ class TrainingError(TauextError):
     """Training that cannot succeed: constant target, diverging loss, too little data."""
 
 
+class TooLittleMotionError(TrainingError):
+    """Recordings contain too little motion that can be trusted."""
+
+
 class StoreError(TauextError):
     """An object store that cannot be reached, refuses, stalls, or whose file changed while it was read."""
 

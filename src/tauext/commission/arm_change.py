@@ -18,7 +18,7 @@ from tauext.commission.keep import LEARN_FROM, segments_of_arm
 from tauext.commission.promises import THREADS, base_of, meets
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
-from tauext.errors import TauextError
+from tauext.errors import TauextError, TooLittleMotionError
 from tauext.files.append_file import write_synced
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
@@ -118,6 +118,8 @@ CHANGED_FOR_S = 180.0
 """Newest motion in which alarms are counted, [s]."""
 STEP, STEP_SPREADS = 0.5, 4.0
 """A change of friction is named if its logarithm exceeds the first, and so many standard deviations of earlier days."""
+SINCE_TRAINING = "since_training"
+"""Entry of a refitted bundle: factors on the friction of training by joint, those of earlier refits included."""
 REFIT_FROM, REFIT_WORTH = 0.1, 0.95
 """Change of friction from which a refit is tried, and the ratio of errors below which it is used."""
 
@@ -151,9 +153,12 @@ class Days:
         newest = up_to(segments[::-1], CHANGED_FOR_S)
         if asked >= first or sum(one.seconds for one in segments) < CHANGED_AFTER_S or newest[-1].number <= done:
             return []
+        return up_to(newest, STROKES_S)[::-1] if len(self._alarmed(newest)) >= CHANGED_SHARE * len(newest) else []
+
+    def _alarmed(self, segments: Sequence[Segment]) -> list[Segment]:
+        """Those with alarms that nobody called a touch."""
         labels = [one for one in self.folder.labels() if one.id > 0 and one.answer in ("unanswered", "nothing")]
-        alarmed = sum(any(meets(one, label) for label in labels) for one in newest)
-        return up_to(newest, STROKES_S)[::-1] if alarmed >= CHANGED_SHARE * len(newest) else []
+        return [one for one in segments if any(meets(one, label) for label in labels)]
 
     def compare(self) -> None:
         """Refit to the first strokes; name a load, and what no friction explains or is far beyond the earlier days."""
@@ -170,9 +175,13 @@ class Days:
         try:
             refitted = refit_recordings(bundle, recordings, THREADS)
         except TauextError as error:
-            if bundle.prior.terms:
-                return self._ask(change_words(None, errors, " ".join(str(error).split())), facts)
-            words = f"{active.stem} has no friction that could be refitted"
+            why = " ".join(str(error).split())
+            if not bundle.prior.terms:
+                words = f"{active.stem} has no friction that could be refitted"
+            elif isinstance(error, TooLittleMotionError) and 2 * len(self._alarmed(motion)) < len(motion):
+                words = f"the first strokes are not compared with earlier days: {why}"
+            else:
+                return self._ask(change_words(None, errors, why), facts)
             return folder.note("morning", folder.seconds(), words, **facts)
         factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
@@ -188,25 +197,26 @@ class Days:
             out = folder.next_bundle()
             about = json.loads(bundle.provenance or "{}")
             about["refitted"] = provenance("tauext commission", {"bundle": active.name}, seed=None) | refitted.facts()
+            about["refitted"][SINCE_TRAINING] = factors
             about["calibrated"] = about.get("calibrated", {}) | {"base": base_of(folder, active.stem)}
             refitted.bundle.name = out.stem
             write_bundle(refitted.bundle, out, about, [], WallTimes())
-            content = {"bundle": out.stem, "minutes": 0, "refit": True, "trained_on": [one.name for one in motion]}
+            content = {"bundle": out.stem, "minutes": 0, "refit": True, "after": motion[-1].number}
             write_synced(folder.pending_file, json.dumps(content) + "\n")
 
     def _factor(self, bundle: str, joint: str) -> float:
-        """Factor of a joint's friction that a refit has put into the bundle already."""
+        """Factor of a joint's friction that refits have put into the bundle already."""
         try:
             about = json.loads(load_bundle(self.folder.bundles / f"{bundle}.tauext").provenance or "{}")
         except (TauextError, ValueError):
             return 1.0
-        joints = (about.get("refitted") or {}).get("joints") or []
-        return float(next((one["coulomb"][0] for one in joints if one["joint"] == joint), 1.0))
+        return float(((about.get("refitted") or {}).get(SINCE_TRAINING) or {}).get(joint, 1.0))
 
     def judge_refit(self, name: str, facts: dict[str, Any], why: str) -> None:
         """A refit monitors if it passes and is better: fewer false alarms, or smaller errors."""
         folder = self.folder
-        better = facts.get("error_ratio", 1.0) < REFIT_WORTH or facts.get("per_hour", 0.0) < facts.get("before", 0.0)
+        better = facts.get("error_ratio", 1.0) < REFIT_WORTH
+        better |= (facts.get("per_hour") or 0.0) < (facts.get("before") or 0.0)
         why = why or ("" if better else "it is no better than the drift tracker alone")
         words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
         folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
@@ -216,13 +226,24 @@ class Days:
 
     def _ask(self, words: str, facts: dict[str, Any]) -> None:
         """Name a change and ask a person whether it may be learned."""
-        self.folder.note("morning", self.folder.seconds(), "the arm differs from earlier days", **facts)
-        self.folder.note("step", self.folder.seconds(), words, segment=facts["segment"])
-        content = {"words": words, "asked": wall(), "segment": facts["segment"]}
+        content = {"words": words, "asked": wall(), "segment": facts["segment"], "facts": facts}
         write_synced(self.folder.question_file, json.dumps(content) + "\n")
+        self.complete()
+
+    def complete(self) -> None:
+        """Add what the history lacks of the question: it is the question's file that a kill must not separate."""
+        folder, question, history = self.folder, self.question(), self.folder.history()
+        if not isinstance(facts := question.get("facts"), dict):
+            return
+        lines = {"morning": ("the arm differs from earlier days", facts)}
+        lines["step"] = (str(question.get("words")), {"segment": question.get("segment")})
+        for kind, (words, about) in lines.items():
+            if not any(one["kind"] == kind and one.get("segment") == question.get("segment") for one in history):
+                folder.note(kind, folder.seconds(), words, **about)
 
     def answer(self) -> None:
         """learn: train on motion since the change alone. leave: the bundle in charge stays, and the motion is used."""
+        self.complete()
         folder, question = self.folder, self.question()
         learns = question["answer"] == "learn"
         if learns:

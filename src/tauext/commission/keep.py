@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import zipfile
+import zlib
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -79,13 +82,16 @@ class Coverage:
 
     @classmethod
     def load(cls, path: Path, arm: SourceSettings) -> Coverage:
-        """As it was saved; new where nothing usable is there."""
+        """As it was saved; where the file is not usable, new but for the times in coverage.json beside it."""
         made = cls.new(arm)
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            times = json_of(read_text(path.with_suffix(".json")))
+            made.seconds, made.kept_s, made.dropped_s = (float(times[name]) for name in TIMES)
         try:
             with np.load(path) as file:
                 kept = {name: file[name] for name in ARRAYS}
                 sums = file["sums"].tolist()
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return made
         if any(kept[name].shape != getattr(made, name).shape for name in ARRAYS) or len(sums) != 4:
             return made
@@ -96,6 +102,8 @@ class Coverage:
         with part.open("wb") as file:
             sums = np.array([self.seconds, self.kept_s, self.dropped_s, self.begin])
             np.savez(file, sums=sums, **{name: getattr(self, name) for name in ARRAYS})
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(path)
 
     def see(self, q: np.ndarray, dq: np.ndarray, period_s: float) -> tuple[np.ndarray, float]:
@@ -144,9 +152,7 @@ class Coverage:
                 }
             )
         return {
-            "seconds": round(self.seconds, 3),
-            "kept_s": round(self.kept_s, 3),
-            "dropped_s": round(self.dropped_s, 3),
+            **{name: round(getattr(self, name), 3) for name in TIMES},
             "bytes": kept_bytes,
             "bytes_most": bytes_most,
             "needs_s": needs_s,
@@ -182,6 +188,7 @@ class Coverage:
 
 
 ARRAYS = ("cells", "visited", "rest_s", "slow_s", "fastest", "reversals")
+TIMES = ("seconds", "kept_s", "dropped_s")
 
 
 # --- Which recordings are kept: sets, and what is dropped when the disk space is used up.

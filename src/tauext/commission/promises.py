@@ -19,7 +19,6 @@ from tauext.commission.history import Kept, kept_of
 from tauext.commission.keep import LEARNED, segments_of_arm
 from tauext.commission.suspects import Suspect
 from tauext.config import AlarmConfig, FreeMotionConfig
-from tauext.data.free_motion import free_samples
 from tauext.data.labels import EPOCH, MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
@@ -53,23 +52,25 @@ class Ledger:
         self.limits_h = 0.0
         self.counted: set[int] = set()
         """Alarms answered `nothing` whose motion is in the peaks."""
+        self.limited: set[int] = set()
+        """Alarms answered `nothing` when the newest limits were found."""
         self.forgotten: dict[int, tuple[int, int]] = {}
         """Spans of labels whose peaks were left out."""
-        self._checkpoint = Checkpoint(folder.path / "peaks.state", base)
+        self._checkpoint = Checkpoint(folder.path / "peaks.state", f"{base}, layout 2")
 
     @classmethod
     def load(cls, folder: CommissionFolder, base: str) -> Ledger:
         made = cls(folder, base)
         if (state := made._checkpoint.load()) is not None:
             (made.collectors, made.names, made.places, made.learned) = state[:4]
-            (made.limits_h, made.counted, made.forgotten) = state[4:]
+            (made.limits_h, made.counted, made.limited, made.forgotten) = state[4:]
             made.names = made.names[: len(made.places)]
         return made
 
     def put(self) -> None:
         """Keep the state, then allow the recorder to drop what was learned."""
-        state = [self.collectors, self.names, self.places, self.learned, self.limits_h, self.counted, self.forgotten]
-        self._checkpoint.put(state)
+        peaks = [self.collectors, self.names, self.places, self.learned]
+        self._checkpoint.put([*peaks, self.limits_h, self.counted, self.limited, self.forgotten])
         write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
 
     @property
@@ -81,8 +82,13 @@ class Ledger:
         self.collectors = collectors
 
     def news(self, labels: Sequence[Label]) -> bool:
-        """Whether answers are not in the peaks yet."""
-        return any(one.answer == "nothing" and one.id not in self.counted for one in labels)
+        """Whether answers have come since the newest limits."""
+        return any(one.answer == "nothing" and one.id not in self.limited for one in labels)
+
+    def renewed(self) -> None:
+        """The newest limits follow from these peaks, or could not be found or used."""
+        self.limits_h, self.limited = self.hours, set(self.counted)
+        self.put()
 
     def learn(self, fresh: Sequence[Segment], segments: Sequence[Segment]) -> None:
         """Add calibration motion; then leave out what labels called a touch since, and add answered alarms."""
@@ -135,7 +141,8 @@ class Ledger:
             for epoch, runs in groupby(loaded, lambda one: int(one.provenance[EPOCH])):
                 own = [one for one in group if one.epoch == epoch]
                 motion = joined([_only(own, run) for run in runs])  # the drift tracker goes on after a gap
-                if own and free_samples(motion).any():
+                known = motion.contact is not None and bool((motion.contact == 0).any())
+                if own and known:  # else their files were dropped meanwhile
                     places.append((own[0].stem, epoch, int(motion.t_ns[0]), int(motion.t_ns[-1])))
                     yield replace(motion, name=own[0].stem)
 
@@ -246,9 +253,7 @@ class Promises:
                 promised = promised_limits(bundle, lambda: [], alarm, THREADS, kept=ledger)
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
-            ledger.limits_h = ledger.hours
-            ledger.put()
-            return
+            return ledger.renewed()
         apply_promised(bundle, promised, alarm)
         rate, sentence = promised.budget.rate_per_hour, promised.sentence()
         happened = kept_of(folder.path, active.stem, folder.seconds())
@@ -263,8 +268,6 @@ class Promises:
         facts["calibrated"]["base"] = ledger.base
         bundle.name = out.stem
         write_bundle(bundle, out, facts, [], WallTimes({"calibrate": time.monotonic() - started}))
-        ledger.limits_h = ledger.hours
-        ledger.put()
         tests = [one for one in segments if one.set == "test"]
         found, why = self._judged(out.stem, up_to(tests[::-1], MOST_TEST_S)[::-1], not happened.kept)
         numbers = {"promised_per_hour": rate, "sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}
@@ -272,9 +275,10 @@ class Promises:
             folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
             for path in folder.bundles.glob(f"{out.stem}.*"):
                 path.unlink(missing_ok=True)
-            return
+            return ledger.renewed()
         folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work", folder.seconds())
         folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
+        ledger.renewed()  # last: after a kill, the limits are found again
 
     def compare(self) -> None:
         """Add what was promised and what happened to the history."""
@@ -310,15 +314,16 @@ class Promises:
 def raise_limits(bundle: _core.Bundle, old: _core.Bundle, happened: Kept, rate_per_hour: float) -> dict[str, float]:
     """Raise the limits of a bundle so far that the false alarms under the old one would have kept this rate.
 
-    Some errors do not appear when the recordings of the alarms are replayed, since they depend on hours before.
+    Some errors do not appear when the recordings of the alarms are replayed, since they depend on hours before. Limits
+    that were raised earlier stay as high; calibration that contains these errors by now needs no factor any more.
 
     Returns:
         Factors by joint, also of earlier repairs.
     """
     joints = [link.joint_name for link in bundle.links]
     earlier = (json.loads(old.provenance or "{}").get("limits") or {}).get(RAISED) or {}
-    factors = np.array([float(earlier.get(joint, 1.0)) for joint in joints])
     before, now = (np.array([one.sliding_limit_nm, one.near_stiction_limit_nm]) for one in (old, bundle))
+    factors = np.where([joint in earlier for joint in joints], np.maximum(1.0, (before / now).max(axis=0)), 1.0)
     overs = [] if happened.kept else [np.array(one.get("over") or (), dtype=float) for one in happened.false_alarms]
     peaks = sorted((over.max(), int(over.argmax())) for over in overs if len(over) == len(joints) and over.max() > 1)
     for over, j in peaks[: max(0, len(peaks) - int(rate_per_hour * happened.hours))]:

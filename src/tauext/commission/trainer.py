@@ -81,7 +81,7 @@ class Trainer:
         self._repair()
 
     def _repair(self) -> None:
-        """After a kill: an activation without its line is added; bundles that nothing names are removed."""
+        """After a kill: lines that the history lacks are added; bundles that nothing names are removed."""
         folder, history = self.folder, self.folder.history()
         active, pending = folder.active(), self._pending()
         begun = [one.get("bundle") for one in history if one["kind"] == "activation"]
@@ -90,6 +90,7 @@ class Trainer:
             folder.note(
                 "activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None
             )
+        self.days.complete()
         named = {str(one.get("bundle")) for one in history} | {str(pending.get("bundle"))}
         for path in folder.bundles.glob("b*.tauext"):
             if path.stem not in named and (active is None or path != active):
@@ -131,16 +132,23 @@ class Trainer:
         )
 
     def _pending(self) -> dict[str, Any]:
+        """The bundle that waits to be judged; empty: none."""
+        folder = self.folder
         try:
-            content = json_of(read_text(self.folder.pending_file))
-            return content if (self.folder.bundles / f"{content['bundle']}.tauext").is_file() else {}
+            content = json_of(read_text(folder.pending_file))
+            path = folder.bundles / f"{content['bundle']}.tauext"
+            if path == folder.active():  # it was judged, and a kill or a full disk kept the file
+                folder.pending_file.unlink()
+                return {}
+            return content if path.is_file() else {}
         except (OSError, ValueError, KeyError, TypeError):
             return {}
 
     def _unseen(self, pending: dict[str, Any], segments: Sequence[Segment]) -> list[Segment]:
         """Newest motion that the bundle was not trained on, up to MOST_TEST_S."""
-        seen = set(pending.get("trained_on", ()))
-        return up_to([one for one in reversed(segments) if one.name not in seen], MOST_TEST_S)[::-1]
+        seen, after = set(pending.get("trained_on", ())), int(pending.get("after") or 0)
+        unseen = [one for one in reversed(segments) if one.name not in seen and one.number > after]
+        return up_to(unseen, MOST_TEST_S)[::-1]
 
     # One step.
 
@@ -230,7 +238,7 @@ class Trainer:
                 if number == rounds - 1 or not self._suspect(load_bundle(out), load_known(self.folder, learning)):
                     break
         except TauextError as error:
-            if os.strerror(errno.ENOSPC) in str(error):  # no fault of the motion: it is tried again
+            if any(os.strerror(one) in str(error) for one in (errno.ENOSPC, errno.EDQUOT)):  # it is tried again
                 raise
             text = str(error)
             if isinstance(error, FaultyDataError):  # without the option of `tauext train` that accepts them
@@ -241,7 +249,11 @@ class Trainer:
             folder.note("training", folder.seconds(), words, minutes=minutes, passed=False, why=why)
             return
         content = {"bundle": out.stem, "minutes": minutes, "trained_on": [one.name for one in training]}
+        replaced = self._pending().get("bundle")
         write_synced(folder.pending_file, json.dumps(content) + "\n")
+        if replaced is not None:  # it was not judged
+            for path in folder.bundles.glob(f"{replaced}.*"):
+                path.unlink(missing_ok=True)
 
     def _checked(self, given: Given, config: TrainConfig) -> tuple[Given, dict[str, Any]]:
         """Input of a training without recordings that have faults of their own, and the facts of the check.

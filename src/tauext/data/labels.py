@@ -38,7 +38,7 @@ class Label:
     """Last stamp, [ns]."""
     answer: LabelAnswer
     """touched, nothing: a person's answer. unanswered: an alarm without an answer. suspect: a touch that nobody
-    reported, found by a bundle. withdrawn: no label any more."""
+    reported, found by a bundle. withdrawn: no label any more; a person's answer stays."""
     by: str
     """Origin of the answer: page, stdin, trainer."""
     wall: str
@@ -70,6 +70,8 @@ def _read(path: Place, version: str) -> tuple[Label, ...]:
     for content in read_lines(path):
         with suppress(KeyError, TypeError, ValueError):
             label = label_of(content)
+            if label.answer == "withdrawn" and label.id in newest and newest[label.id].answer in ("touched", "nothing"):
+                continue  # the answer came while labels were withdrawn
             newest[label.id] = label
     return tuple(label for label in newest.values() if label.answer != "withdrawn")
 

@@ -7,6 +7,7 @@ tauext, so that a file from elsewhere can do no harm; one that is damaged or of 
 from __future__ import annotations
 
 import io
+import os
 import pickle
 import time
 from collections.abc import Mapping
@@ -71,8 +72,10 @@ class Checkpoint:
         """Write the state now; the folder is there."""
         content = io.BytesIO()
         _Writer(content, self._outside).dump((self._key, state))
-        with atomic_write(self._path) as part:
-            part.write_bytes(content.getvalue())
+        with atomic_write(self._path) as part, part.open("wb") as file:
+            file.write(content.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())
         self._written = time.monotonic()
 
     def end(self) -> None:

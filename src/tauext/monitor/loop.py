@@ -545,7 +545,8 @@ class Loop:
     # Requests.
 
     def _stop(self, by: str) -> None:
-        self.note(f"stopped by {by}")
+        if not self._stopped:
+            self.note(f"stopped by {by}")
         self._stopped = True
 
     def _answer(self, what: AnswerKind, by: str, alarm: int | None) -> None:

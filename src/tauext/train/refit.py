@@ -23,7 +23,7 @@ from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import load_recording
-from tauext.errors import ConfigError, TrainingError
+from tauext.errors import ConfigError, TooLittleMotionError, TrainingError
 from tauext.files.copies import local_file
 from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
@@ -429,7 +429,8 @@ def refit_recordings(
             follows = expectation[2]
             found = _core.refit(bundle, sources, settings_with(*expectation), threads=threads or os.cpu_count() or 1)
     except _core.CoreError as error:
-        raise TrainingError(str(error)) from error
+        kind = TooLittleMotionError if str(error).startswith("a refit needs ") else TrainingError
+        raise kind(str(error)) from error
     limits = json.loads(bundle.provenance or "{}").get("limits", {})
     joints = [
         JointReport.of(bundle, j, one, standing(found, bundle, limits, j), bool(follows[j]))

@@ -62,7 +62,7 @@ test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu
 	$(call need,aarch64-linux-gnu-g++ qemu-aarch64,g++-aarch64-linux-gnu qemu-user)
 	$(call ctest,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
 fuzz: setup ## A minute of hostile bundles, with clang; finds stay in the build folder
-	$(call need,clang++,clang)
+	$(call need,clang++,clang libclang-rt-dev)
 	$(RUN) cmake -S . -B $(BUILD)/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
 	$(RUN) cmake --build $(BUILD)/fuzz
 	mkdir -p $(BUILD)/fuzz/found

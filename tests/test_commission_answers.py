@@ -1,9 +1,11 @@
 """Alarms of a loop as lines for the page and as events.jsonl; answers that are on the disk when they are confirmed."""
 
 import json
+import math
 import socket
 import threading
 import time
+from collections import deque
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -17,10 +19,11 @@ from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink, rounded
 from tauext.commission.processes import Child
-from tauext.commission.run import Commission
+from tauext.commission.run import AGAIN_S, Commission
 from tauext.data.labels import read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.control_lines import obey
+from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
@@ -171,6 +174,36 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one._record.is_losing = False
     one._show_state()
     assert one._live.says == "" and one._live.state == "monitoring"
+
+
+def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch):
+    one, asked, lines = Commission.__new__(Commission), [], []
+    one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    one._live, one._by, one._arm = SimpleNamespace(bundle="b0001"), "", {"period_ns": 10**6}
+    one._active, one._again_s, one._why_refused, one._exchanges = 0, math.inf, ("", ""), deque()
+    one._echo = lines.append
+    loop = SimpleNamespace(exchange=lambda path, done: asked.append((path.stem, done)))
+    for name in ("b0001", "b0002"):
+        (one._folder.bundles / f"{name}.tauext").touch()
+    one._folder.activate("b0002", "a test", 0.0)
+    now_s = time.monotonic()
+    one._exchange(loop, now_s)
+    for tries in (1, 2, 3):
+        assert [name for name, _ in asked] == ["b0002"] * tries
+        asked[-1][1]("b0002 stays out: a contact lasts")
+        one._exchange(loop, now_s + 0.5 * AGAIN_S)
+        assert len(asked) == tries
+        one._exchange(loop, now_s + 1.1 * AGAIN_S)
+    assert lines == ["b0002 does not take over: b0002 stays out: a contact lasts"]
+    asked[-1][1]("")
+    one._live.bundle = "b0002"
+    one._exchanges.append(Exchanged("b0002", "b0001", 1, 1, 1000, b"", b"", 0, 5.0))
+    with monkeypatch.context() as full:
+        full.setattr(CommissionFolder, "save", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
+        with pytest.raises(OSError, match="full"):
+            one._exchange(loop, now_s)
+    one._exchange(loop, now_s + 5 * AGAIN_S)
+    assert len(asked) == 4 and [line["kind"] for line in one._folder.history()] == ["activation", "exchange"]
 
 
 def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from tauext.files.append_file import read_lines
-from tauext.files.places import Place
+from tauext.files.copies import version_of
+from tauext.files.places import Place, is_stored
 from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
 FACTS = "commission.json"
@@ -47,7 +49,13 @@ def active_bundle(folder: Place) -> Place | None:
 
 def read_history(folder: Place) -> list[dict[str, Any]]:
     """Trainings, activations, promises, steps and notes in order; each has `kind`, `wall`, `seconds` and `words`."""
-    return [one for one in read_lines(folder / HISTORY) if isinstance(one.get("kind"), str)]
+    path = folder / HISTORY
+    return list(_history(path, "" if is_stored(path) else version_of(path))) if path.is_file() else []
+
+
+@lru_cache(maxsize=4)
+def _history(path: Place, version: str) -> tuple[dict[str, Any], ...]:
+    return tuple(one for one in read_lines(path) if isinstance(one.get("kind"), str))
 
 
 def read_events(folder: Place) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TauextError
 from tauext.files.append_file import append_line, lock, read_lines, reserve, write_synced
+from tauext.files.copies import version_of
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import write_json
@@ -168,13 +170,9 @@ class CommissionFolder:
 
     def segments(self) -> list[Segment]:
         """Recordings that exist, in order of their numbers."""
-        found: dict[str, Segment] = {}
-        for line in read_lines(self.path / INDEX):
-            with suppress(TypeError):
-                one = Segment(**line)
-                found[one.name] = one
+        index = self.path / INDEX
         there = {path.name for path in self.path.glob("seg-*.parquet")}
-        return sorted((one for one in found.values() if one.name in there), key=lambda one: one.number)
+        return [one for one in _indexed(index, version_of(index)) if one.name in there] if index.is_file() else []
 
     def add_segment(self, segment: Segment) -> None:
         """Add a recording whose file is complete to the index."""
@@ -274,6 +272,17 @@ class CommissionFolder:
             if isinstance(content := json_of(read_text(self.coverage_file)), dict):
                 return content
         return {}
+
+
+@lru_cache(maxsize=2)
+def _indexed(index: Path, version: str) -> tuple[Segment, ...]:
+    """Recordings in the index, in order of their numbers; it is read once a second, and changes seldom."""
+    found: dict[str, Segment] = {}
+    for line in read_lines(index):
+        with suppress(TypeError):
+            one = Segment(**line)
+            found[one.name] = one
+    return tuple(sorted(found.values(), key=lambda one: one.number))
 
 
 def joined(recordings: list[Recording]) -> Recording:

@@ -7,6 +7,7 @@ the same files and the loop's socket, and sends lines to the control socket.
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import tempfile
@@ -55,6 +56,8 @@ CARRIED_S = 10.0
 """Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
 SETTLED_S = 3.5
 TEND_S = 1.0
+AGAIN_S = 600.0
+"""Time after which a bundle that could not take over is tried again, [s]."""
 HOW_TO_ANSWER = " y or `learn yes`: train again from this change on; x or `learn no`: keep the bundle."
 CARRIED = "carried.bin"
 LONGEST_SOCKET = 100
@@ -180,6 +183,8 @@ class Commission:
         self._active = 0
         """Time of active.json when the loop took its bundle."""
         self._exchanges: deque[Exchanged] = deque()
+        self._why_refused, self._again_s = ("", ""), math.inf
+        """The newest bundle that did not take over and why, and the monotonic time at which it is tried again."""
         self._again = False
         self._has_ended = False
         """The source has ended for good."""
@@ -376,13 +381,18 @@ class Commission:
         if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
             self._again = True  # the training found that the torque has another unit
             return loop.stop("the training: the torque has another unit")
-        if (now := self._stamp()) != self._active:
-            self._active = now
-            if (path := self._folder.active()) is not None:
-                loop.exchange(path, lambda why: self._refused(path.stem, why))
-        while self._exchanges:
-            self._exchanged(self._exchanges.popleft())
+        self._exchange(loop, time.monotonic())
         self._keep_carried(loop, time.monotonic())
+
+    def _exchange(self, loop: Loop, now_s: float) -> None:
+        """Bring the bundle in charge into the loop, again if it could not take over; write what took over."""
+        path, is_new = self._folder.active(), (now := self._stamp()) != self._active
+        if path is not None and (is_new or (now_s > self._again_s and path.stem != self._live.bundle)):
+            self._active, self._again_s = now, math.inf
+            loop.exchange(path, lambda why: self._refused(path.stem, why))
+        while self._exchanges:
+            self._exchanged(self._exchanges[0])
+            self._exchanges.popleft()  # a full disk leaves it
 
     def _keep_carried(self, loop: Loop, now_s: float) -> None:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
@@ -394,7 +404,11 @@ class Commission:
 
     def _refused(self, bundle: str, why: str) -> None:
         if why and not self._by:
-            self._note(f"{bundle} does not take over: {why}")
+            if (bundle, why) != self._why_refused:
+                self._note(f"{bundle} does not take over: {why}")
+            self._why_refused, active = (bundle, why), self._folder.active()
+            if active is not None and active.stem == bundle:  # else a newer one has its turn
+                self._again_s = time.monotonic() + AGAIN_S
 
     def _exchanged(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)

@@ -1,7 +1,7 @@
 """Days of `tauext commission` on simulated arms, with touches that nobody reports: a fast simulation without a page.
 
     python benchmarks/commission.py OUT --arm offset_wrist [--no-model] [--plan loads|calm|week] [--hours H] [--seed 0]
-    python benchmarks/commission.py OUT --tables      the page of all results in OUT
+    python benchmarks/commission.py OUT --tables      OUT.md: the page of all results in OUT
 
 Plan `loads`: four parts of --hours (6), each after a pause of two hours and from a cold start: bare, with one load,
 with a heavier one, with another tool. Plan `calm`: the first part, and nothing touches the arm. Plan `week`: seven
@@ -18,9 +18,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -371,13 +373,16 @@ def main() -> None:
     parser.add_argument("--hours", type=float, help="of each part, default: 6, week: 4")
     parser.add_argument("--disk-gb", type=float, default=2.0, help="bound of the folder, default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of arm, motion and touches")
-    parser.add_argument("--tables", action="store_true", help="write OUT/README.md from the results in OUT")
+    parser.add_argument("--tables", action="store_true", help="write OUT.md from the results in OUT")
     options = parser.parse_args()
     if options.tables:
-        write_page(
-            options.out / "README.md",
-            tables(options.out, [json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]),
-        )
+        results = []
+        for path in sorted(options.out.glob("*.json")):
+            results.append(one := json.loads(path.read_text()))
+            if (options.out / path.stem).is_dir():
+                one["false_by_part"] = false_by_part(options.out / path.stem, one)
+                path.write_text(json.dumps(one, indent=1) + "\n")
+        write_page(options.out.with_suffix(".md"), tables(results))
         return
     name = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -387,7 +392,7 @@ def main() -> None:
     hours = options.hours or HOURS[options.plan]
     result: dict[str, Any] = {
         "arm": options.arm, "model": not options.no_model, "plan": options.plan, "seed": options.seed, "hours": hours,
-        "disk_gb": options.disk_gb,
+        "disk_gb": options.disk_gb, "date": f"{date.today():%-d %B %Y}", "commit": commit(),
     }  # fmt: skip
     for title, load, tool in PLANS[options.plan]:
         part = Part(title, hours, load, tool)
@@ -450,7 +455,7 @@ def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
     return [(before, after) for before, after in counts]
 
 
-def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
+def tables(results: list[dict[str, Any]]) -> list[str]:
     """The page of all results."""
     lines = ["# Simulated days of `tauext commission`", "", *INTRO, ""]
     lines += head(
@@ -458,7 +463,7 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
         "| in [h] | asked"
     )
     for one in results:
-        for part, (before, others) in zip(one["parts"], false_by_part(out / stem(one), one), strict=True):
+        for part, (before, others) in zip(one["parts"], one["false_by_part"], strict=True):
             waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
             detected, asked = f"{part['detected']} of {part['touches']}", "; ".join(part["asked"])
             received, hours = f"{part['received_h']:.1f}", f"{part['hours']:.1f}"
@@ -526,12 +531,18 @@ def tables(out: Path, results: list[dict[str, Any]]) -> list[str]:
                 for one in weeks
             ),
         ]
-    return lines
+    runs = (f"{called(one)}, {one['plan']}: {one['date']}, commit {one['commit']}" for one in results)
+    return [*lines, "", f"Runs: {'; '.join(runs)}."]
 
 
-def stem(one: dict[str, Any]) -> str:
-    """Name of the folder and of the result."""
-    return f"{one['arm']}{'' if one['model'] else '-no-model'}-{one['plan']}"
+def commit() -> str:
+    """The commit of this code, with `+` if files differ from it; `?` without Git."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        found = subprocess.run([*git, "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "?"
+    return found.stdout.strip()
 
 
 def called(one: dict[str, Any]) -> str:

@@ -20,8 +20,9 @@ from tauext.commission.keep import KeepSink
 from tauext.commission.live import LiveSink, rounded
 from tauext.commission.processes import Child
 from tauext.commission.run import AGAIN_S, Commission
-from tauext.data.labels import read_labels
+from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
+from tauext.files.append_file import append_line
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
@@ -174,6 +175,25 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one._record.is_losing = False
     one._show_state()
     assert one._live.says == "" and one._live.state == "monitoring"
+
+
+def test_an_answer_whose_event_was_lost_is_known_to_the_next_process(tmp_path):
+    folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    append_line(folder.events_file, {"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
+    folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
+    keeper = EventKeeper(folder.path, lambda: 1, print)
+    keeper.end()
+    assert keeper.answer_to(1) == "nothing" and keeper.unanswered is None
+    assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
+
+
+def test_an_event_that_cannot_be_written_ends_no_thread(tmp_path):
+    folder, notes = CommissionFolder.open(tmp_path / "cell", create=True), []
+    keeper = EventKeeper(folder.path, lambda: 1, notes.append)
+    keeper.changed({"id": 1, "level": "contact", "newtons": float("nan")})
+    keeper.changed({"id": 2, "level": "contact", "newtons": 1.0})
+    keeper.end()
+    assert [one["id"] for one in read_events(folder.path)] == [2] and notes[0].startswith("an event is not stored")
 
 
 def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch):

@@ -293,9 +293,17 @@ def quick(monkeypatch):
     monkeypatch.setattr(lasting, "LONGEST_RETRY_S", 0.02)
 
 
+class Broken(Describing):
+    """Its library raises at the end of a dead link."""
+
+    def close(self):
+        super().close()
+        raise ValueError("shutdown on a dead link")
+
+
 def test_a_source_that_ends_is_replaced_and_its_counts_go_on(quick):
     samples = samples_of(pushed(seconds=0.2))
-    first, second = Describing(samples[:3]), Describing(samples[3:6])
+    first, second = Broken(samples[:3]), Describing(samples[3:6])
     first.counts.lost, second.counts.lost = 2, 3
     others = [ConfigError("still booting"), RuntimeError("of a library"), second]
     other_arm = replace(FACTS, settings=replace(FACTS.settings, joints=("a", "c")))

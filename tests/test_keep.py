@@ -240,6 +240,40 @@ def test_damage_by_a_power_failure_is_removed(tmp_path):
     assert [one.number for one in Script(folder.path).go(10).end().segments()] == [1, 2, 3, 6]
 
 
+def test_a_touch_without_a_number_belongs_to_the_newest_alarm_or_to_the_last_seconds(tmp_path):
+    script = Script(tmp_path / "cell").go(5).go(1, alarm=1, push=2.0).go(5).go(1, alarm=2, push=2.0).go(5)
+    script.answer("touched", 2)
+    script.go(20).answer("touched")  # not about alarm 1, however long ago it rose
+    labels = {one.id: one for one in script.end().labels()}
+    assert [labels[k].answer for k in (1, 2)] == ["unanswered", "touched"] and len(labels) == 3
+    assert labels[min(labels)].answer == "touched" and labels[min(labels)].to_ns > labels[2].to_ns
+
+
+def test_a_clock_that_is_set_back_costs_no_part_of_a_label(tmp_path):
+    script = Script(tmp_path / "cell").go(5).go(3, alarm=1, push=2.0)
+    before_ns, script.t_ns = script.t_ns, 0
+    (label,) = script.go(2, alarm=1, push=2.0).end().labels()
+    assert label.epoch == 1 and label.to_ns == before_ns - PERIOD_NS
+
+
+def test_a_full_disk_while_recordings_are_dropped_leaves_none_uncounted(tmp_path, monkeypatch):
+    monkeypatch.setattr(keep, "FRESH_S", 0.0)
+    script = Script(tmp_path / "cell", budget=1e9).go(65)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    script.sink.close()
+    for name, budget in (("put_split", 1e5), ("put_index", 1e5), ("put_index", 5e4)):
+        script.sink._budget = budget
+        with monkeypatch.context() as patched:
+            patched.setattr(CommissionFolder, name, full)
+            with pytest.raises(OSError, match="No space"):
+                script.sink._tidy()
+        counted = {one.name for one in script.sink._segments}
+        assert counted == {path.name for path in script.folder.path.glob("seg-*.parquet")}
+
+
 def test_damaged_coverage_costs_the_cells_but_no_time(tmp_path):
     folder = Script(tmp_path / "cell").go(45).end()
     path, arm = folder.path / "coverage.npz", ARM

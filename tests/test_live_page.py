@@ -244,7 +244,7 @@ def test_a_refusal_and_a_loop_that_is_gone_are_reported(tmp_path):
         loop.close()
         loop.control.unlink()
         status, content, _ = post(port, "/answer", {"what": "nothing"})
-        assert status == 409 and b"nothing was changed" in content
+        assert status == 409 and b"the loop does not answer" in content
 
 
 # --- The door.

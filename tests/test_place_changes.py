@@ -92,6 +92,16 @@ def test_a_short_touch_is_told_when_its_alarm_falls(bundle, signals):
     assert only.row == RISES + 30 and only.alarm == 2
 
 
+def test_the_place_of_an_alarm_that_stands_from_before_is_not_estimated_again(bundle, signals):
+    t_ns, q, said = signals
+    said["alarm"][:RISES] = 2
+    fresh, standing = PlaceFinder(bundle), PlaceFinder(bundle)
+    standing.stand(2)
+    quiet = slice(0, RISES - 20)  # the errors of an arm that nothing touches
+    rows = t_ns[quiet], q[quiet], 0 * q[quiet], {name: column[quiet] for name, column in said.items()}
+    assert fresh.find(0, *rows) and standing.find(0, *rows) == []
+
+
 def test_an_acknowledged_alarm_that_stands_again_is_another(bundle, signals):
     t_ns, q, said = signals
     finder, until = PlaceFinder(bundle), RISES + 300

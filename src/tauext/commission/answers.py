@@ -9,11 +9,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from tauext.bundle.history_file import EVENTS, read_events
-from tauext.data.labels import Label
+from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.files.append_file import append_line
 from tauext.monitor.flight_files import FlightNews
@@ -51,6 +52,12 @@ class EventKeeper:
         """Called in the keeper's thread with the answer about a named change of the arm, and its origin; may raise
         ConfigError."""
         self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
+        for label in read_labels(folder):  # an answer whose line in the events was lost
+            event = self._events.get(label.id)
+            if event is not None and label.answer in ("touched", "nothing") and event.get("answer") != label.answer:
+                event |= {"answer": label.answer, "by": label.by}
+                with suppress(OSError):
+                    append_line(self._path, event)
         self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
         """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
         self._news = threading.Condition()
@@ -156,8 +163,8 @@ class EventKeeper:
                     self._changed(one)
             except ConfigError as refused:
                 error = str(refused)
-            except OSError as failed:  # a full disk: the label is stored, the event's line is not
-                error = failed.strerror or str(failed)
+            except Exception as failed:  # a full disk, for example: the label is stored, the event's line is not
+                error = (failed.strerror if isinstance(failed, OSError) else "") or str(failed)
                 self._note(f"an event is not stored: {error}")
             if isinstance(one, Answer | Label):
                 kind, about = (one.what, one.alarm) if isinstance(one, Answer) else (one.answer, one.id)
@@ -182,7 +189,7 @@ class EventKeeper:
     def _flown(self, news: FlightNews) -> None:
         """A flight belongs to the alarm that stood at its event."""
         for event in reversed(self._events.values()):
-            is_its = (event["level"], event["epoch"]) == (news.what, self._epoch())
+            is_its = news.what != "fault" and event["epoch"] == self._epoch()  # a contact may have become a collision
             if news.path is not None and is_its and event["t_ns"] <= news.t_ns <= event["held_ns"]:
                 return self._put(event["id"], flight=str(news.path).rpartition("/")[2])
 

@@ -259,7 +259,7 @@ class CommissionFolder:
 
     def log(self, text: str) -> None:
         """Add a line to log.txt; a full disk loses it."""
-        with suppress(OSError), (self.path / "log.txt").open("a") as file:
+        with suppress(OSError), (self.path / "log.txt").open("a", encoding="utf-8") as file:
             file.write(f"{wall()} {text}\n")
 
     def seconds(self) -> float:

@@ -360,7 +360,7 @@ class KeepSink(RecordSink):
             return
         tau, limit = np.abs(verdict.estimates["tau_ext"]), verdict.estimates["contact_limit_nm"]
         if (tau > limit).any():
-            self._over_ns = verdict.t_ns
+            self._over_ns = max(self._over_ns, verdict.t_ns)  # the first sample of another clock comes late
             if self._over_ns - self._alarm.to_ns > 1_000_000_000 * SEGMENT_S / 2:
                 self._close_alarm(ends=False)
 
@@ -389,14 +389,11 @@ class KeepSink(RecordSink):
             self._label(number, answer.t_ns - round(NOTICED_S * 1e9), answer.t_ns, what, answer.by)
 
     def _newest(self, t_ns: int) -> Label | None:
-        """The newest alarm of this epoch without an answer, if it is recent."""
-        recent = t_ns - round(ANSWER_S * 1e9)
-        found = [
-            one
-            for one in self._labels.values()
-            if one.id > 0 and one.answer == "unanswered" and one.epoch == self.epoch and one.to_ns >= recent
-        ]
-        return max(found, key=lambda one: one.id, default=None)
+        """The newest alarm, if it is of this epoch, has no answer and is recent."""
+        newest = max((one for one in self._labels.values() if one.id > 0), key=lambda one: one.id, default=None)
+        if newest is None or newest.answer != "unanswered" or newest.epoch != self.epoch:
+            return None
+        return newest if newest.to_ns >= t_ns - round(ANSWER_S * 1e9) else None
 
     def _label(self, id: int, from_ns: int, to_ns: int, answer: LabelAnswer, by: str) -> Label:
         return self._put(Label(id, self.epoch, from_ns, to_ns, answer, by, wall(), self._bundle_name()))
@@ -407,7 +404,7 @@ class KeepSink(RecordSink):
         return label
 
     def _clock_restarted(self) -> None:
-        self._alarm = None  # its label cannot grow any more
+        self._close_alarm()  # its label cannot grow any more
         self.epoch += 1
         self._waiting.put(self.epoch)
 
@@ -499,12 +496,13 @@ class KeepSink(RecordSink):
         dropped = to_drop(self._segments, list(self._labels.values()), most, learned_up_to(folder), first_test)
         if dropped:
             names = {one.name for one in dropped}
-            self._segments = [one for one in self._segments if one.name not in names]
-            folder.put_split(self._segments)
-            folder.put_index(self._segments)
+            kept = [one for one in self._segments if one.name not in names]
+            folder.put_split(kept)
             for one in dropped:
                 (folder.path / one.name).unlink(missing_ok=True)
                 self._coverage.dropped_s += one.seconds
+            self._segments = kept
+            folder.put_index(kept)  # last: a full disk may refuse it, and lines without a file do not count
         else:
             folder.put_split(self._segments)
         trim_flights(folder.flights, int(FLIGHTS_SHARE * self._budget))
@@ -538,6 +536,7 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
     A complete recording that is missing in the index is added; one that cannot be read is removed.
     """
     segments = folder.segments()
+    segments_before = list(segments)
     known, last = {one.name for one in segments}, max((one.number for one in segments), default=0)
     for path in sorted(folder.path.glob("seg-*.parquet")):
         if path.name not in known and path.stem[4:].isdecimal() and int(path.stem[4:]) > last:
@@ -565,8 +564,10 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
         except (TauextError, KeyError, TypeError, ValueError):
             folder.log(f"{one.name} cannot be read and is removed")
             path.unlink(missing_ok=True)
-    folder.put_split(good)
-    folder.put_index(good)
+    with suppress(OSError):  # a full disk: what was there before serves as well
+        folder.put_split(good)
+        if good != segments_before:
+            folder.put_index(good)
     return good
 
 

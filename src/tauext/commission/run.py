@@ -301,14 +301,14 @@ class Commission:
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
-        loop.note, loop.alarms = self._note, self._keeper.newest
+        newest = max([self._keeper.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
+        loop.note, loop.alarms = self._note, newest
         loop.exchanged = self._exchanges.append
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
             live.follow(bundle, loop.monitor)
             with suppress(FileNotFoundError):
                 carried = (folder.path / CARRIED).read_bytes()
-                newest = self._keeper.newest
                 if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
                 if loop.monitor.last.alarm != _core.Alarm.none:

@@ -195,6 +195,8 @@ class FlightWriter:
             return FlightNews(what, t_ns, self._write(flight))
         except TauextError as error:
             return FlightNews(what, t_ns, None, str(error))
+        except Exception as error:  # the next flight must find this thread
+            return FlightNews(what, t_ns, None, f"{type(error).__name__}: {error}")
 
 
 # --- Files of a flight: recording, estimates and explanation; written atomically, never over existing files.

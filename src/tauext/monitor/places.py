@@ -202,6 +202,10 @@ class PlaceFinder:
         self._strength, self._reported = 0.0, 0.0
         self._sample: tuple[list[float], ...] | None = None
 
+    def stand(self, alarm: int) -> None:
+        """This alarm stands from before the first sample on: its place is not estimated again."""
+        self._alarm = alarm
+
     def acknowledged(self) -> None:
         """The alarm was acknowledged just before the next sample; an alarm at that sample was raised again."""
         self._alarm, self._due_ns = 0, None

@@ -117,6 +117,8 @@ class EventStream:
     def stand(self, alarm: int) -> None:
         """This alarm stands from before the first sample on, and is not reported again."""
         self._finder.stand(alarm)
+        if self._places is not None:
+            self._places.stand(alarm)
 
     def note(self, change: Change) -> None:
         """Add a change made just before the next samples."""

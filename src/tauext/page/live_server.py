@@ -191,7 +191,7 @@ def ask(path: Path, line: str) -> str:
             with wire.makefile("r", encoding="utf-8") as answers:
                 return answers.readline(LONGEST_BODY).strip() or "error: the loop has ended"
     except OSError:
-        return "error: the loop does not answer; nothing was changed"
+        return "error: the loop does not answer; look at the events for what was stored"
 
 
 def line_of(path: str, body: dict[str, Any]) -> str | None:

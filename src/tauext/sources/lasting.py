@@ -186,7 +186,8 @@ class LastingSource:
         self._thread.start()
 
     def _work(self, lost: Source) -> None:
-        lost.close()
+        with suppress(Exception):  # of a library, on a dead link
+            lost.close()
         wait_s = RETRY_S
         while not self._closed.wait(wait_s):
             source: Source | None = None

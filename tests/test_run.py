@@ -526,8 +526,10 @@ def test_a_mistake_in_the_writing_is_not_swallowed(bundle):
     recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
     with pytest.raises(ZeroDivisionError):
         with FlightWriter(recorder, lambda flight: 1 / 0) as writer:
-            for _ in replay(_core.Monitor(bundle), pushed(), recorder=recorder, chunk_s=0.5):
+            for _ in replay(_core.Monitor(bundle), pushed(), recorder=recorder, chunk_s=0.5, acknowledge_after_s=0.8):
                 writer.catch_up()
+    errors = [one.error for one in writer.news()]
+    assert len(errors) > 1 and set(errors) == {"ZeroDivisionError: division by zero"}  # reported at once, each flight
 
 
 @pytest.mark.parametrize(

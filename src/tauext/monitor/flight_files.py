@@ -195,7 +195,8 @@ class FlightWriter:
             return FlightNews(what, t_ns, self._write(flight))
         except TauextError as error:
             return FlightNews(what, t_ns, None, str(error))
-        except Exception as error:  # the next flight must find this thread
+        except Exception as error:  # a bug: the next flight must find this thread; raised by the one that waits for it
+            self._broken = self._broken or error
             return FlightNews(what, t_ns, None, f"{type(error).__name__}: {error}")
 
 

@@ -80,6 +80,6 @@ def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
     """Which bundle was in charge when, up to now: from its exchange on, which follows its activation late or never."""
     begun = [one for one in history if one["kind"] == "exchange"]
     begun = begun or [one for one in history if one["kind"] == "activation"]
-    for one, following in zip(begun, [*begun[1:], None], strict=False):  # one None too many if there is none
+    for one, following in zip(begun, [*begun[1:], None], strict=False):  # no line at all: only the None is left
         end = now_s if following is None else float(following.get("seconds") or 0.0)
         yield Watch(str(one.get("bundle")), float(one.get("seconds") or 0.0), end)

@@ -195,7 +195,7 @@ class FlightWriter:
             return FlightNews(what, t_ns, self._write(flight))
         except TauextError as error:
             return FlightNews(what, t_ns, None, str(error))
-        except Exception as error:  # a bug: the next flight must find this thread; raised by the one that waits for it
+        except Exception as error:  # a bug: reported now, and raised at the end; the thread goes on
             self._broken = self._broken or error
             return FlightNews(what, t_ns, None, f"{type(error).__name__}: {error}")
 

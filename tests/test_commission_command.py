@@ -13,14 +13,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from made_bundles import pushed
+from made_bundles import pushed, watching_bundle
 
+from tauext.bundle.history_file import read_events
 from tauext.cli import main
 from tauext.cli.commission import answer, keys
 from tauext.commission.connect import as_data
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.run import TEND_S, Options, run
-from tauext.data.labels import read_labels
+from tauext.data.labels import Label, read_labels
 from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
 from tauext.monitor.control_lines import obey
@@ -181,6 +182,27 @@ def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path)
     assert obey("stop", controls[0], "test") == "ok"
     command.join(PATIENCE_S)
     assert not command.is_alive()
+
+
+def test_a_new_alarm_never_has_the_number_of_a_label_whose_event_was_lost(tmp_path):
+    """A full disk keeps the label of alarm 7, for which space is reserved, and loses its line in events.jsonl."""
+    save_recording(pushed(), tmp_path / "log.parquet")
+    folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    watching_bundle().save(str(folder.bundles / "b0001.tauext"))
+    folder.activate("b0001", "it passes", 0.0)
+    lost = Label(7, 1, 0, 1_000_000_000, "touched", "page", "2026-01-01T00:00:00Z", "b0001")
+    folder.append_label(lost)
+    lines, controls = [], []
+    words = folder.path, f"replay:{tmp_path / 'log.parquet'}", Options(), lines.append, controls.append
+    command = threading.Thread(target=run, args=words, daemon=True)
+    command.start()
+    until(lambda: "NOTHING IS MONITORED: the source has ended" in lines, "the end of the recording")
+    until(lambda: read_events(folder.path), "the alarm of the push", 30.0)
+    assert obey("stop", controls[0], "test") == "ok"
+    command.join(PATIENCE_S)
+    assert [event["id"] for event in read_events(folder.path)] == [8]
+    labels = {label.id: label for label in read_labels(folder.path)}
+    assert labels[7] == lost and labels[8].answer == "unanswered"
 
 
 def test_a_folder_belongs_to_one_process(tmp_path, capsys):

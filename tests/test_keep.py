@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tauext.bundle import history_file
 from tauext.bundle.history_file import watches
 from tauext.commission import folder as folder_module
 from tauext.commission import keep
@@ -22,6 +23,7 @@ from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError
+from tauext.files.append_file import read_lines
 from tauext.monitor.sink import Answer, Verdict
 from tauext.monitor.source import Sample, SourceSettings
 
@@ -83,6 +85,29 @@ def test_a_clock_that_starts_again_is_another_epoch(tmp_path):
         (1, 10**15), (1, 10**15 + 10**10), (2, PERIOD_NS), (2, PERIOD_NS + 10**10)
     ]  # fmt: skip
     assert folder.facts["epoch"] == 2 and script.sink.count.unfit == 1
+
+
+def test_index_and_history_are_parsed_once_and_again_after_each_change(tmp_path, monkeypatch):
+    folder, parsed = Script(tmp_path / "cell").go(30).end(), []
+
+    def counted(path):
+        parsed.append(path.name)
+        return read_lines(path)
+
+    monkeypatch.setattr(folder_module, "read_lines", counted)
+    monkeypatch.setattr(history_file, "read_lines", counted)
+    folder.note("note", 30.0, "first")
+    folder.segments().clear()  # a caller's list is its own
+    folder.history().clear()
+    for _ in range(3):
+        assert [one.number for one in folder.segments()] == [1, 2, 3]
+        assert [one["words"] for one in folder.history()] == ["first"]
+    assert sorted(parsed) == ["history.jsonl", "segments.jsonl"]
+    folder.add_segment(replace(folder.segments()[0], set="test"))
+    folder.note("note", 30.0, "second")
+    assert folder.segments()[0].set == "test" and [one["words"] for one in folder.history()] == ["first", "second"]
+    folder.put_index(folder.segments()[1:])
+    assert [one.number for one in folder.segments()] == [2, 3]
 
 
 @pytest.mark.parametrize(("answer", "free_s"), [("touched", 27.2), ("nothing", 29.9), ("", 27.2)])

@@ -16,6 +16,7 @@ OUT/ARM-PLAN gets the folder, OUT/ARM-PLAN.json the result.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -25,6 +26,8 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 
 import numpy as np
 from common import arguments, head, joined, table_row, tauext, write_page
@@ -191,7 +194,8 @@ class Simulation:
 
     def train(self) -> None:
         """Let the training process work, in the simulated time that this takes here."""
-        while self.folder.seconds() >= self.busy_s:
+        while (seconds := self.folder.seconds()) >= self.busy_s:
+            self.take_over(seconds)  # the loop does not wait for the next training
             started = time.monotonic()
             if (what := self.trainer.step()) == "nothing":
                 return

@@ -186,11 +186,14 @@ class FakeLoop:
         self.state, self.arm, self.received = state, arm, []
         self.answer = "ok"
         self.live, self.control = folder / "live.sock", folder / "control.sock"
+        self._period_s, self._closed = period_s, threading.Event()
         self._sockets = [self._listen(self.live, self._send), self._listen(self.control, self._obey)]
-        self._period_s = period_s
 
     def close(self) -> None:
+        self._closed.set()
         for one in self._sockets:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts
             one.close()
 
     def _listen(self, path: Path, serve) -> socket.socket:
@@ -210,11 +213,11 @@ class FakeLoop:
     def _send(self, wire: socket.socket) -> None:
         began = time.monotonic()
         with contextlib.suppress(OSError), wire:
-            while True:
+            while not self._closed.is_set():
                 if self.state != "silent" or time.monotonic() < began + 0.5:
                     shown = line(self.state, JOINTS[self.arm], time.monotonic() - began)
                     wire.sendall(json.dumps(shown).encode() + b"\n")
-                time.sleep(self._period_s)
+                self._closed.wait(self._period_s)
 
     def _obey(self, wire: socket.socket) -> None:
         with contextlib.suppress(OSError), wire, wire.makefile("r") as lines:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -203,7 +204,8 @@ def test_a_replay_waits_for_its_time_and_loses_nothing(monkeypatch):
         slept.append(seconds)
         now[0] += seconds
 
-    monkeypatch.setattr("tauext.sources.replay.time.sleep", sleep)
+    own = SimpleNamespace(sleep=sleep, monotonic_ns=time.monotonic_ns)  # other threads go on sleeping
+    monkeypatch.setattr("tauext.sources.replay.time", own)
     source = ReplaySource(pushed(seconds=1.0), 2.0)
     source._pace._clock, source._pace._sleep = (lambda: now[0]), sleep
     source.open(SourceSettings(JOINTS, 1_000_000))

@@ -92,7 +92,8 @@ def markdown(tables: dict[str, dict]) -> str:
 Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT`.
 
 Hand touches of [tactileGestureDetection](https://github.com/MindLabZHAW/tactileGestureDetection) (MIT). The arm stands
-in one pose. A touch lasts 0.3 to 0.7 s; each file has touches on one link; forces are unknown.
+in one pose. A touch lasts 0.3 to 0.7 s; each file has touches on one link; forces are unknown. The torque is `tau_J`,
+the signal of the arm's joint torque sensors: it contains no friction of motor and gear.
 
 Recipes observer and bandpass need no motion; their bundles are trained on three of the files. The observer's standard
 error is the one stored in its bundle. The other two estimates get the standard error of their samples between

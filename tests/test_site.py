@@ -138,7 +138,11 @@ def test_links_of_root_pages_lead_to_pages_of_the_site_or_nowhere():
     assert root_pages.page(text, ("CHANGELOG",)) == moved
 
 
-RESULTS = {"steps": 186500, "bundles": [{"name": "a", "l1_nm": [0.314, -0.126]}, {"name": "b", "l1_nm": [0.628, None]}]}
+RESULTS = {
+    "steps": 186500,
+    "counts": [471, 500, 0],
+    "bundles": [{"name": "a", "l1_nm": [0.314, -0.126]}, {"name": "b", "l1_nm": [0.628, None]}],
+}
 
 
 @pytest.mark.parametrize(
@@ -148,6 +152,9 @@ RESULTS = {"steps": 186500, "bundles": [{"name": "a", "l1_nm": [0.314, -0.126]},
         ("steps|,d", "186,500"),
         ("bundles[name=a].l1_nm|.2f|/", "0.31/−0.13"),
         ("bundles[1].l1_nm[0] over bundles[name=a].l1_nm[0]|.1f", "2.0"),
+        ("counts[0] of counts[1]|.1%", "91.8 to 96.1%"),
+        ("counts[1] of counts[1]|.1%", "99.3 to 100.0%"),
+        ("counts[2] of counts[1]|.1%", "0.0 to 0.7%"),
     ],
 )
 def test_a_number_is_read_from_its_results_file(text, shown):

@@ -4,6 +4,7 @@
     {num}`FILE#PATH|FORMAT`               in a format of Python: .2f, .0%, and ,d for thousands
     {num}`FILE#PATH|FORMAT|SEPARATOR`     a list, each element in that format, joined by the separator
     {num}`FILE#PATH over PATH|FORMAT`     the first value divided by the second
+    {num}`FILE#PATH of PATH|FORMAT`       95 % interval of a share, from the number of events and of trials: 92 to 96%
 
 FILE is a JSON file, relative to docs/. PATH is a sequence of keys separated by dots. In a list, [0] selects an element
 by its index and [key=value] the one element whose key has that value:
@@ -21,6 +22,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from scipy.special import betaincinv
 
 STEP = re.compile(r"\.?(?P<key>[^.\[\]]+)|\[(?P<index>\d+)\]|\[(?P<field>[^=\]]+)=(?P<wanted>[^\]]+)\]")
 
@@ -64,6 +67,20 @@ def shown(value: Any, form: str) -> str:
         raise NumberError(f"format '{form}' does not fit {value!r}") from error
 
 
+def share_interval(events: Any, trials: Any) -> tuple[float, float]:
+    """95 % interval of a share [Clopper and Pearson].
+
+    Raises:
+        NumberError: they are not counts of 0 <= events <= trials, trials > 0.
+    """
+    counts = all(isinstance(count, int) and not isinstance(count, bool) for count in (events, trials))
+    if not counts or not 0 <= events <= trials or trials == 0:
+        raise NumberError(f"{events!r} of {trials!r} is no share of counts")
+    low = betaincinv(events, trials - events + 1, 0.025) if events else 0.0
+    high = betaincinv(events + 1, trials - events, 0.975) if events < trials else 1.0
+    return float(low), float(high)
+
+
 def number(text: str, load: Callable[[str], Any]) -> str:
     """What the role shows.
 
@@ -80,6 +97,10 @@ def number(text: str, load: Callable[[str], Any]) -> str:
     if not found:
         raise NumberError("no path: write FILE#PATH")
     data = load(name)
+    events, of, trials = paths.partition(" of ")
+    if of:
+        low, high = (shown(end, form) for end in share_interval(select(data, events), select(data, trials)))
+        return f"{low.removesuffix('%')} to {high}"
     first, over, second = paths.partition(" over ")
     value = select(data, first)
     if over:

@@ -356,6 +356,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     units = {joint: short(unit) for joint, unit in content["answers_in"].items()}
     rows |= prior_words(facts.get("prior", {}), units)
     rows |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
+    if given := facts.get("network"):
+        rows["weights of the network are those of"] = f"{given['file']}, SHA-256 {given['sha256']}"
     rows |= changed_since_training(facts)
     for recordings, checked in facts.get("checks", {}).items():
         for what, entries in checked.items():

@@ -84,6 +84,7 @@ def train(
     case: CaseName | None = None,
     robot: PlaceArg | None = None,
     like: PlaceArg | None = None,
+    network: PlaceArg | None = None,
     accept: AcceptArg = (),
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
@@ -105,6 +106,8 @@ def train(
         robot: URDF or MJCF of the arm; default: the dataset's own.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`); one minute of this arm's motion
             is then enough. None: no fleet prior.
+        network: FILE.npz with the weights of a network that was trained in PyTorch (recipe paper); nothing is trained.
+            None: the recipe trains its own.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         options: settings that are often changed.
     """
@@ -117,7 +120,7 @@ def train(
     settings = train_settings(config, options)
     known = None if like is None else load_fleet_prior(like)
     print_replaced(out)
-    train_bundle(load_dataset(data), out, case, robot, settings, Terminal(), accept, like=known)
+    train_bundle(load_dataset(data), out, case, robot, settings, Terminal(), accept, like=known, network=network)
     print(out)
 
 

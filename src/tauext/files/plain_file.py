@@ -43,19 +43,28 @@ def expect_format(
         )
 
 
-def read_text(path: Place) -> str:
-    """The text of a file.
+def read_bytes(path: Place) -> bytes:
+    """The content of a file.
 
     Raises:
         OSError: there is no such file, or it is none, or larger than any that is meant.
-        ValueError: it is no UTF-8.
     """
     expect_file(path)
     with answers(path), path.open("rb") as file:
         raw = file.read(LARGEST_TEXT + 1)
     if len(raw) > LARGEST_TEXT:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
-    return raw.decode("utf-8")
+    return raw
+
+
+def read_text(path: Place) -> str:
+    """The text of a file.
+
+    Raises:
+        OSError: see read_bytes().
+        ValueError: it is no UTF-8.
+    """
+    return read_bytes(path).decode("utf-8")
 
 
 def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:

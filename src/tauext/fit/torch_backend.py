@@ -22,6 +22,7 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.core_backend import CoreBackend
+from tauext.fit.network_weights import CORE_ORDER, core_parameters
 from tauext.fit.training_set import Setup, WindowSet
 
 try:
@@ -212,20 +213,14 @@ def parameters_from_lstm(lstm: torch.nn.LSTM, head: torch.nn.Linear) -> np.ndarr
             f"{lstm} with {head} is not the core's network: one layer and direction, no projection, biases, and a head "
             "on its hidden units"
         )
-    with torch.no_grad():
-        w_x, w_h, bias, w_head, b_head = in_core_order(lstm, head)
-        return flat([w_x, w_h, bias + lstm.bias_hh_l0, w_head, b_head]).float().cpu().numpy()
+    named = [*lstm.named_parameters(), *head.named_parameters()]
+    return core_parameters({name: p.detach().double().cpu().numpy() for name, p in named})
 
 
 def in_core_order(lstm: torch.nn.LSTM, head: torch.nn.Linear) -> list[torch.nn.Parameter]:
     """The parameters in the order of LstmShape, which is also that of LstmModule's trainable ones."""
-    return [
-        lstm.weight_ih_l0,  # W_x (4H, F): gates in the order i, f, g, o, H rows each, here as in the core
-        lstm.weight_hh_l0,  # W_h (4H, H): same order
-        lstm.bias_ih_l0,  # b (4H): same order
-        head.weight,  # W_head (n, H)
-        head.bias,  # b_head (n)
-    ]
+    named = dict([*lstm.named_parameters(), *head.named_parameters()])
+    return [named[name] for name in CORE_ORDER]
 
 
 def flat(tensors: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> torch.Tensor:

@@ -16,6 +16,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
 from tauext.fit.fleet_prior import FleetErrors
+from tauext.fit.network_weights import LIMIT, NetworkWeights
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
@@ -153,7 +154,7 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
-    config, kind = job.config, limits_kind(job.config, job.calibration)
+    config, kind = job.config, limits_kind(job.config, job.calibration, job.network)
     scaled = config.resolved().error_scale == "on"
     if scaled and kind == "supported" and bundle.region_width >= 0:
         bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s
@@ -189,6 +190,11 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         units = dict(zip(job.joints, bundle.estimate_units, strict=True))
         for moment in (Moment(**facts) for facts in job.facts["limits"].get("one_moment", [])):
             job.notes.append(moment.sentence(units[moment.joint]))
+    elif kind == "given" and job.network is not None and job.network.limit_nm is not None:
+        set_limits(bundle, LevelLimits(job.network.limit_nm, job.network.limit_nm), config.alarm)
+        words = f"limits are {LIMIT} of {job.network.file}, and promise nothing"
+        job.facts["limits"] = {"sentence": words}
+        job.notes.append(words)
     else:
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
     if not scaled:  # limits are constants
@@ -200,8 +206,8 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         freeze_drift(bundle, config.drift)
 
 
-def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
-    """Return the kind of limits: promised, supported or paper.
+def limits_kind(config: TrainConfig, calibration: Sequence[object], network: NetworkWeights | None = None) -> str:
+    """Return the kind of limits: promised, supported, paper, or given with a network that was trained elsewhere.
 
     Raises:
         ConfigError: promised limits without calibration recordings.
@@ -210,6 +216,8 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
         raise ConfigError(f"limits = promised {NO_CALIBRATION}")
     if config.limits != "auto":
         return config.limits
+    if network is not None and network.limit_nm is not None:
+        return "given"
     if config.row.largest_error_limits:
         return "paper"
     return "promised" if calibration else "supported"

@@ -32,6 +32,7 @@ from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
 from tauext.fit.bundle_writing import build_setup, reference_recording
 from tauext.fit.fleet_prior import FleetPrior
+from tauext.fit.network_weights import NetworkWeights
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.fit.training_set import Setup, signal_bounds
 from tauext.progress import Reporter, WallTimes
@@ -43,8 +44,16 @@ from tauext.train.error_scale import at_rest_sentence
 # --- Settings that determine a trained bundle besides the data.
 
 
-def training_settings(case: ModelCase, config: TrainConfig) -> dict:
-    """Settings that determine a trained bundle besides the data; without the number of threads."""
+TRAINING_ONLY = ("epochs", "max_steps", "batch", "learning_rate", "targets", "backend", "seed")
+"""Settings of a network's training alone."""
+
+
+def training_settings(case: ModelCase, config: TrainConfig, trains: bool = True) -> dict:
+    """Settings that determine a trained bundle besides the data; without the number of threads.
+
+    Args:
+        trains: whether the network is trained; False: its weights are given, and TRAINING_ONLY have no effect.
+    """
     plain = asdict(config.resolved())
     if config.backend == "core":
         del plain["backend"]
@@ -58,7 +67,8 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["fit_torque_constants"]
     if config.torque_constants is None:
         del plain["torque_constants"]
-    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in config.row.unused}}
+    unused = config.row.unused if trains else (*config.row.unused, *TRAINING_ONLY)
+    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
     return json.loads(json.dumps(settings))  # as read from a file: lists, no tuples
 
 
@@ -408,6 +418,12 @@ class Given:
     """Loaders of the calibration recordings, from which promised limits follow."""
     model: Tree | None = None
     """Estimated model; None: the robot file's, changed according to the case."""
+    network: NetworkWeights | None = None
+    """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
+
+    def __post_init__(self) -> None:
+        if self.network is not None and self.training:
+            self.network.expect_joints(self.training[0].joints)
 
     @cached_property
     def tree(self) -> Tree:
@@ -440,6 +456,8 @@ class Job:
     """Facts for provenance; each step adds its own."""
     like: FleetPrior | None = None
     """Fleet prior of this arm type; None: the arm is trained alone."""
+    network: NetworkWeights | None = None
+    """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
     times: WallTimes = field(default_factory=WallTimes)
     """Wall times of the training's phases."""
 
@@ -509,11 +527,18 @@ def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, lik
     expect_some(training)
     limits_nm = torque_limits(given.robot, training[0].joints)
     possible = possible_motion(given.tree, given.case, training, validation, limits_nm, config)
-    motion = training_motion(possible.training, possible.validation, config)
+    if given.network is None:
+        motion = training_motion(possible.training, possible.validation, config)
+    else:
+        notes = left_out_sentences([*possible.training, *possible.validation], config)
+        motion = as_they_are(possible.training, possible.validation, notes)
     out.parent.mkdir(parents=True, exist_ok=True)
-    run = provenance("tauext train", training_settings(given.case, config), config.seed)
+    settings = training_settings(given.case, config, trains=given.network is None)
+    run = provenance("tauext train", settings, None if given.network else config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    job = Job(given.tree, given.case, config, out, possible, list(given.calibration), motion, report, run, like=like)
+    own = {} if given.network is None else {"network": given.network.facts()}
+    tree, calibration = given.tree, list(given.calibration)
+    job = Job(tree, given.case, config, out, possible, calibration, motion, report, run, own, like, given.network)
     if possible.passed.any():
         job.notes.append(passed_sentence(possible.passed, training[0].joints, limits_nm))
     if possible.left_out.found:

@@ -17,6 +17,7 @@ from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.network_training import apply_gate
+from tauext.fit.network_weights import NetworkWeights, load_network
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
@@ -33,7 +34,7 @@ from tauext.train.fitting import (
 )
 from tauext.train.limits import limits_kind, put_limits
 from tauext.train.load import put_load
-from tauext.train.network import assemble, choose_gain, fit_network
+from tauext.train.network import assemble, choose_gain, fit_network, network_settings
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.writing import put_wrench, write
@@ -49,17 +50,21 @@ BYTES_A_SEQUENCE = 3 * 8
 """Memory of a training step for the drawn sequences and the rows at which they end."""
 
 
-def accepted_settings(config: TrainConfig, calibration: Sequence[object], like: FleetPrior | None) -> TrainConfig:
+def accepted_settings(
+    config: TrainConfig, calibration: Sequence[object], like: FleetPrior | None, network: NetworkWeights | None = None
+) -> TrainConfig:
     """Resolve the settings of a training and refuse impossible ones before any recording is read.
 
     Args:
         calibration: the calibration recordings, which promised limits need.
 
     Raises:
-        ConfigError: see expect_size, limits_kind and like_settings.
+        ConfigError: see network_settings, expect_size, limits_kind and like_settings.
     """
-    expect_size(config)
-    limits_kind(config, calibration)
+    config = network_settings(config, network)
+    if network is None:
+        expect_size(config)
+    limits_kind(config, calibration, network)
     return like_settings(config, like)
 
 
@@ -119,6 +124,7 @@ def train_bundle(
     accept: Sequence[str] = (),
     check: bool = True,
     like: FleetPrior | None = None,
+    network: Place | str | None = None,
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
@@ -131,10 +137,11 @@ def train_bundle(
         robot: URDF or MJCF of the arm; None: the dataset's own.
         config: recipe, seed and sizes.
         report: receives progress and sentences about results.
-        accept: codes of findings that are accepted, CODE or
-        CODE:joint; they are stored in the bundle.
+        accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
         check: False skips the checks, for recordings known to be good.
         like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
+        network: FILE.npz of a network that was trained elsewhere, for recipe paper (see
+            tauext.fit.network_weights.load_network); None: the recipe trains its own, if it has one.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.
@@ -147,7 +154,8 @@ def train_bundle(
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
-    config = accepted_settings(config, dataset.split.calibration, like)
+    own = None if network is None else load_network(place_of(network))
+    config = accepted_settings(config, dataset.split.calibration, like, own)
     robot_file = dataset.robot_file(robot)
     case, note = chosen_case(case, robot_file)
     if note:
@@ -155,7 +163,8 @@ def train_bundle(
     times = WallTimes()
     with times.phase("read"):
         training, validation = dataset.training(), dataset.recordings("validation")
-    given = Given(robot_file, PAPER_CASES[case], training, validation, dataset.stretches("calibration"))
+    calibration = dataset.stretches("calibration")
+    given = Given(robot_file, PAPER_CASES[case], training, validation, calibration, network=own)
     checked = None
     if check:
         with times.phase("check"):

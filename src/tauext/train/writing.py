@@ -36,7 +36,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     """Results of the training, as plain JSON."""
-    config = job.config.resolved()
+    config = job.config.resolved() if job.network is None else job.config  # nothing is trained: no epochs, no batch
     facts: dict[str, Any] = {
         "recipe": config.recipe,
         "case": job.case.name,
@@ -45,7 +45,7 @@ def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     }
     facts["steps"] = network.trained.steps if network else 0
     learned_on = job.motion.training if bundle.has_network else job.motion.uncut
-    facts["training_minutes"] = round(total_s(learned_on) / 60, 6)
+    facts["training_minutes"] = round(total_s(learned_on) / 60, 6) if job.network is None else 0.0
     facts["robot_sha256"] = job.training[0].robot_sha256
     facts |= job.facts
     if job.constants is not None:

@@ -126,6 +126,24 @@ def test_an_alarm_that_was_on_before_the_touch_does_not_find_it():
     assert verdict.found and verdict.delay_s == pytest.approx(0.060)
 
 
+def test_the_delay_of_a_joint_compares_its_own_estimate_with_its_own_sensor():
+    def rising(*first: int) -> np.ndarray:
+        return 5.0 * (np.arange(3000)[:, None] >= np.array(first))
+
+    contact = np.zeros(3000, dtype=np.int8)
+    contact[1000:1200] = 1
+    sensor, tau_ext = rising(1010, 1020, 1015), rising(1030, 1018, 2500).astype(np.float32)
+    still = np.zeros_like(sensor)
+    hit = recording(contact=contact, joints=("a", "b", "c"), q=still, dq=still, tau=still, tau_ext_sensor=sensor)
+    one = estimates_of(np.zeros(3000), 1.0)
+    limit, detection = np.ones_like(tau_ext), (tau_ext > 1).any(axis=1)
+    estimates = replace(one, joints=hit.joints, tau_ext=tau_ext, limit_nm=limit, detection=detection)
+    verdict = judge(find_collisions(hit)[0], hit, estimates)
+    assert verdict.joint == "b" and verdict.delay_against_sensor_s == pytest.approx(0.008)  # b after the sensor of a
+    first, second, third = verdict.joint_delays_against_sensor_s
+    assert (first, second, third) == (pytest.approx(0.020), pytest.approx(-0.002), None)
+
+
 def test_the_ten_are_drawn_by_seed_among_those_of_twice_the_limit():
     recordings = [pushed(f"push-{k:02d}", force=k + 1.0) for k in range(30)]
     touches = [find_collisions(r)[0] for r in recordings]

@@ -17,6 +17,7 @@ from tauext.evaluate.results import (
     LinkProbability,
     LinkTable,
     Number,
+    Numbers,
     StrengthBin,
     Touches,
     TouchEstimate,
@@ -94,19 +95,28 @@ def find_collisions(recording: Recording) -> list[Collision]:
 def judge(collision: Collision, recording: Recording, estimates: Estimates) -> Verdict:
     """Whether it was found, by which joint, and the delays after its onset and after the sensor at the same limit.
 
-    The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it.
+    The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it. Delays
+    are those of the first joint that exceeds it, and of every joint alone.
     """
     window = slice(collision.begin, min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples))
     seconds = (recording.t_ns[window] - recording.t_ns[collision.begin]) * 1e-9
     before = max(collision.begin - 1, 0)
     found = first_rise(estimates.detection[window], bool(estimates.detection[before]))
     sensor = peak = None
+    joint_delays_s: Numbers = (None,) * len(recording.joints)
     if recording.tau_ext_sensor is not None:
-        part = slice(before, window.stop)
-        ratio = np.nan_to_num(np.abs(recording.tau_ext_sensor[part]) / estimates.limit_nm[part]).max(axis=1)
-        over = ratio > 1
-        sensor = first_rise(over[collision.begin - before :], bool(over[0]))
-        peak = float(ratio[collision.begin - before :].max())
+        part, lead = slice(before, window.stop), collision.begin - before
+        limit = estimates.limit_nm[part]
+        ratio = np.nan_to_num(np.abs(recording.tau_ext_sensor[part]) / limit)
+        over = estimates.healthy[part, None] & (np.abs(estimates.tau_ext[part]) > limit)
+
+        def rise(flags: np.ndarray) -> int | None:
+            return first_rise(flags[lead:], bool(flags[0]))
+
+        sensor = rise((ratio > 1).any(axis=1))
+        peak = float(ratio[lead:].max())
+        pairs = zip(map(rise, over.T), map(rise, (ratio > 1).T), strict=True)
+        joint_delays_s = tuple(difference_s(seconds, *pair) for pair in pairs)
     joint = None
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit_nm[window][found]
@@ -118,8 +128,14 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> V
         delay_s=None if found is None else float(seconds[found]),
         peak_over_limit=peak,
         sensor_delay_s=None if sensor is None else float(seconds[sensor]),
-        delay_against_sensor_s=None if found is None or sensor is None else float(seconds[found] - seconds[sensor]),
+        delay_against_sensor_s=difference_s(seconds, found, sensor),
+        joint_delays_against_sensor_s=joint_delays_s,
     )
+
+
+def difference_s(seconds: np.ndarray, found: int | None, sensor: int | None) -> Number:
+    """Time from the sensor's sample to that of the estimate; None without both."""
+    return None if found is None or sensor is None else float(seconds[found] - seconds[sensor])
 
 
 def first_rise(flags: np.ndarray, before: bool) -> int | None:
@@ -205,7 +221,7 @@ def judge_latched(
         strong=strong,
         unhealthy=bool(np.mean(estimates.healthy[collision.begin : collision.end]) < 0.5),
         delay_s=None if latched is None else float(seconds[latched]),
-        delay_against_sensor_s=None if latched is None or sensor is None else float(seconds[latched] - seconds[sensor]),
+        delay_against_sensor_s=difference_s(seconds, latched, sensor),
     )
 
 

@@ -169,6 +169,8 @@ class Verdict:
     peak_over_limit: Number
     sensor_delay_s: Number
     delay_against_sensor_s: Number
+    joint_delays_against_sensor_s: Numbers
+    """The same of each joint alone: its own estimate and its own sensor."""
 
 
 @dataclass(frozen=True)

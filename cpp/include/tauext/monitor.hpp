@@ -16,10 +16,10 @@
 
 namespace tauext {
 
-// Runs a bundle sample by sample in a control loop. step() is estimate(), which takes about a microsecond, followed by
-// advance(), which prepares the next sample. A hard real-time loop sends its command between the two. After
-// construction, a call allocates, locks, logs and throws nothing and makes no system call, unless its comment states
-// otherwise. Use each monitor from one thread at a time.
+// Runs a bundle sample by sample in a control loop. step() is estimate(), which takes one to four microseconds for
+// seven joints, followed by advance(), which prepares the next sample. A hard real-time loop sends its command
+// between the two. After construction, a call allocates, locks, logs and throws nothing and makes no system call,
+// unless its comment states otherwise. Use each monitor from one thread at a time.
 class Monitor {
  public:
   // Throws Error if the bundle is inconsistent.

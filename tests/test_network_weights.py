@@ -4,9 +4,11 @@ import hashlib
 import json
 import pickle
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from doc_pages import Page, parses
 from made_results import run_command
 
 from tauext import _core
@@ -279,3 +281,35 @@ def test_a_damaged_file_is_refused_or_read(tmp_path):
             refused += 1
             assert "\n" not in str(error)
     assert refused > 250
+
+
+class Tensor:
+    """An array with the two methods of a PyTorch tensor that the guide calls."""
+
+    def __init__(self, array: np.ndarray):
+        self.numpy = lambda: array
+
+    def cpu(self):
+        return self
+
+
+def test_the_guide_makes_a_bundle(data, tmp_path, monkeypatch):
+    page = Page("training.md", "A network of your own")
+    names = (
+        "lstm.weight_ih_l0",
+        "lstm.weight_hh_l0",
+        "lstm.bias_ih_l0",
+        "lstm.bias_hh_l0",
+        "linear.weight",
+        "linear.bias",
+    )
+    state = {name.replace("linear", "head"): Tensor(weights()[name]) for name in names}
+    (snippet,), (settings,), (command,) = page.blocks("python"), page.blocks("toml"), page.commands()
+    monkeypatch.chdir(tmp_path)
+    exec(snippet, {"network": SimpleNamespace(state_dict=lambda: state)})
+    (tmp_path / "own.toml").write_text(settings)
+    (tmp_path / "data").symlink_to(data)
+    assert parses(command, monkeypatch) and main(command) == 0
+    plain = trained(data, "own.npz", tmp_path / "plain.tauext")  # the settings of the guide are the defaults
+    assert _core.Bundle.load("own.tauext").parameters == plain.parameters
+    assert _core.Bundle.load("own.tauext").observer.gain_per_s == plain.observer.gain_per_s

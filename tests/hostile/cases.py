@@ -36,6 +36,7 @@ LOAD = "load observer.tauext data/free-006.parquet"
 LOAD_KNOWN = LOAD + " --known-kg 1 --out out/a.tauext"
 CARRYING = "run prior.tauext data/free-006.parquet --loads loads.toml"
 LIKE = "train --data data --out out/a.tauext --recipe prior --like arm.prior.json"
+OWN = "train --data data --out out/a.tauext --recipe paper --network own.npz"
 REFIT_LIKE = REFIT + " --like arm.prior.json"
 FLEET = "fleet run fleet.toml --out out/fleet --workers 1"
 FLEET_PRIOR = "fleet prior data data-2 data-3 --out out/a.prior.json"
@@ -49,7 +50,7 @@ DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 
 NEW_BUS = "monitor --new-bus out/bus.toml"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD)
-GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
+GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, OWN, REFIT_LIKE, CARRYING)
 GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
@@ -142,6 +143,7 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "arm.toml": (("table.toml",), (IMPORT, IMPORT, LEROBOT)),
     "FLEET.toml": (("fleet.toml",), (FLEET + " --dry-run", FLEET + " --dry-run --json", FLEET)),
     "fleet prior": (("arm.prior.json",), ("show {}", "show {} --json", "show {}", LIKE, REFIT_LIKE)),
+    "network weights": (("own.npz",), (OWN,)),
     "loads": (("loads.toml",), (CARRYING,)),
     "results": (("results/results.json", "results/results.json", "results/estimates/*/*.parquet"), (REPORT,)),
     "flight": (("flights/*.parquet",), (FLIGHT,)),
@@ -163,6 +165,7 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "check --data data/free-000.parquet --robot {}",
             "run prior.tauext data/free-006.parquet --loads {}",
             "train --data data --out out/a.tauext --recipe prior --like {}",
+            "train --data data --out out/a.tauext --recipe paper --network {}",
             "refit prior.tauext --data data/free-000.parquet --out out/a.tauext --like {}",
             "fleet run {} --out out/fleet",
             "fleet prior {} data data-2 --out out/a.prior.json",

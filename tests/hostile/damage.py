@@ -277,6 +277,26 @@ def damage_mat(path: Path, rng: np.random.Generator) -> str:
     return f"arrays of {length}"
 
 
+def damage_npz(path: Path, rng: np.random.Generator) -> str:
+    """Another array under a name, or another name."""
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    name = pick(sorted(arrays), rng)
+    bad = pick((np.nan, np.inf, 0.0, -1.0, 1e308, "x", {"a": 1}, True, 1j), rng)
+    values = arrays.pop(name)
+    way = pick(("fill", "shape", "name", "missing", "wide"), rng)
+    if way == "fill":
+        arrays[name] = np.full_like(values, bad, dtype=None if isinstance(bad, float) else object)
+    elif way == "shape":
+        arrays[name] = pick((values[:-1], values[None], values.ravel()[0], np.zeros((0, 0)), values.T), rng)
+    elif way == "wide":
+        arrays[name] = np.ones((4000, 1000))
+    elif way == "name":
+        arrays[pick(("x", "", "weight", "../x", "a" * 5000, "line\nbreak"), rng)] = values
+    np.savez(path, **arrays)
+    return f"{way} {name} {bad}"
+
+
 def damage_csv(path: Path, rng: np.random.Generator) -> str:
     """A cell, a line, the head, the separator."""
     lines = path.read_text().splitlines()
@@ -331,6 +351,7 @@ BY_ENDING = {
     ".parquet": damage_parquet,
     ".h5": damage_hdf5,
     ".mat": damage_mat,
+    ".npz": damage_npz,
     ".csv": damage_csv,
     ".tauext": damage_bundle,
 }

@@ -43,8 +43,8 @@ LARGEST = 1e9
 """Largest weight and scale; the smallest scale is its inverse."""
 MOST_KEYS = 12
 """Number of keys that a message lists."""
-UNREADABLE = (ArithmeticError, EOFError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError, TypeError)
-UNREADABLE += (ValueError, BadZipFile, zlib.error)
+UNREADABLE: tuple[type[Exception], ...] = (BadZipFile, zlib.error, ArithmeticError, EOFError, LookupError, MemoryError)
+UNREADABLE += (OSError, RuntimeError, SyntaxError, TypeError, ValueError)
 """Errors of zipfile and numpy on damaged, encrypted or pickled content."""
 
 

@@ -33,7 +33,8 @@ def test_cmake_takes_its_version_from_pyproject_alone():
 def test_citation_has_the_version_the_licence_and_the_paper():
     assert CITATION["version"] == PROJECT["version"]
     assert CITATION["license"] == PROJECT["license"]
-    paper = CITATION["preferred-citation"]
+    assert CITATION["type"] == "software" and "preferred-citation" not in CITATION  # the software itself is cited
+    (paper,) = CITATION["references"]
     assert paper["year"] == 2021 and [author["family-names"] for author in paper["authors"]] == ["Lim", "Kim", "Park"]
     assert paper["title"] in " ".join((ROOT / "README.md").read_text().replace("*", "").split())
 

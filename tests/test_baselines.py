@@ -29,7 +29,10 @@ BUDGET = AlarmConfig(false_alarms=1, in_hours=0.005)
 def dataset(tmp_path_factory):
     """20 recordings of 6 s and six of 10 s to calibrate on."""
     folder = tmp_path_factory.mktemp("baselines") / "data"
-    config = replace(RigConfig(), recording_s=10.0)
+    rig = RigConfig()  # without what recipe friction has no term for
+    friction = tuple(replace(joint, load_share=0.0) for joint in rig.friction)
+    links = tuple(replace(link, true_com_m=link.com_m) for link in rig.links)
+    config = replace(rig, recording_s=10.0, friction=friction, links=links)
     simulate_dataset(folder, config, 1, 2.0, 0, calibration_hours=60 / 3600)
     return load_dataset(folder)
 

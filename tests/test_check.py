@@ -56,7 +56,7 @@ def searched(tmp_path_factory) -> Case:
 @pytest.fixture(scope="session")
 def rig(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("rig") / "robot.xml"
-    path.write_text(arm_xml(RigConfig()))
+    path.write_text(arm_xml(RigConfig(), true_com=True))
     recordings = [simulate_recording(RigConfig(), "free", 21.0, 3, number) for number in range(2)]
     return Case(replace(made_motion(load_tree(path), 0.2), recordings=recordings), path, 0.7, 1000.0)
 

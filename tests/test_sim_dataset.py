@@ -15,7 +15,7 @@ from tauext.robot.load import load_tree, robot_sha256
 from tauext.sim import collect
 from tauext.sim.collect import simulate_dataset, simulate_motion
 from tauext.sim.config import RigConfig, changed_rig
-from tauext.sim.rig import draw_motion, low_pass
+from tauext.sim.rig import arm_xml, draw_motion, low_pass
 
 SMALL = replace(RigConfig(), collision_recording_s=12.0, collisions_per_recording=1)
 
@@ -84,10 +84,12 @@ def observe(tree, q, dq, tau):
 
 
 @pytest.mark.parametrize("kind", ["pulses", "pads"])
-def test_observer_of_the_exact_model_finds_external_torque_less_friction(dataset, kind):
+def test_observer_of_the_exact_model_finds_external_torque_less_friction(tmp_path, kind):
+    robot = tmp_path / "robot.xml"
+    robot.write_text(arm_xml(SMALL, true_com=True))
     q_des, dq_des = draw_motion(SMALL.motion, 2, 12_000, SMALL.rate_hz, np.random.default_rng(8))
     truth, tau_ext, _ = simulate_motion(SMALL, kind, q_des, dq_des, 1000, np.random.default_rng(9))
-    residual = observe(load_tree(dataset / "robot.xml"), truth.q, truth.dq, truth.drive)
+    residual = observe(load_tree(robot), truth.q, truth.dq, truth.drive)
     # Sample k acts until k + 1, when the observer sees it.
     expected = low_pass(tau_ext - truth.friction, 20.0, 1e-3)[:-1]
     difference = (residual[1:] - expected)[500:]
@@ -130,7 +132,7 @@ def test_progress_counts_up_to_every_recording(dataset):
 
 
 def test_the_defaults_of_what_the_command_changes_are_the_papers_rig():
-    assert changed_rig(20, 1.0) == RigConfig()
+    assert changed_rig(17, 1.0) == RigConfig()
 
 
 def test_encoder_and_friction_are_options_of_the_command_and_stand_in_its_run_file(tmp_path):

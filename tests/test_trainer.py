@@ -75,8 +75,10 @@ def copy(learned, tmp_path) -> CommissionFolder:
 
 
 def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
-    (touch,) = [one for one in read_labels(learned.path) if one.epoch == 1]
-    assert touch.answer == "suspect" and abs(touch.from_ns * 1e-9 - 24.2) < 0.6
+    touches = [one for one in read_labels(learned.path) if one.epoch == 1]
+    (touch,) = [one for one in touches if abs(one.from_ns * 1e-9 - 24.2) < 0.6]
+    # A minute's fit also doubts a moment or two of free motion; these are left out, which costs half a second each.
+    assert touch.answer == "suspect" and len(touches) <= 3
     assert active(learned) == "b0001" and active_bundle(learned.path).stem == "b0001"
     bundle = load_bundle(learned.active())
     assert max(bundle.sliding_limit_nm) < 2.0  # with the touch 3.6 Nm
@@ -215,7 +217,7 @@ def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(c
 
 def test_answers_change_the_peaks(copy, motion, quick):
     pushed = motion.tau.copy()
-    pushed[140_000:140_300] += 6.0
+    pushed[140_000:140_300] += 12.0
     filled(copy.path, [replace(cut(motion, slice(121_000, 200_000)), tau=pushed[121_000:200_000])])
     epoch = copy.facts["epoch"]
     alarm = Label(1, epoch, 140_000_000_000, 140_300_000_000, "unanswered", "nobody", "", "b0001")

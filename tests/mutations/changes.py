@@ -170,7 +170,9 @@ def as_if_of(donor: Recording, own: Recording) -> Recording:
 def other_rig(robot_sha256: str) -> dict[str, Recording]:
     """Recordings of another planar arm, and of the rig with 1.6 times the friction."""
     arms = {
-        "arm": RigConfig(links=(LinkConfig(0.4, 11.0, 0.18, 0.12, 0.6), LinkConfig(0.25, 6.0, 0.11, 0.05, 0.25))),
+        "arm": RigConfig(
+            links=(LinkConfig(0.4, 11.0, 0.18, 0.18, 0.12, 0.6), LinkConfig(0.25, 6.0, 0.11, 0.11, 0.05, 0.25))
+        ),
         "friction": changed_rig(20, 1.6),
     }
     return {

@@ -208,7 +208,10 @@ EXPLAINED = 0.7
 
 
 def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, float, float]]:
-    """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there."""
+    """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there.
+
+    Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1.
+    """
     lags = np.linspace(-LONGEST_S, LONGEST_S, 2 * STEPS + 1)
     weights, torques = [], [torque_rows(stretches, lag) for lag in lags]
     errors = np.empty((len(lags), rows.joints))
@@ -233,7 +236,8 @@ def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, f
                 shift = 0.5 * (a - c) / (a - 2 * b + c)
                 lag, least = lag + shift * (lags[1] - lags[0]), b - 0.25 * (a - c) * shift
         zero = errors[STEPS, j]
-        ratio = float(np.sqrt(max(least, 0)) / zero) if zero > 0 else 1.0
+        inside = rows.has_model or 0 < best < len(lags) - 1
+        ratio = float(np.sqrt(max(least, 0)) / zero) if zero > 0 and inside else 1.0
         found.append((float(lag), ratio, 1 - max(least, 0) / max(weights[j] ** 2, 1e-18)))
     return found
 

@@ -145,7 +145,7 @@ def simulate(
     seed: int = 0,
     calibration_hours: float = 0.0,
     test_hours: float = 0.0,
-    encoder_bits: int = 20,
+    encoder_bits: int = 17,
     friction: float = 1.0,
 ) -> None:
     """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.

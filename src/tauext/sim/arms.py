@@ -55,7 +55,7 @@ class GearedArm:
 def rig_arm() -> GearedArm:
     """The paper's two-axis rig, with drums at its joints to make them visible."""
     config = RigConfig()
-    spec = mujoco.MjSpec.from_string(arm_xml(config))
+    spec = mujoco.MjSpec.from_string(arm_xml(config, true_com=True))
     for i, link in enumerate(joint_names(config)):
         body = spec.joint(link).parent
         body.geoms[0].contype = 0
@@ -92,7 +92,7 @@ def seven_axis_arm() -> GearedArm:
         joints=tuple(f"joint{i + 1}" for i in range(7)),
         drives=tuple(DriveConfig(stiffness_nm_rad=4000.0 * s, damping_nm_s_rad=100.0 * s) for s in sizes),
         friction=tuple(_geared(6.0 * s) for s in sizes),
-        sensors=SensorConfig(torque_noise_nm=tuple(0.5 * sizes), jts_noise_nm=tuple(0.1 * sizes)),
+        sensors=SensorConfig(encoder_counts=2**20, torque_noise_nm=tuple(0.5 * sizes), jts_noise_nm=tuple(0.1 * sizes)),
         motion=MotionConfig(range_deg=50.0, mean_speed_deg_s=(15.0, 35.0), least_travel_deg=25.0),
         rotor_inertia_kg_m2=(0.58, 0.58, 0.47, 0.47, 0.2, 0.2, 0.18),
         home=(0.0, 0.3, 0.0, -1.4, 0.0, 0.9, 0.0),
@@ -105,6 +105,7 @@ def _geared(coulomb_nm: float) -> FrictionConfig:
     return FrictionConfig(
         coulomb_nm=coulomb_nm,
         static_nm=1.25 * coulomb_nm,
+        load_share=0.0,
         stribeck_rad_s=0.05,
         viscous_nm_s_rad=0.95 * coulomb_nm,
         bristle_nm_rad=1250.0 * coulomb_nm,

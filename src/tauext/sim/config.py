@@ -14,7 +14,9 @@ class LinkConfig:
     """Distance from this joint to the next, or to the tip."""
     mass_kg: float
     com_m: float
-    """Distance from the joint to the centre of mass, along the link."""
+    """Distance from the joint to the centre of mass, along the link, in the robot file."""
+    true_com_m: float
+    """Distance from the joint to the centre of mass in the simulated arm: the robot file errs by the difference."""
     inertia_kg_m2: float
     """Inertia about an axis along the joint's through the centre of mass."""
     rotor_inertia_kg_m2: float
@@ -34,11 +36,14 @@ class FrictionConfig:
     """Friction of one joint: LuGre bristles z, viscous part and gear ripple.
 
     sigma_0 z + sigma_1 dz/dt + viscous dq, where dz/dt = dq - sigma_0 |dq| z / g(dq) and
-    g(dq) = coulomb + (static - coulomb) exp(-(dq / stribeck)^2).
+    g(dq) = coulomb + load_share |load| + (static - coulomb) exp(-(dq / stribeck)^2). The load is the torque through the
+    gear, drive - friction - rotor inertia ddq.
     """
 
     coulomb_nm: float
     static_nm: float
+    load_share: float
+    """Growth of Coulomb and static friction with the load."""
     stribeck_rad_s: float
     viscous_nm_s_rad: float
     bristle_nm_rad: float
@@ -52,8 +57,12 @@ class FrictionConfig:
 
 
 PAPER_LINKS = (
-    LinkConfig(length_m=0.3, mass_kg=8.191, com_m=0.12079, inertia_kg_m2=0.0666, rotor_inertia_kg_m2=0.6),
-    LinkConfig(length_m=0.3, mass_kg=9.920, com_m=0.16078, inertia_kg_m2=0.0806, rotor_inertia_kg_m2=0.25),
+    LinkConfig(
+        length_m=0.3, mass_kg=8.191, com_m=0.12079, true_com_m=0.1587, inertia_kg_m2=0.0666, rotor_inertia_kg_m2=0.6
+    ),
+    LinkConfig(
+        length_m=0.3, mass_kg=9.920, com_m=0.16078, true_com_m=0.1671, inertia_kg_m2=0.0806, rotor_inertia_kg_m2=0.25
+    ),
 )
 PAPER_DRIVES = (
     DriveConfig(stiffness_nm_rad=8000.0, damping_nm_s_rad=250.0),
@@ -61,21 +70,23 @@ PAPER_DRIVES = (
 )
 PAPER_FRICTION = (
     FrictionConfig(
-        coulomb_nm=9.5,
-        static_nm=12.0,
+        coulomb_nm=4.0,
+        static_nm=4.0,
+        load_share=0.16,
         stribeck_rad_s=0.05,
-        viscous_nm_s_rad=8.9,
-        bristle_nm_rad=12000.0,
-        bristle_damping_nm_s_rad=60.0,
+        viscous_nm_s_rad=3.2,
+        bristle_nm_rad=156_000.0,
+        bristle_damping_nm_s_rad=120.0,
         ripple_nm=0.6,
         ripple_cycles=200,
     ),
     FrictionConfig(
-        coulomb_nm=5.5,
-        static_nm=7.0,
+        coulomb_nm=2.97,
+        static_nm=2.97,
+        load_share=0.073,
         stribeck_rad_s=0.05,
-        viscous_nm_s_rad=5.1,
-        bristle_nm_rad=7000.0,
+        viscous_nm_s_rad=3.97,
+        bristle_nm_rad=6600.0,
         bristle_damping_nm_s_rad=25.0,
         ripple_nm=0.3,
         ripple_cycles=200,
@@ -87,11 +98,11 @@ PAPER_FRICTION = (
 class SensorConfig:
     """Effects of the rig's instruments on the signals."""
 
-    encoder_counts: int = 2**20
+    encoder_counts: int = 2**17
     """Counts of the encoder in one turn of the joint."""
     velocity_cutoff_rad_s: float = 300.0
     """Cut-off of the first-order low-pass on the difference of the encoder's counts."""
-    torque_noise_nm: tuple[float, ...] = (1.0, 0.5)
+    torque_noise_nm: tuple[float, ...] = (0.6, 0.7)
     """Standard deviation of the measured motor torque, white, one value a joint."""
     jts_noise_nm: tuple[float, ...] = (0.2, 0.1)
     """Standard deviation of the joint torque sensor, white, one value a joint."""
@@ -221,13 +232,14 @@ def changed_rig(encoder_bits: int, friction: float) -> RigConfig:
 
 
 def changed_friction(joints: tuple[FrictionConfig, ...], factor: float) -> tuple[FrictionConfig, ...]:
-    """Coulomb, static and viscous friction times this factor. Bristles and ripple stay: a joint bends as stiffly as
-    before, and further before it breaks away."""
+    """Coulomb, static, viscous and load-dependent friction times this factor. Bristles and ripple stay: a joint bends
+    as stiffly as before, and further before it breaks away."""
     return tuple(
         replace(
             joint,
             coulomb_nm=factor * joint.coulomb_nm,
             static_nm=factor * joint.static_nm,
+            load_share=factor * joint.load_share,
             viscous_nm_s_rad=factor * joint.viscous_nm_s_rad,
         )
         for joint in joints

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from tauext import _core
 from tauext.sim.arms import GearedArm
-from tauext.sim.rig import draw_move, encoder, low_pass, quintic
+from tauext.sim.config import changed_friction
+from tauext.sim.rig import LOAD_HELD_S, draw_move, encoder, low_pass, quintic, set_load
 
 # --- The simulated arm, one sample at a time: drives and a push in, measurements out.
 
@@ -49,6 +49,9 @@ class Plant:
         self._dq = np.zeros(self._n)
         self._controls = np.empty((self._n, 2))
         self._friction = 1.0
+        self._joints = arm.friction
+        self._load_nm = np.zeros(self._n)
+        self._load_sum, self._load_samples = np.zeros(self._n), round(LOAD_HELD_S * arm.rate_hz)
         self._weight: _core.Load | None = None
 
     @property
@@ -58,16 +61,9 @@ class Plant:
 
     def set_friction(self, factor: float) -> None:
         """Go on with so many times the arm's own friction; the bristles stay bent as they are."""
-        self._friction = factor
-        for name, by_factor in self._friction_rates.items():
-            getattr(self.model, name)[:] = getattr(self.arm.model, name) + (factor - 1) * by_factor
-
-    @cached_property
-    def _friction_rates(self) -> dict[str, np.ndarray]:
-        """Change of the model's parameters per unit of the friction factor, in which they are linear."""
-        double = self.arm.changed_model(2.0)
-        names = ("actuator_biasprm", "actuator_damping")
-        return {name: getattr(double, name) - getattr(self.arm.model, name) for name in names}
+        self._friction, self._joints = factor, changed_friction(self.arm.friction, factor)
+        self.model.actuator_damping[self._n : 2 * self._n] = [joint.viscous_nm_s_rad for joint in self._joints]
+        set_load(self.model, self._joints, self._load_nm)
 
     def hold(self, held: _core.Load | None) -> None:
         """Go on with this in the hand, at the hand's own speed; None: with nothing."""
@@ -76,6 +72,7 @@ class Plant:
         mujoco.mj_getState(self.model, self.data, state, STATE)
         self.model = self.arm.changed_model(self._friction, self._weight)
         self.data = mujoco.MjData(self.model)
+        set_load(self.model, self._joints, self._load_nm)
         mujoco.mj_setState(self.model, self.data, state, STATE)
         mujoco.mj_forward(self.model, self.data)
 
@@ -100,8 +97,9 @@ class Plant:
         data.qfrc_applied[:] = 0.0
         if force_n is not None:
             mujoco.mj_applyFT(self.model, data, force_n, np.zeros(3), point_m, joint + 1, data.qfrc_applied)
-        tau_ext = data.qfrc_applied.copy()
+        tau_ext, before = data.qfrc_applied.copy(), data.qvel.copy()
         mujoco.mj_step(self.model, data)
+        self._follow_load(before)
         if self._q_before is not None:  # low_pass over two samples is one step of the drive's filter
             difference = (q - self._q_before) * arm.rate_hz
             self._dq = low_pass(np.stack([self._dq, difference]), arm.sensors.velocity_cutoff_rad_s, 1.0 / arm.rate_hz)[
@@ -112,6 +110,16 @@ class Plant:
         t_ns = round(self._tick * 1e9 / arm.rate_hz)
         self._tick += 1
         return Sample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
+
+    def _follow_load(self, dq_before: np.ndarray) -> None:
+        """After a step: friction that depends on the load follows its mean, as in tauext.sim.rig.roll_out."""
+        drive, bristles = (self.data.sensordata[k : 3 * self._n : 3] for k in range(2))
+        viscous = self.model.actuator_damping[self._n : 2 * self._n] * self.data.qvel
+        rotor = self.arm.rotor_inertia_kg_m2 * (self.data.qvel - dq_before) * self.arm.rate_hz
+        self._load_sum += drive + bristles - viscous - rotor
+        if (self._tick + 1) % self._load_samples == 0:
+            self._load_nm, self._load_sum = self._load_sum / self._load_samples, np.zeros(self._n)
+            set_load(self.model, self._joints, self._load_nm)
 
     def _held_nm(self) -> np.ndarray:
         """Torque of the weight on the joints, by gravity and inertia: the wrench from hand to weight, turned round."""

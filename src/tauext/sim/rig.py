@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from mujoco import rollout
 
 from tauext.errors import ConfigError
-from tauext.sim.config import Drivetrain, MotionConfig, RigConfig
+from tauext.sim.config import Drivetrain, FrictionConfig, MotionConfig, RigConfig
 
 # --- Quintic moves between random joint targets: the setpoints of free motion.
 
@@ -70,10 +71,13 @@ def joint_names(config: RigConfig) -> list[str]:
     return [f"joint{i + 1}" for i in range(len(config.links))]
 
 
-def arm_xml(config: RigConfig) -> str:
+def arm_xml(config: RigConfig, true_com: bool = False) -> str:
     """MJCF of a planar arm in the vertical x-z plane, joints about +y, upright where every joint is zero.
 
-    Holds links, masses and rotor inertia, neither friction nor actuators; the same text is simulated and handed out.
+    Holds links, masses and rotor inertia, neither friction nor actuators.
+
+    Args:
+        true_com: the arm that is simulated; False: the robot file, whose centres of mass may differ from it.
     """
     lines = [
         f'<mujoco model="{config.name}">',
@@ -85,11 +89,11 @@ def arm_xml(config: RigConfig) -> str:
     ]
     offset_m = 0.0
     for i, link in enumerate(config.links):
-        pad = "  " * (i + 2)
+        pad, com_m = "  " * (i + 2), link.true_com_m if true_com else link.com_m
         lines += [
             f'{pad}<body name="link{i + 1}" pos="0 0 {offset_m!r}">',
             f'{pad}  <joint name="joint{i + 1}" type="hinge" axis="0 1 0" armature="{link.rotor_inertia_kg_m2!r}"/>',
-            f'{pad}  <inertial pos="0 0 {link.com_m!r}" mass="{link.mass_kg!r}" '
+            f'{pad}  <inertial pos="0 0 {com_m!r}" mass="{link.mass_kg!r}" '
             f'diaginertia="{link.inertia_kg_m2!r} {link.inertia_kg_m2!r} {_axial_inertia(link.mass_kg)!r}"/>',
             f'{pad}  <geom name="link{i + 1}" type="capsule" size="{LINK_RADIUS_M!r}" contype="1" conaffinity="0" '
             f'fromto="0 {i * LINK_SPACING_M!r} 0 0 {i * LINK_SPACING_M!r} {link.length_m!r}"/>',
@@ -129,7 +133,7 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
     Friction is in a second, passive dcmotor, since a dcmotor reports its force net of its own friction: so the
     drive's sensor reads the commanded torque alone.
     """
-    spec = mujoco.MjSpec.from_string(arm_xml(config))
+    spec = mujoco.MjSpec.from_string(arm_xml(config, true_com=True))
     names = joint_names(config)
     add_drivetrain(spec, names, config)
     for i in range(len(names)):
@@ -239,6 +243,10 @@ _NET_FORCE = 3
 # --- Setpoints in, true signals out: one open-loop rollout of a scene.
 
 
+LOAD_HELD_S = 0.01
+"""Load-dependent friction follows the gear's mean load over so long; at 1.6 rad/s gravity changes by 2 % meanwhile."""
+COULOMB_STATIC = slice(3, 5)
+"""Where a dcmotor's biasprm holds the two."""
 DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
@@ -264,6 +272,14 @@ class Truth:
         return Truth(**{f.name: getattr(self, f.name)[samples:] for f in fields(self)})
 
 
+def set_load(model: mujoco.MjModel, friction: Sequence[FrictionConfig], load_nm: np.ndarray) -> None:
+    """Set the Coulomb and static friction of each joint under this load (joints,), [N m]; see FrictionConfig."""
+    n = len(friction)
+    for joint, one, load in zip(range(n), friction, np.abs(load_nm), strict=True):
+        both = np.array([one.coulomb_nm, one.static_nm]) + one.load_share * load
+        model.actuator_biasprm[n + joint, COULOMB_STATIC] = both
+
+
 def roll_out(config: Drivetrain, model: mujoco.MjModel, q_start: np.ndarray, controls: np.ndarray) -> Truth:
     """Simulate a scene from rest at `q_start` (every position, pads included) under `controls` (samples, nu).
 
@@ -275,16 +291,15 @@ def roll_out(config: Drivetrain, model: mujoco.MjModel, q_start: np.ndarray, con
     data.qpos[:] = q_start
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    with rollout.Rollout(nthread=0) as roller:
-        states, sensors = roller.rollout(model, data, state[None], controls[None])
+    states, sensors = _roll(config, model, data, state, controls)
     if any(data.warning[kind].number for kind in DIVERGED):
         raise ConfigError(
             f"the simulation of {config.name} diverged; damping / rate_hz of drives and friction must stay well below "
             "the inertia that they move, and stiffness / rate_hz^2 too"
         )
-    states = np.vstack([state, states[0]])
+    states = np.vstack([state, states])
     q, dq = states[:, 1 : 1 + n], states[:, 1 + model.nq : 1 + model.nq + n]
-    drive, bristles, actuators = (sensors[0, :, k : 3 * n : 3] for k in range(3))
+    drive, bristles, actuators = (sensors[:, k : 3 * n : 3] for k in range(3))
     viscous = dq[:-1] * [friction.viscous_nm_s_rad for friction in config.friction]
     return Truth(
         q=q[:-1].copy(),
@@ -293,8 +308,36 @@ def roll_out(config: Drivetrain, model: mujoco.MjModel, q_start: np.ndarray, con
         drive=drive.copy(),
         friction=viscous - bristles,
         others=actuators - drive - bristles,
-        touch=sensors[0, :, 3 * n :].reshape(len(controls), (sensors.shape[2] - 3 * n) // 10, 10).copy(),
+        touch=sensors[:, 3 * n :].reshape(len(controls), (sensors.shape[1] - 3 * n) // 10, 10).copy(),
     )
+
+
+def _roll(
+    config: Drivetrain, model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray, controls: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """States after each step (samples, nstate) and its sensors (samples, nsensordata), from `state` on."""
+    loaded = any(joint.load_share for joint in config.friction)
+    held = round(LOAD_HELD_S * config.rate_hz) if loaded else len(controls)
+    if loaded:
+        model = copy(model)
+    n, parts = len(config.drives), []
+    velocity = slice(1 + model.nq, 1 + model.nq + n)
+    viscous = np.array([joint.viscous_nm_s_rad for joint in config.friction])
+    rotor = np.array(config.rotor_inertia_kg_m2) * config.rate_hz
+    with rollout.Rollout(nthread=0) as roller:
+        for begin in range(0, len(controls), held):
+            states, sensors = (
+                one[0] for one in roller.rollout(model, data, state[None], controls[None, begin : begin + held])
+            )
+            parts.append((states, sensors))
+            if loaded:
+                drive, bristles = (sensors[:, k : 3 * n : 3].mean(axis=0) for k in range(2))
+                change = (states[-1, velocity] - state[velocity]) / len(states)
+                mean_speed = states[:, velocity].mean(axis=0)
+                set_load(model, config.friction, drive + bristles - viscous * mean_speed - rotor * change)
+            state = states[-1]
+    states, sensors = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return states, sensors
 
 
 # --- What the rig's instruments make of the true signals: quantised position, filtered difference, noise, low-pass.

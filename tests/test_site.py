@@ -198,6 +198,16 @@ def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
     assert delays[2].startswith("| exact | paper | 3, 2, 0, −5, 8, 0, 0, −2, 2, 0 | 0.0 | 141 of 200 |")
 
 
+def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():
+    verdicts = [(0.010, [0.010, 0.020]), (0.0, [-0.010, None]), (-0.010, [None, -0.010])]
+    keys = ("id", "delay_against_sensor_s", "joint_delays_against_sensor_s")
+    collisions = [dict(zip(keys, (str(k), *verdict), strict=True)) for k, verdict in enumerate(verdicts)]
+    bundle = {"case": "exact", "recipe": "paper", "collisions": collisions}
+    results = {"bundles": [bundle], "ten_collisions": ["0", "2"]}
+    assert paper_tables.delays(results, joint=0)[2] == "| exact | paper | 10 | 10.0 | 2 of 3 | 0.0 | −9 to 9 | 10 |"
+    assert paper_tables.delays(results)[2] == "| exact | paper | 10, −10 | 0.0 | 3 of 3 | 0.0 | −9 to 9 | 10 |"
+
+
 def test_every_page_is_in_the_contents():
     listed: set[Path] = set()
     for page in DOCS.rglob("*.md"):

@@ -27,7 +27,7 @@ MOST_STEPS = 10**12
 
 @dataclass(frozen=True)
 class ModelCase:
-    """Difference of the estimated model from the robot file; the paper calls it a model case."""
+    """Difference of the estimated model from the robot file, as of the paper's perturbed models."""
 
     name: str
     mass_factor: float = 1.0

@@ -15,7 +15,7 @@ TABLE_I = {
     "mass+com": ((0.415, 0.258), (0.681, 0.368), (0.464, 0.134)),
     "none": ((0.409, 0.259), (0.683, 0.376), (0.466, 0.141)),
 }
-"""L1 [N m], L2 [N m] and MSE [N m^2] of each case."""
+"""L1 [N m], L2 [N m] and MSE [(N m)^2] of each case."""
 L1_NM, L2_NM, MSE_NM2 = ({case: row[k] for case, row in TABLE_I.items()} for k in range(3))
 RMSE_SLIDING_NM = {"exact": (0.418, None)}
 RMSE_NEAR_STICTION_NM = {"exact": (1.344, None)}
@@ -23,7 +23,7 @@ LIMIT_SLIDING_NM = {"exact": (4.62, None)}
 COLLISIONS = FOUND = 10
 """Collisions tried, and found in each of the five cases."""
 DELAYS_AGAINST_SENSOR_MS = (3, 6, -1)
-"""Three collisions, exact model, observer and sensor at the same limit."""
+"""Joint 1 in three collisions, exact model; estimate and sensor at LIMIT_SLIDING_NM."""
 
 OBSERVER_PEAK_NM = {
     "exact": (24.0, 14.0),

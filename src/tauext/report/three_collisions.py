@@ -122,7 +122,7 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
         f"torque sensor and the estimate of every bundle; below, the moment of impact. Each bundle has its own limit; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
-        f"delay against the sensor. Time 0 is the onset of contact."
+        f"delay against the sensor; the first joint over its limit counts. Time 0 is the onset of contact."
         + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
         + bands
         + missing_bundles(results, [n for n in names if n in missing])

@@ -166,7 +166,7 @@ def paper_limits(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> LevelLimits:
-    """Largest |tau_ext| of each joint on validation free motion, separately for sliding and near stiction [Lim2021].
+    """Largest |tau_ext| of each joint on validation free motion [Lim2021], in each region as the paper suggests.
 
     A joint that was never near stiction, or has smaller errors there, gets the sliding limit in both regions: friction
     at rest is no more certain than in motion. A joint that never slid gets its limit at rest in both regions; its

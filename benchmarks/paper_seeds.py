@@ -4,7 +4,7 @@
 
 OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT/bundles holds is not trained again, and
 one that is not there with --no-training is left out. Errors are those of test motion at 100 Hz, as in the paper, and at
-1 kHz, as a monitor answers. Collisions are counted as in the paper: one sample over the limit, without a hold time.
+1 kHz, as a monitor answers. A collision counts by one sample over the limit, since the paper states no hold time.
 """
 
 from __future__ import annotations

@@ -45,9 +45,10 @@ ALARM = AlarmConfig()
 MARGINS = FreeMotionConfig()
 LIMITS = ("largest validation error", "constant", "following the error")
 ONE_AN_HOUR = 1.0
-SEEDED = ("dense", "feedforward", "tauext", "paper")
-"""Estimators with a network, trained once a seed."""
-ESTIMATORS = ("observer", "friction", "paper", "dense", "feedforward", "prior", "tauext")
+SEEDED = ("paper", "dense", "tauext")
+"""Estimators with a network that are trained once a seed."""
+ESTIMATORS = ("observer", "friction", "prior", "tauext", "dense", "paper", "feedforward")
+AT_CHOSEN_GAIN = ("friction", "prior", "tauext", "dense")
 
 
 # --- Data: the same recordings at a lower rate.
@@ -106,15 +107,13 @@ class Job:
 
 
 def jobs(models: list[str], seeds: list[int]) -> list[Job]:
-    """Every estimator; at the chosen gain networks have one seed, and the paper's is not trained."""
+    """Every estimator at the paper's gain with every seed; some at the chosen gain, with one."""
     found = []
-    for model in models:
-        for gain in (GAIN_PER_S, None):
-            for estimator in ESTIMATORS:
-                if gain is None and estimator == "paper":
-                    continue
-                seeded = seeds if estimator in SEEDED and gain is not None else seeds[:1]
-                found += [Job(estimator, model, gain, seed) for seed in seeded]
+    for k, seed in enumerate(seeds):
+        for model in models:
+            at_paper_gain = ESTIMATORS if k == 0 else SEEDED
+            found += [Job(estimator, model, GAIN_PER_S, seed) for estimator in at_paper_gain]
+            found += [Job(estimator, model, None, seed) for estimator in AT_CHOSEN_GAIN if k == 0]
     return found
 
 

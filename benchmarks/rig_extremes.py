@@ -1,6 +1,6 @@
 """The virtual rig beside the real one: extremes in free motion, sizes of its collisions, and what it costs to simulate.
 
-    python benchmarks/rig_extremes.py [--minutes 90] [--collision-recordings 20] [--seed 0]
+    python benchmarks/rig_extremes.py [--minutes 90] [--collision-recordings 20] [--seed 0] [--data DATA]
 
 docs/paper.md holds the table that it prints.
 """
@@ -28,7 +28,9 @@ from tauext.sim.config import RigConfig
 
 REAL = {"motor torque": (91, 33), **OBSERVER_PEAK_NM}
 """Largest positive values in free motion, joints 1 and 2, [N m]: normalisation constants in data/DataCreate.m of
-[Mocca2020] (docs/references.md), code for the paper's arm."""
+[Mocca2020] (docs/references.md), code for the paper's arm: the first of three gains."""
+REAL_GAIN_PER_S = 5.0
+"""Gain K0 of these values: that of the recording's first gain (benchmarks/mocca_recording.py)."""
 WITHIN = 0.2
 
 
@@ -37,7 +39,11 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=90.0)
     parser.add_argument("--collision-recordings", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--data", type=Path, help="a dataset of `tauext simulate`; default: simulate one")
     options = parser.parse_args()
+    if options.data is not None:
+        print_extremes(options.data)
+        return
     with tempfile.TemporaryDirectory() as folder:
         data, config = Path(folder) / "data", RigConfig()
         started = time.monotonic()
@@ -68,7 +74,7 @@ def print_extremes(data: Path) -> None:
         extremes["motor torque"] = np.maximum(extremes["motor torque"], np.abs(recording.tau).max(axis=0))
         for name, case in PAPER_CASES.items():
             tree = estimated_model(data / "robot.xml", recording.joints, case)
-            settings = build_setup(tree, recording, ObserverConfig()).observer
+            settings = build_setup(tree, recording, ObserverConfig(gain_per_s=REAL_GAIN_PER_S)).observer
             seen = _core.observe(tree, settings, recording.t_ns, recording.q, recording.dq, recording.tau)
             warm = seen.residual[seen.warm.astype(bool)]
             extremes[name] = np.maximum(extremes[name], np.abs(warm).max(axis=0))

@@ -117,17 +117,21 @@ def reproduce_paper(
         robot = dataset.robot_file(None)
         with times.phase("read"):
             training, validation = dataset.recordings("train"), dataset.recordings("validation")
-        # One check for all: with a model it contains every check that works without a model.
-        case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
+        # One check for all cases with a model, and one without: findings about the model are not those of both.
+        kinds = {case.no_model: (case, config) for case, config in (jobs[name] for name in missing)}
         with times.phase("check"):
-            checked = check_data(dataset, Given(robot, case, training, validation), config, (), report)
+            checked = {
+                no_model: check_data(dataset, Given(robot, case, training, validation), config, (), report)
+                for no_model, (case, config) in kinds.items()
+            }
         cores = os.cpu_count() or 1
         threads = max(1, cores // len(missing))
 
         def train(name: str, report: Reporter) -> None:
             case, config = jobs[name]
             given = Given(robot, case, training, validation)
-            train_on_recordings(given, replace(config, threads=threads), bundles[name], report=report, checked=checked)
+            settings, found = replace(config, threads=threads), checked[case.no_model]
+            train_on_recordings(given, settings, bundles[name], report=report, checked=found)
 
         with times.phase("train"):
             together(train, missing, min(cores, len(missing)), report)

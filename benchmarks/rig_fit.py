@@ -82,10 +82,11 @@ def fit(segments: list[Segment], start: np.ndarray) -> np.ndarray:
     return np.asarray(found.x)
 
 
-def jackknife(segments: list[Segment], best: np.ndarray) -> np.ndarray:
-    """Standard error of each parameter, from fits without one segment in turn."""
-    left_out = np.array([fit([s for s in segments if s is not out], best) for out in segments])
-    return np.asarray(np.sqrt((len(segments) - 1) * left_out.var(axis=0)))
+def jackknife(segments: list[Segment], best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard error of each parameter, from fits without one segment in turn; the errors of each on that segment."""
+    left_out = [fit([s for s in segments if s is not out], best) for out in segments]
+    unseen = np.vstack([errors_nm([out], found) for out, found in zip(segments, left_out, strict=True)])
+    return np.asarray(np.sqrt((len(segments) - 1) * np.var(left_out, axis=0))), unseen
 
 
 def pose_amplitudes(segments: list[Segment], best: np.ndarray) -> list[tuple[int, int, float, float]]:
@@ -142,7 +143,7 @@ def main() -> None:
     data: Path = options.data
     segments = read_segments(data)
     best = fit(segments, START)
-    errors = jackknife(segments, best)
+    errors, unseen = jackknife(segments, best)
     rig = RigConfig()
     nominal = [link.com_m * link.mass_kg * 9.81 for link in rig.links]
     true = [link.true_com_m * link.mass_kg * 9.81 for link in rig.links]
@@ -166,6 +167,8 @@ def main() -> None:
         for rows, chosen in (("all", slow | True), ("sliding", ~slow), ("near stiction", slow)):
             e = np.abs(left[chosen, joint])
             print(table_row(joint + 1, rows, f"{e.mean():.3f}", f"{np.sqrt((e**2).mean()):.3f}", f"{e.max():.2f}"))
+        e = np.abs(unseen[:, joint])
+        print(table_row(joint + 1, "left out", f"{e.mean():.3f}", f"{np.sqrt((e**2).mean()):.3f}", f"{e.max():.2f}"))
     print("\n" + "\n".join(head("friction over the joint's own angle, beyond the load | N m | standard error")))
     for joint, harmonic, amplitude, error in pose_amplitudes(segments, best):
         print(table_row(f"joint {joint + 1}, {harmonic} a turn", f"{amplitude:.2f}", f"{error:.2f}"))

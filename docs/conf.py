@@ -38,7 +38,12 @@ extensions = [
     "paper_tables",
     "rst_text",
 ]
-INCLUDED = ["results/full/seeds.md"]
+INCLUDED = [
+    "results/full/seeds.md",
+    "results/comparison/ablation.md",
+    "results/mocca/authors.md",
+    "results/mocca/recipes.md",
+]
 """Parts of pages that benchmarks write, which are no pages themselves."""
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_extensions", "_static", *INCLUDED]

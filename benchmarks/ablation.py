@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, joined, table_row, tauext, write_page
+from common import ROOT, arguments, head, joined, table_row, tauext, write_page
 from scipy.stats import beta
 
 from tauext import _core
@@ -39,8 +39,8 @@ from tauext.train.error_scale import Judged, collect_rows, fit_error_scale, pape
 from tauext.train.promised_limits import apply_promised, promised_limits
 
 RATE_HZ = 200
-GAIN_PER_S = 20.0
-"""The paper's gain; the other one is what recipe prior chooses for the arm."""
+GAINS_PER_S = (20.0, 50.0)
+"""The paper's gain, which recipe prior also chooses on this arm, and the next one that it chooses from."""
 ALARM = AlarmConfig()
 MARGINS = FreeMotionConfig()
 LIMITS = ("largest validation error", "constant", "following the error")
@@ -48,7 +48,7 @@ ONE_AN_HOUR = 1.0
 SEEDED = ("paper", "dense", "tauext")
 """Estimators with a network that are trained once a seed."""
 ESTIMATORS = ("observer", "friction", "prior", "tauext", "dense", "paper", "feedforward")
-AT_CHOSEN_GAIN = ("friction", "prior", "tauext", "dense")
+AT_OTHER_GAIN = ("friction", "prior", "tauext", "dense")
 
 
 # --- Data: the same recordings at a lower rate.
@@ -93,35 +93,34 @@ def reduce_dataset(data: Path, out: Path, calibration_hours: float, test_hours: 
 
 @dataclass(frozen=True)
 class Job:
-    """One estimator of one model at one gain; gain None: the one that recipe prior chooses."""
+    """One estimator of one model at one gain."""
 
     estimator: str
     model: str
-    gain_per_s: float | None
+    gain_per_s: float
     seed: int
 
     @property
     def name(self) -> str:
-        gain = "chosen" if self.gain_per_s is None else f"{self.gain_per_s:g}"
-        return f"{self.estimator}-{self.model}-{gain}-{self.seed}"
+        return f"{self.estimator}-{self.model}-{self.gain_per_s:g}-{self.seed}"
 
 
 def jobs(models: list[str], seeds: list[int]) -> list[Job]:
-    """Every estimator at the paper's gain with every seed; some at the chosen gain, with one."""
+    """Every estimator at the paper's gain, networks with every seed; some at the other gain, with one."""
+    paper, other = GAINS_PER_S
     found = []
     for k, seed in enumerate(seeds):
         for model in models:
             at_paper_gain = ESTIMATORS if k == 0 else SEEDED
-            found += [Job(estimator, model, GAIN_PER_S, seed) for estimator in at_paper_gain]
-            found += [Job(estimator, model, None, seed) for estimator in AT_CHOSEN_GAIN if k == 0]
+            found += [Job(estimator, model, paper, seed) for estimator in at_paper_gain]
+            found += [Job(estimator, model, other, seed) for estimator in AT_OTHER_GAIN if k == 0]
     return found
 
 
-def train(job: Job, data: Path, out: Path, chosen: float, paper: Path | None) -> Path | None:
+def train(job: Job, data: Path, out: Path, paper: Path | None) -> Path | None:
     """The bundle of a job with limits as in the paper; None: a network of the paper's recipe that is not there.
 
     Args:
-        chosen: gain for jobs without one.
         paper: folder with bundles CASE-SEED.tauext of recipe paper, trained on the recordings before their reduction.
     """
     bundle = out / "bundles" / f"{job.name}.tauext"
@@ -129,7 +128,7 @@ def train(job: Job, data: Path, out: Path, chosen: float, paper: Path | None) ->
         return bundle
     settings = out / "bundles" / f"{job.name}.toml"
     settings.parent.mkdir(parents=True, exist_ok=True)
-    settings.write_text(f"observer.gain_per_s = {job.gain_per_s or chosen:g}\n")
+    settings.write_text(f"observer.gain_per_s = {job.gain_per_s:g}\n")
     words = ["train", "--data", data, "--case", job.model, "--seed", job.seed, "--limits", "paper"]
     words += ["--threads", 1, "--config", settings, "--out", bundle]
     if job.estimator != "paper":
@@ -229,11 +228,10 @@ def at_rate(curve: list[dict], per_hour: float) -> dict | None:
     return min(fitting, key=lambda point: point["scale"]) if fitting else None
 
 
-def rows(out: Path, model: str, gain: float | None) -> Iterator[str]:
+def rows(out: Path, model: str, gain: float) -> Iterator[str]:
     """A line for each estimator and kind of limits: the seeds' mean, and their range where there are several."""
-    suffix = "chosen" if gain is None else f"{gain:g}"
     for estimator in ESTIMATORS:
-        paths = sorted(out.glob(f"judged/{estimator}-{model}-{suffix}-*.json"))
+        paths = sorted(out.glob(f"judged/{estimator}-{model}-{gain:g}-*.json"))
         kept = [json.loads(path.read_text()) for path in paths]
         for kind in LIMITS if kept else ():
             free = [one[kind]["free"] for one in kept]
@@ -274,15 +272,14 @@ COLUMNS = (
 def tables(out: Path, models: list[str]) -> list[str]:
     lines = []
     for model in models:
-        for gain in (GAIN_PER_S, None):
-            where = "the chosen gain" if gain is None else f"a gain of {gain:g} 1/s"
-            lines += [f"**{'Exact model' if model == 'exact' else 'No model'}, {where}**", "", *head(COLUMNS)]
+        for gain in GAINS_PER_S:
+            lines += [f"**{'Exact model' if model == 'exact' else 'No model'}, K0 = {gain:g} 1/s**", "", *head(COLUMNS)]
             lines += [*rows(out, model, gain), ""]
     return lines
 
 
-def run(job: Job, data: Path, out: Path, chosen: float, paper: Path | None) -> str:
-    bundle = train(job, data, out, chosen, paper)
+def run(job: Job, data: Path, out: Path, paper: Path | None) -> str:
+    bundle = train(job, data, out, paper)
     if bundle is None:
         return f"{job.name}: no network of the paper's recipe"
     judge(bundle, data, out / "judged" / f"{job.name}.json")
@@ -294,7 +291,6 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=["exact", "none"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--hours", nargs=2, type=float, default=[8.0, 5.0], help="of calibration and of test motion")
-    parser.add_argument("--chosen", type=float, default=50.0, help="gain that recipe prior chooses on this arm, 1/s")
     parser.add_argument("--paper", type=Path, help="folder with CASE-SEED.tauext of recipe paper")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--tables", action="store_true", help="print the tables of what is there")
@@ -304,13 +300,10 @@ def main() -> None:
         reduce_dataset(options.data, data, *options.hours)
         (out / "judged").mkdir(exist_ok=True)
         with ProcessPoolExecutor(options.workers) as pool:
-            todo = [
-                pool.submit(run, job, data, out, options.chosen, options.paper)
-                for job in jobs(options.models, options.seeds)
-            ]
+            todo = [pool.submit(run, job, data, out, options.paper) for job in jobs(options.models, options.seeds)]
             for one in todo:
                 print(one.result(), flush=True)
-    write_page(out / "ablation.md", tables(out, options.models))
+    write_page(ROOT / "docs/results/comparison/ablation.md", tables(out, options.models))
 
 
 if __name__ == "__main__":

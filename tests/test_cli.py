@@ -30,7 +30,7 @@ SMALLER = {
     "--minutes 20": "--minutes 1",
     "--collision-recordings 6": "--collision-recordings 1",
     "--calibration-hours 1": "--calibration-hours 0.03",
-    "--out runs/exact.tauext": "--out runs/exact.tauext --max-steps 10 --batch 8 --config few.toml",
+    "--out runs/exact.tauext": "--out runs/exact.tauext --config few.toml",
     "--recipe dense --max-steps 10000": "--recipe dense --max-steps 10 --batch 8",
     "--scale quick": "--scale smoke",
 }
@@ -190,7 +190,7 @@ BAD_KEYS = [
     ("[drift]\nfreeze_s = -1", [], "study.toml drift: freeze_s = -1.0 must be 0 to 60"),
     ("[observer]\ngain_per_s = true", [], "gain_per_s = True must be a number or one of auto"),
     ('recipe = "lstm"', [], "study.toml: recipe = 'lstm' must be one of tauext, prior"),
-    ("epochs = 3", [], "study.toml: epochs = 3 must be left out with recipe tauext"),
+    ("epochs = 3", [], "study.toml: epochs = 3 must be left out with recipe prior"),
     ("epochs = 3", ["--minutes", "-1"], "error: minutes = -1.0 must be > 0"),
     ("epochs = ", [], "study.toml: not readable as TOML"),
 ]

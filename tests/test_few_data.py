@@ -119,9 +119,10 @@ def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():
 
 def test_minutes_without_validation_recordings_get_no_network_and_all_of_them_are_fitted():
     made = motion()
-    parts = training_motion([made], [], TrainConfig())
+    config = TrainConfig(recipe="tauext")
+    parts = training_motion([made], [], config)
     assert not parts.network and parts.uncut[0] is made and any("no network" in note for note in parts.notes)
-    assert training_motion([made], [motion(seed=1, name="other")], TrainConfig()).network
+    assert training_motion([made], [motion(seed=1, name="other")], config).network
 
 
 def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_path, monkeypatch):

@@ -303,7 +303,7 @@ def test_the_example_is_a_fleet(tmp_path, data):
     for name in ("cell-03", "cell-03-nights"):
         (tmp_path / "datasets" / name).symlink_to(data)
     fleet = load_fleet(write_fleet(tmp_path, EXAMPLE))
-    assert [len(arm.stages) for arm in fleet.arms] == [4, 4, 4] and fleet.arms[1].train.max_steps == 20000
+    assert [len(arm.stages) for arm in fleet.arms] == [4, 4, 4] and fleet.arms[1].train.minutes == 20
 
 
 def test_a_task_whose_worker_dies_each_time_fails_after_the_stated_number(tmp_path, data):

@@ -110,7 +110,7 @@ def test_a_training_that_no_machine_finishes_is_refused():
     expect_size(TrainConfig())
     expect_size(TrainConfig(recipe="paper"))
     with pytest.raises(ConfigError, match="of memory, and"):
-        expect_size(TrainConfig(batch=10**12))
+        expect_size(TrainConfig(recipe="tauext", batch=10**12))
     with pytest.raises(ConfigError, match="years at least"):
         expect_size(TrainConfig(recipe="dense", max_steps=10**12))
 

@@ -18,12 +18,12 @@ CASES = tuple(PAPER_CASES)
 
 def test_quick_trains_five_short_networks_and_has_the_default_recipe_beside_them():
     jobs = trainings(SCALES["quick"], CASES, seed=3)
-    assert list(jobs) == [*CASES, "exact-tauext"]
+    assert list(jobs) == [*CASES, "exact-prior"]
     for name, (case, config) in jobs.items():
-        assert case.name == name.removesuffix("-tauext") and config.seed == 3
-        assert config.recipe == ("tauext" if name.endswith("-tauext") else "dense")
-        assert config.resolved().max_steps <= 20_000
-    assert jobs["exact-tauext"][1].recipe == type(jobs["exact-tauext"][1])().recipe
+        assert case.name == name.removesuffix("-prior") and config.seed == 3
+        assert config.recipe == ("prior" if name.endswith("-prior") else "dense")
+        assert (config.resolved().max_steps or 0) <= 20_000
+    assert jobs["exact-prior"][1].recipe == type(jobs["exact-prior"][1])().recipe
 
 
 def test_full_trains_every_case_by_the_whole_recipe_of_the_paper():
@@ -100,5 +100,5 @@ def test_only_the_cases_that_were_asked_for_are_trained(scale):
 
 
 def test_a_bundle_beside_another_is_called_by_its_recipe_and_stands_behind_it():
-    assert bundle_label("exact-tauext", "tauext") == "exact, tauext recipe"
-    assert sorted(["none", "exact-tauext", "exact"], key=place) == ["exact", "exact-tauext", "none"]
+    assert bundle_label("exact-prior", "prior") == "exact, prior recipe"
+    assert sorted(["none", "exact-prior", "exact"], key=place) == ["exact", "exact-prior", "none"]

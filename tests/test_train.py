@@ -270,7 +270,7 @@ def test_a_dense_sequence_with_one_target_is_the_papers_window():
 
 def test_the_network_of_recipe_tauext_sees_a_whole_window_before_every_target():
     setup, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(setup, windows, TrainConfig(targets=20, max_steps=10).resolved())
+    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="tauext", targets=20, max_steps=10).resolved())
     assert schedule.length == setup.window_steps - 1 + 20
     assert (schedule.largest_gradient, schedule.square_decay) == (0.1, 0.999)
 

@@ -33,7 +33,7 @@ def joined(values: Iterable[float], form: str = ".3f") -> str:
 
 def by_recipe(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Bundles of the paper's five cases: first those of recipe paper, each in the paper's order; others last."""
-    recipes = [*RECIPES, "tauext"]
+    recipes = [*RECIPES, "prior"]
     return sorted(results["bundles"], key=lambda b: (recipes.index(b["recipe"]), ORDER.index(b["case"])))
 
 

@@ -275,9 +275,9 @@ class EventsConfig:
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = "tauext"
-    """Method to train. tauext: presliding states, a prior fitted by ridge regression, and a network on its residual
-    where that helps. prior: the same without a network. paper: windows, as published. dense: the paper's network,
+    recipe: RecipeName = "prior"
+    """Method to train. prior: presliding states and a prior fitted by ridge regression, no network. tauext: the same,
+    and a network on its residual where that lowers the error. paper: windows, as published. dense: the paper's network,
     trained on longer sequences with a target at every step; far fewer steps. observer: no network at all, the plain
     momentum observer. For comparison: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
     and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy:
@@ -356,7 +356,11 @@ class TrainConfig:
             "auto",
             f"a number with recipe {self.recipe}: recipes tauext and prior choose",
         )
-        require(not drawn or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
+        unused = ["epochs"] if drawn else []
+        unused += ["epochs", "max_steps", "batch"] if self.row.network is None else []
+        for name in unused:
+            value = getattr(self, name)
+            require(value is None, name, value, f"left out with recipe {self.recipe}, which does not use it")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
         known = self.torque_constants
         sound = known is None or all(1e-9 <= abs(constant) <= 1e9 for constant in known)

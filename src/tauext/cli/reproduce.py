@@ -50,7 +50,7 @@ SCALES = {
         collision_recordings=20,
         training=TrainConfig(recipe="dense", max_steps=20_000),
         # Minutes of motion are all that it needs, and its fit takes as long as what it is fitted to.
-        beside=Beside(TrainConfig(minutes=10.0, max_steps=3000), ("exact",)),
+        beside=Beside(TrainConfig(minutes=10.0), ("exact",)),
     ),
     "full": Scale(
         minutes=90.0,
@@ -228,7 +228,7 @@ def reproduce(
     Args:
         out: folder for data, bundles, results and report.
         scale: amount of data and training. smoke: seconds; the numbers have no meaning. quick: three minutes on two
-            cores; every model case with 20,000 steps of recipe dense, the exact model also with recipe tauext from 10
+            cores; every model case with 20,000 steps of recipe dense, the exact model also with recipe prior from 10
             minutes of motion. full: every model case with recipe dense (5 minutes), then with recipe paper (15
             minutes each on two idle cores, one after another).
         cases: model cases to train.

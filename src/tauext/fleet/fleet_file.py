@@ -32,7 +32,7 @@ stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; the
 
 # For all arms. [types.NAME] is for the arms of a type, an arm's own table for that arm: the last one counts.
 [train]                     # settings of a training; `tauext train --help-config` lists them
-recipe = "tauext"
+recipe = "prior"
 alarm = { false_alarms = 1.0, in_hours = 8.0 }
 
 [evaluate]                  # the options of `tauext evaluate`: seed, keep_free_estimates, shortest_event_s, tolerance_s
@@ -55,7 +55,7 @@ name = "cell-02"
 type = "ur10e"
 sources = ["bags/cell-02"]
 arm = "cell-02.toml"        # another tool, another logger
-train.max_steps = 20000     # what differs for this arm
+train.minutes = 20          # what differs for this arm
 
 [[arms]]
 name = "cell-03"

@@ -303,7 +303,7 @@ def main() -> None:
             todo = [pool.submit(run, job, data, out, options.paper) for job in jobs(options.models, options.seeds)]
             for one in todo:
                 print(one.result(), flush=True)
-    write_page(ROOT / "docs/results/comparison/ablation.md", tables(out, options.models))
+    write_page(ROOT / "docs/results/comparison/ablation.inc", tables(out, options.models))
 
 
 if __name__ == "__main__":

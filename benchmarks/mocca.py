@@ -336,8 +336,8 @@ def main() -> None:
     figure_5(segments, dataset, out, page / "figure-5.png")
     both = {"the authors' network, K0 = 5 1/s": [bundle] * len(segments), "recipe prior, K0 = 20 1/s": kept["none"]}
     figure_7(segments, dataset, both, page / "figure-7.png")
-    write_page(page / "authors.md", authors)
-    write_page(page / "recipes.md", recipes)
+    write_page(page / "authors.inc", authors)
+    write_page(page / "recipes.inc", recipes)
 
 
 if __name__ == "__main__":

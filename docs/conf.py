@@ -38,12 +38,7 @@ extensions = [
     "paper_tables",
     "rst_text",
 ]
-INCLUDED = [
-    "results/full/seeds.md",
-    "results/comparison/ablation.md",
-    "results/mocca/authors.md",
-    "results/mocca/recipes.md",
-]
+INCLUDED = ["results/full/seeds.md"]
 """Parts of pages that benchmarks write, which are no pages themselves."""
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_extensions", "_static", *INCLUDED]

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext.check.finding import NEGATE_EFFORT, Finding
-from tauext.check.fit import CONSTANT, FRICTION, JointFit, Rows, columns_of, robust_solve, spread_of, torque_rows
+from tauext.check.fit import (
+    CONSTANT,
+    FRICTION,
+    SIGN,
+    JointFit,
+    Rows,
+    columns_of,
+    robust_solve,
+    spread_of,
+    torque_rows,
+)
 from tauext.check.motion import MOVING_RAD_S, Stretch
 from tauext.data.recording import Recording
 
@@ -217,6 +227,8 @@ def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, f
     errors = np.empty((len(lags), rows.joints))
     for j in range(rows.joints):
         columns = columns_of(rows, j)
+        if rows.has_model:  # friction that grows with the load would show as a delay
+            columns = np.column_stack([columns, np.abs(rows.gravity[:, j]) * rows.friction[:, j, SIGN]])
         trust = robust_solve(columns, rows.tau[:, j])[1]
         root = np.sqrt(trust)
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-9)

@@ -218,15 +218,10 @@ def spread_of(values: np.ndarray) -> float:
 
 
 def columns_of(rows: Rows, joint: int) -> np.ndarray:
-    """Regressors (rows, 3 + FRICTION), then friction that grows with gravity: without it, that shows as a delay.
-
-    Without a model, sines and cosines of the joints stand in for gravity.
-    """
+    """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
     own = (rows.gravity[:, joint], rows.inertial[:, joint], rows.acceleration[:, joint])
     columns = np.column_stack([*own, rows.friction[:, joint]])
-    if not rows.has_model:
-        return np.column_stack([columns, np.sin(rows.q), np.cos(rows.q)])
-    return np.column_stack([columns, rows.friction[:, joint, SIGN] * np.abs(rows.gravity[:, joint])])
+    return columns if rows.has_model else np.column_stack([columns, np.sin(rows.q), np.cos(rows.q)])
 
 
 def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndarray:
@@ -267,8 +262,8 @@ def fit_joint(rows: Rows, joint: int) -> JointFit:
     weights, trust = robust_solve(columns, torque)
     blocks = np.array_split(np.arange(len(torque)), BLOCKS)
     left_out = np.stack([solve(*(np.delete(x, b, axis=0) for x in (columns, torque, trust))) for b in blocks])
-    end = CONSTANT + FRICTION + int(rows.has_model)
-    friction, shape = slice(CONSTANT, end), [0, *range(end, columns.shape[1])]
+    friction = slice(CONSTANT, CONSTANT + FRICTION)
+    shape = [0, *range(CONSTANT + FRICTION, columns.shape[1])]
     return JointFit(
         weights,
         left_out,

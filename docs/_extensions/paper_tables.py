@@ -82,10 +82,10 @@ def delays(results: dict[str, Any], joint: int | None = None) -> list[str]:
 
 
 def delay_of(verdict: dict[str, Any], joint: int | None) -> float | None:
-    """Delay in ms; None where estimate or sensor does not exceed the limit, or where earlier results lack it."""
+    """Delay in ms; None where estimate or sensor does not exceed the limit."""
     delay_s = verdict["delay_against_sensor_s"]
     if joint is not None:
-        delay_s = verdict.get("joint_delays_against_sensor_s", paper.JOINTS * [None])[joint]
+        delay_s = verdict["joint_delays_against_sensor_s"][joint]
     return None if delay_s is None else 1e3 * delay_s
 
 

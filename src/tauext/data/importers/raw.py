@@ -40,6 +40,28 @@ def readable(
         raise RecordingError(f"{path}: cannot be read as {kind} ({cause}); {advice}") from error
 
 
+@dataclass
+class Lost:
+    """Rows or messages that an import leaves out, by reason: their number and the place of the first."""
+
+    reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def add(self, reason: str, count: int, first: str) -> None:
+        """Count rows of this reason; `first` is the place of the first of them, such as "line 701"."""
+        if count:
+            before, at = self.reasons.get(reason, (0, first))
+            self.reasons[reason] = before + count, at
+
+    @property
+    def count(self) -> int:
+        """Number of all rows left out."""
+        return sum(count for count, _ in self.reasons.values())
+
+    def sentences(self) -> list[str]:
+        """A sentence a reason: number, reason, place of the first."""
+        return [f"{n} row{'s' * (n > 1)} left out: {why}, first {at}" for why, (n, at) in self.reasons.items()]
+
+
 @dataclass(frozen=True)
 class RawSignals:
     """A block of samples with common stamps, with units, signs, order and gaps as in the file."""
@@ -51,7 +73,11 @@ class RawSignals:
     t_ns: np.ndarray | None
     """(samples,) int64, in the order of the file, [ns]; None: no stamps, though a column may contain times."""
     columns: np.ndarray
-    """(samples, names) float64."""
+    """(samples, names) float64; NaN where a value is missing or no number."""
+    other_ns: np.ndarray | None = None
+    """(samples,) int64, stamps of a second clock of the same rows, [ns]; None: there is none."""
+    rows: np.ndarray | None = None
+    """(samples,) int64, number of each row or message in its stream, from 0; None: they follow the block before."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +93,19 @@ class RawRecording:
     """Notes on how the file was opened."""
     counts: Counter[str] = field(default_factory=Counter)
     """Irregularities found while reading, with their number; complete after the last block."""
+    lost: Lost = field(default_factory=Lost)
+    """Rows that the reader leaves out; complete after the last block."""
+    clocks: tuple[str, str] = ("", "")
+    """Names of the clocks of t_ns and other_ns, as [time] column may choose them: ("header", "log")."""
+    stated_hz: dict[str, float] = field(default_factory=dict)
+    """Rates that the file states beside its stamps, [Hz], by the name of the entry."""
+    row_word: tuple[str, int] = ("row", 1)
+    """What a row is called, and the number of the first: ("line", 2) of a CSV file with a header."""
+
+    def place(self, row: int) -> str:
+        """Place of a row, counted from 0, as a person finds it in the file."""
+        word, first = self.row_word
+        return f"{word} {row + first}"
 
     def streams(self) -> dict[str, tuple[str, ...]]:
         """Column names of every stream, found by reading each stream's first block.
@@ -82,4 +121,5 @@ class RawRecording:
             if quiet > 2 * len(found):
                 break
         self.counts.clear()
+        self.lost.reasons.clear()
         return {stream: tuple(names) for stream, names in found.items()}

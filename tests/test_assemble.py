@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from made_recordings import JOINTS, joint_rows, motion, write_bag
 
-from tauext.data import assemble as assembling
-from tauext.data import description
+from tauext.data import description, raw_rows
 from tauext.data.assemble import assemble, derived_velocity, interpolated
 from tauext.data.description import parse_arm
 from tauext.data.description_template import Guess, guess, template
@@ -187,7 +186,8 @@ def test_missing_values_are_dropped_and_counted():
     tau[7, 1] = np.nan
     recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())
     assert recording.samples == 399
-    assert recording.provenance["counts"]["samples dropped: a value is missing or not finite"] == 1
+    assert recording.provenance["dropped"] == ["1 row left out: 'tau[1]' is missing or no finite number, first row 8"]
+    assert recording.provenance["dropped_share"] == 1 / 400
 
 
 def test_sorting_agrees_with_a_slow_twin():
@@ -203,8 +203,8 @@ def test_sorting_agrees_with_a_slow_twin():
 
 
 def test_a_long_source_becomes_pieces_that_join_without_a_seam(monkeypatch):
-    monkeypatch.setattr(assembling, "PIECE_S", 1.0)
-    monkeypatch.setattr(assembling, "LATE_S", 0.05)
+    monkeypatch.setattr(raw_rows, "PIECE_S", 1.0)
+    monkeypatch.setattr(raw_rows, "LATE_S", 0.05)
     t_ns, q, dq, tau = motion(1000, joints=2)
     order = np.arange(1000)
     order[98:102] = order[98:102][::-1]  # packets out of order across the seam

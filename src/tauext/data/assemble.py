@@ -6,27 +6,20 @@ import difflib
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from tauext.data.description import NORMALISED, SIGNALS, TIME_UNITS, Arm, SignalTable
-from tauext.data.importers.raw import RawRecording, RawSignals, short_list
-from tauext.data.recording import BRIDGE_STEPS, Recording, fitted_period_ns, fresh, lost_samples, ordered
+from tauext.data.clock import Table, expect_clock
+from tauext.data.description import NORMALISED, SIGNALS, Arm, SignalTable
+from tauext.data.importers.raw import RawRecording, short_list
+from tauext.data.raw_rows import Columns, RowReader
+from tauext.data.recording import BRIDGE_STEPS, REPEATED, Recording, fitted_period_ns, fresh, lost_samples, ordered
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
 from tauext.errors import ConfigError, RecordingError
 
 # --- Columns of a raw recording that each signal uses, joint by joint.
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Names of the columns to read from every stream, and the indices of each signal's columns."""
-
-    streams: dict[str, tuple[str, ...]]
-    signals: dict[str, tuple[str, list[int]]]
-    """Stream and column indices in that stream's list, by signal, `contact` or `time`."""
 
 
 def find_columns(arm: Arm, raw: RawRecording) -> Columns:
@@ -48,7 +41,7 @@ def find_columns(arm: Arm, raw: RawRecording) -> Columns:
     if arm.contact.column:
         stream = _stream(arm, raw, there, arm.contact.topic, "contact")
         found["contact"] = (stream, _exact(arm, raw, "contact", (arm.contact.column,), there[stream]))
-    if arm.time.column:
+    if arm.time.column and arm.time.column not in raw.clocks:
         for stream in dict.fromkeys(stream for stream, _ in found.values()):
             found["time"] = (stream, _exact(arm, raw, "time", (arm.time.column,), there[stream]))
     for stream, names in found.values():
@@ -183,10 +176,6 @@ def constant_unknown(arm: Arm) -> bool:
 # --- Signals of several clocks, merged onto the stamps of one.
 
 
-Table = tuple[np.ndarray, np.ndarray]
-"""Stamps (samples,), [ns], increasing, and values (samples, columns)."""
-
-
 def base_stream(tables: Mapping[str, Table], torque: str, essential: Sequence[str]) -> str:
     """The stream to whose stamps all others are interpolated: the torque's, or a slower essential one.
 
@@ -261,14 +250,8 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
 # --- Raw signals and a robot description to recordings; provenance lists every change of the numbers.
 
 
-PIECE_S = 600.0
-"""A longer raw recording becomes several recordings of about this length, [s] ..."""
-PIECE_ROWS = 150_000
-"""... or about so many samples, whichever is less: memory stays bounded."""
 WORTH_REPORTING = 1e-3
 """Share of lost samples from which the loss is reported."""
-LATE_S = 1.0
-"""Largest delay of a packet after its stamp at which it is still sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
 TORQUE_WORDS = {
     "phase-current": "current of the windings",
@@ -279,109 +262,46 @@ TORQUE_WORDS = {
 
 
 def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
-    """Convert a raw recording to recordings in order of time; a long one gives several (PIECE_S, PIECE_ROWS).
+    """Convert a raw recording to recordings in order of time.
 
-    Each is sorted, merged onto one clock and converted to rad, rad/s and N m at the joint. Its provenance lists the
-    changes (`done`: sentences; `counts`: numbers).
+    A clock that begins again begins another recording, and a long recording gives several (PIECE_S, PIECE_ROWS). Each
+    is sorted, merged onto one clock and converted to rad, rad/s and N m at the joint. Its provenance lists the changes
+    (`done`: sentences; `counts`: numbers), and `start_s`, the time from the first sample of the file; runs whose clock
+    begins again follow each other without a pause.
 
     Args:
         rate_hz: nominal rate; 0: the description's, else that of the fitted sample period.
 
     Raises:
         ConfigError: a column that the description names is missing.
-        RecordingError: the file is damaged, or its content makes no valid recording.
+        RecordingError: the file is damaged, its clocks cannot be used, too many rows are left out, or its content makes
+            no valid recording.
     """
     columns = find_columns(arm, raw)
+    reader = RowReader(raw, arm, columns)
     rate_hz = rate_hz or arm.time.rate_hz
     start_ns: int | None = None
-    number = 0
-    for tables, last in _pieces(raw, arm, columns):
-        counts, raw_counts = Counter(raw.counts), raw.counts
-        raw_counts.clear()
-        name = raw.name if last and not number else f"{raw.name}-{number:02d}"
-        try:
-            recording = _piece(raw, arm, columns, tables, counts, start_ns, rate_hz)
-            recording = replace(recording, name=name, robot_sha256=robot_sha256)
-        except RecordingError as error:
-            raise RecordingError(f"{raw.path}: {error}") from error
-        yield recording
-        start_ns = int(recording.t_ns[0]) if start_ns is None else start_ns
-        rate_hz = recording.rate_hz
-        number += 1
+    number, run, end_ns = 0, 0, 0
+    try:
+        for piece in reader.pieces():
+            counts = Counter(raw.counts)
+            raw.counts.clear()
+            if start_ns is not None and piece.run > run and piece.begin_ns <= end_ns:
+                start_ns += piece.begin_ns - end_ns - round(1e9 / rate_hz)
+            run = piece.run
+            recording = _piece(raw, arm, columns, piece.tables, counts, start_ns, rate_hz, reader.remedy)
+            if start_ns is None:
+                start_ns = int(recording.t_ns[0])
+                reader.expect_rates(recording.t_ns)
+            name = raw.name if piece.last and not number else f"{raw.name}-{number:02d}"
+            yield reader.told(replace(recording, name=name, robot_sha256=robot_sha256), counts)
+            end_ns, rate_hz = int(recording.t_ns[-1]), recording.rate_hz
+            number += 1
+        reader.expect_enough()
+    except RecordingError as error:
+        raise RecordingError(f"{raw.path}: {str(error).removeprefix(f'{raw.path}: ')}") from error
     if not number:
         raise RecordingError(f"{raw.path}: it has no samples")
-
-
-def _pieces(raw: RawRecording, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
-    """Yield pieces: stamps and needed columns of every stream up to a common time, and whether it is the last."""
-    waiting: dict[str, list[Table]] = {stream: [] for stream in columns.streams}
-    newest: dict[str, int] = {}
-    begin: int | None = None
-    rows_read = 0
-    for block in raw.blocks():
-        table = _needed(raw, arm, columns, block, rows_read)
-        rows_read += len(block.columns)
-        if table is None or not len(table[0]):
-            continue
-        if begin is None:
-            begin = int(table[0].min())
-        waiting[block.stream].append(table)
-        newest[block.stream] = max(newest.get(block.stream, begin), int(table[0].max()))
-        if len(newest) < len(waiting):
-            continue
-        passed = min(newest.values()) - begin - int(LATE_S * 1e9)
-        rows = sum(len(t_ns) for tables in waiting.values() for t_ns, _ in tables)
-        if passed > 1.5e9 * PIECE_S or (rows > 1.5 * PIECE_ROWS and passed > 0):
-            begin += passed * 2 // 3
-            yield {stream: _taken(waiting[stream], begin) for stream in waiting}, False
-    if any(waiting.values()):
-        missing = [stream for stream, tables in waiting.items() if not tables]
-        if missing:
-            raise RecordingError(f"{raw.path}: no samples of {', '.join(missing)}")
-        yield {stream: _joined(tables) for stream, tables in waiting.items()}, True
-
-
-def _needed(raw: RawRecording, arm: Arm, columns: Columns, block: RawSignals, rows_read: int) -> Table | None:
-    """The block's stamps and needed columns; None: it contains other joints only."""
-    if block.stream not in columns.streams:
-        return None
-    names = columns.streams[block.stream]
-    place = {name: k for k, name in enumerate(block.names)}
-    if not any(name in place for name in names):
-        raw.counts[f"messages on {block.stream} of other joints left out"] += len(block.columns)
-        return None
-    missing = [name for name in names if name not in place]
-    if missing:
-        raise RecordingError(f"{raw.path}: some messages on {block.stream} lack {', '.join(missing)}")
-    values = block.columns[:, [place[name] for name in names]]
-    t_ns = block.t_ns
-    if "time" in columns.signals:
-        times = values[:, columns.signals["time"][1][0]]
-        known = np.isfinite(times)
-        if not known.all():
-            raw.counts["samples dropped: no time"] += int((~known).sum())
-            times, values = times[known], values[known]
-        t_ns = np.round(times * TIME_UNITS[arm.time.unit]).astype(np.int64)
-    if t_ns is None:
-        if not arm.time.rate_hz:
-            raise RecordingError(
-                f"{raw.path}: it has no clock: name its column of times in arm.toml ([time] column), or the rate of "
-                "its rows ([time] rate_hz)"
-            )
-        t_ns = np.round((rows_read + np.arange(len(values))) * (1e9 / arm.time.rate_hz)).astype(np.int64)
-    return t_ns, values
-
-
-def _joined(tables: list[Table]) -> Table:
-    return np.concatenate([t for t, _ in tables]), np.concatenate([v for _, v in tables])
-
-
-def _taken(tables: list[Table], end: int) -> Table:
-    """Remove and return the rows before `end`."""
-    t_ns, values = _joined(tables)
-    early = t_ns < end
-    tables[:] = [(t_ns[~early], values[~early])]
-    return t_ns[early], values[early]
 
 
 def _piece(
@@ -392,10 +312,15 @@ def _piece(
     counts: Counter[str],
     start_ns: int | None,
     rate_hz: float,
+    remedy: str,
 ) -> Recording:
-    """Make one recording; rate 0 means that of the fitted period."""
+    """Make one recording; rate 0 means that of the fitted period.
+
+    Args:
+        remedy: what to do where stamps are no clock.
+    """
     facts: dict[str, Any] = {}
-    tables = {stream: _cleaned(stream, table, arm, columns, counts) for stream, table in tables.items()}
+    tables = {stream: _cleaned(stream, table, arm, columns, counts, remedy) for stream, table in tables.items()}
     t_ns, taken = _merged(tables, columns, counts, facts)
     if not len(t_ns):
         raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
@@ -466,16 +391,11 @@ def _make_torque(
         facts["made"] = f"torque made of the {TORQUE_WORDS[arm.servo.torque_from]}"
 
 
-def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str]) -> Table:
-    """Sort the rows, drop those with missing joint signals, and keep or drop repeated measurements."""
+def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str], remedy: str) -> Table:
+    """Sort the rows, refuse stamps that are no clock, and keep or drop repeated measurements."""
+    before = counts[REPEATED]
     t_ns, values = ordered(*table, counts)
-    of_joints = [
-        k for key, (at, places) in columns.signals.items() if at == stream and key in arm.signals for k in places
-    ]
-    finite = np.isfinite(values[:, of_joints]).all(axis=1)
-    if not finite.all():
-        counts["samples dropped: a value is missing or not finite"] += int((~finite).sum())
-        t_ns, values = t_ns[finite], values[finite]
+    expect_clock(table[0], counts[REPEATED] - before, remedy)
     measured = [
         k for key in MEASURED for k in columns.signals.get(key, ("", []))[1] if columns.signals[key][0] == stream
     ]

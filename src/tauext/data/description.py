@@ -137,10 +137,12 @@ class TimeTable:
     """Times of the samples."""
 
     column: str = key(WORD, "")
-    """Column of the sample times. "" for bags and LeRobot folders, which have stamps, or where rate_hz is enough."""
+    """Column of the sample times. "" for bags and LeRobot folders, which have stamps, or where rate_hz is enough. Bags
+    have two clocks, "header" and "log", LeRobot folders "fps" and "timestamp": these names choose one."""
     unit: str = key(one_of(tuple(TIME_UNITS)), "s")
     rate_hz: float = key(number(0, 1e6), 0.0)
-    """Nominal rate of the recordings. 0: as measured (the median step of the first recording)."""
+    """Nominal rate of the recordings; stamps must agree with it within 2 %. 0: as measured (the median step of the
+    first recording)."""
     repeats: Repeats = key(one_of(get_args(Repeats)), "keep")
     """Treatment of rows that repeat all measured values of the row before, for at most 0.1 s. keep: the clock stays
     regular, and a monitor with the same reader gets such rows too. drop: for a reader several times faster than the

@@ -25,6 +25,11 @@ BRIDGE_STEPS = 2.5
 """Longest step for interpolation and differentiation, in sample periods."""
 
 
+SORTED = "samples out of order, sorted by their stamps"
+REPEATED = "samples dropped: stamp repeats the sample before, values differ"
+"""Changes by ordered(), as they are counted."""
+
+
 def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple[np.ndarray, np.ndarray]:
     """Sort rows by time and keep the first of each stamp; changes are counted.
 
@@ -34,7 +39,7 @@ def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple
     """
     late = t_ns < np.maximum.accumulate(t_ns)
     if late.any():
-        counts["samples out of order, sorted by their stamps"] += int(late.sum())
+        counts[SORTED] += int(late.sum())
         order = np.argsort(t_ns, kind="stable")
         t_ns, values = t_ns[order], values[order]
     again = np.r_[False, t_ns[1:] == t_ns[:-1]]
@@ -42,7 +47,7 @@ def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple
         rows = np.flatnonzero(again)
         same = _same_as_before(values)[rows]
         counts["samples dropped: stamp and values repeat the sample before"] += int(same.sum())
-        counts["samples dropped: stamp repeats the sample before, values differ"] += int((~same).sum())
+        counts[REPEATED] += int((~same).sum())
         t_ns, values = t_ns[~again], values[~again]
     return t_ns, values
 

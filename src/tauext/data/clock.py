@@ -1,0 +1,197 @@
+"""Clocks of raw recordings: where a new run begins, and what is wrong with stamps that cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tauext.data.recording import fitted_period_ns
+from tauext.errors import RecordingError
+
+Table = tuple[np.ndarray, np.ndarray]
+"""Stamps (samples,), [ns], and values (samples, columns)."""
+
+# --- Runs: a clock that goes back, or far ahead, begins a new recording.
+
+
+STEPS_BACK = 3.0
+"""A stamp further behind the newest is late, or begins a new run, [sample periods]; UDP exchanges neighbours."""
+LATE_S = 1.0
+"""Largest delay of a packet after its stamp at which it is still sorted in, [s]."""
+PAUSE_S = 600.0
+"""A longer step ahead begins a new run, [s]: a clock that was set, or a log that was continued."""
+SHORT_RUN = 10
+"""A run of fewer rows beside others is left out: no signal can be judged on it."""
+NO_STAMP = np.iinfo(np.int64).min // 2
+
+
+class Runs:
+    """Splits the rows of one stream, block by block, where its clock begins again.
+
+    A row behind the newest stamp begins a new run if the next row stays behind too and the time that it names was
+    already recorded: a clock that starts again or is set back repeats times, late packets fill a hole. A single row far
+    from its neighbours' stamps is left out.
+
+    Args:
+        left_out: called with the index of a row that is left out, counted from the stream's first.
+    """
+
+    def __init__(self, left_out: Callable[[int], object]):
+        self.number = 0
+        """Number of the present run, from 0."""
+        self._left_out = left_out
+        self._held: Table | None = None
+        self._before = 0
+        self._first = self._newest = NO_STAMP
+        self._period = 0.0
+        self._recent = np.zeros(0, np.int64)
+
+    def split(self, table: Table | None) -> Iterator[tuple[int, Table]]:
+        """Yield the rows with the number of their run; the last row waits for the next block, or for None."""
+        held = [one for one in (self._held, table) if one is not None]
+        if not held:
+            return
+        t_ns, values = (np.concatenate([one[k] for one in held]) for k in (0, 1))
+        end = len(t_ns) - (table is not None)
+        self._held = (t_ns[end:], values[end:]) if table is not None else None
+        if not self._period and len(t_ns) > 2:
+            steps = np.diff(t_ns)
+            self._period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        keep, begin = np.ones(len(t_ns), bool), 0
+        while begin < end:
+            stop = self._run_end(t_ns, begin, end, keep)
+            chosen = np.flatnonzero(keep[begin:stop]) + begin
+            if len(chosen):
+                yield self.number, (t_ns[chosen], values[chosen])
+            if stop < end:
+                self.number += 1
+                self._first = self._newest = NO_STAMP
+                self._recent = self._recent[:0]
+            begin = stop
+        self._before += end
+
+    def _run_end(self, t_ns: np.ndarray, begin: int, end: int, keep: np.ndarray) -> int:
+        """Index of the row that begins the next run, or `end`; clears `keep` of rows that are left out."""
+        if self._first == NO_STAMP:
+            self._first = self._newest = int(t_ns[begin])
+        newest = np.maximum.accumulate(np.r_[self._newest, t_ns[begin:end]])
+        back, late_ns, pause_ns = STEPS_BACK * self._period, LATE_S * 1e9, PAUSE_S * 1e9
+        odd = (t_ns[begin:end] < newest[:-1] - back) | (t_ns[begin:end] > newest[:-1] + pause_ns)
+        for k in np.flatnonzero(odd) + begin:
+            front, now = int(newest[k - begin]), int(t_ns[k])
+            following = int(t_ns[k + 1]) if k + 1 < len(t_ns) else now
+            if now > front:
+                if following > front + pause_ns:
+                    return int(k)
+            elif following <= front:
+                seen = np.r_[self._recent, t_ns[begin:k]]
+                repeats = now <= self._first or now < front - late_ns
+                if repeats or np.abs(seen - now).min() < 0.5 * self._period:
+                    return int(k)
+                continue  # a late burst fills a hole
+            elif now > self._first and now >= front - late_ns:
+                continue  # a late packet
+            keep[k] = False
+            self._left_out(self._before + int(k))
+            if now > front:  # what follows is behind a wrong stamp
+                newest = np.r_[newest[: k - begin + 1], np.maximum.accumulate(np.r_[front, t_ns[k + 1 : end]])]
+        kept = t_ns[begin:end][keep[begin:end]]
+        self._newest = max(self._newest, int(kept.max(initial=self._newest)))
+        recent = np.r_[self._recent, kept]
+        self._recent = recent[recent >= self._newest - late_ns]
+        return end
+
+
+# --- Stamps that cannot be used, and rates that contradict each other.
+
+
+SHARED_STAMPS = 0.2
+"""Share of rows with the stamp of the row before, and other values, from which the stamps are no clock."""
+DISAGREE = 0.02
+"""Two rates that differ by a larger share contradict each other."""
+LEAST_DIFFERENCE_NS = 2e8
+"""Two clocks of one recording may differ by so much at its ends, [ns]: messages are logged in bursts."""
+SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
+"""Rates of arms' logs; a clock that counts rows gives another one."""
+
+
+def expect_clock(t_ns: np.ndarray, repeated: int, remedy: str) -> None:
+    """Refuse stamps of which too many are shared by several rows.
+
+    Args:
+        t_ns: (samples,), one a row, [ns].
+        repeated: rows whose stamp repeats that of the row before while the values differ.
+        remedy: what to do instead, a clause.
+
+    Raises:
+        RecordingError: names the resolution of the stamps and the rate of the rows.
+    """
+    if repeated <= SHARED_STAMPS * len(t_ns) or repeated < 2:
+        return
+    different = np.unique(t_ns)
+    if len(different) == 1:
+        raise RecordingError(f"all {len(t_ns)} stamps are equal, so they are no clock; {remedy}")
+    step_s = float(np.median(np.diff(different))) * 1e-9
+    a_stamp, rate_hz = len(t_ns) / len(different), len(t_ns) / ((different[-1] - different[0]) * 1e-9)
+    raise RecordingError(
+        f"{a_stamp:.3g} rows share each stamp on average: the stamps resolve {step_s:.4g} s, and about {rate_hz:.4g} "
+        f"rows come in a second; {remedy}"
+    )
+
+
+def expect_no_counter(t_ns: np.ndarray, unit_ns: float, column: str) -> None:
+    """Refuse a column of times that counts rows: every step is one, at a rate that no log has.
+
+    Raises:
+        RecordingError: names the column and the remedy.
+    """
+    steps = np.diff(t_ns)
+    if len(steps) and (steps == unit_ns).all() and not SLOWEST_HZ <= 1e9 / unit_ns <= FASTEST_HZ:
+        raise RecordingError(
+            f"column '{column}' grows by exactly 1 a row: it counts rows and is no clock; give the rate of the rows "
+            'instead ([time] column = "" and rate_hz), or the column\'s unit ([time] unit)'
+        )
+
+
+def expect_same_rate(name: str, rate_hz: float, t_ns: np.ndarray, remedy: str) -> None:
+    """Refuse a stated rate that differs from that of the stamps.
+
+    Args:
+        name: the entry that states the rate, as the message names it.
+        remedy: what to do, a clause.
+
+    Raises:
+        RecordingError: names both.
+    """
+    if len(t_ns) < 3:
+        return
+    measured_hz = 1e9 / fitted_period_ns(t_ns)
+    if abs(measured_hz / rate_hz - 1) > DISAGREE:
+        raise RecordingError(f"{name} = {rate_hz:.5g} Hz, but the stamps come at {measured_hz:.5g} Hz; {remedy}")
+
+
+@dataclass
+class TwoClocks:
+    """Time that two clocks of the same rows count, compared over a whole recording."""
+
+    names: tuple[str, str]
+    counted_ns: list[float] = field(default_factory=lambda: [0.0, 0.0])
+
+    def add(self, first: np.ndarray, second: np.ndarray) -> None:
+        """Add a block's stamps of both clocks, [ns]; a block in which one goes back is passed over."""
+        spans = [float(t_ns[-1] - t_ns[0]) if len(t_ns) else 0.0 for t_ns in (first, second)]
+        if min(spans) >= 0:
+            self.counted_ns = [total + span for total, span in zip(self.counted_ns, spans, strict=True)]
+
+    def expect_same(self) -> None:
+        """Raise RecordingError where the clocks differ; the message names both and how to choose one."""
+        a, b = self.counted_ns
+        if abs(a - b) > max(DISAGREE * min(a, b), LEAST_DIFFERENCE_NS):
+            one, other = self.names
+            raise RecordingError(
+                f"its two clocks disagree: {one} counts {a * 1e-9:.5g} s, {other} {b * 1e-9:.5g} s for the same rows, "
+                f"so that speeds would differ by a factor of {max(a, b) / max(min(a, b), 1):.3g}; choose one: "
+                f'[time] column = "{one}" or "{other}"'
+            )

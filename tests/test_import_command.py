@@ -331,13 +331,16 @@ def test_a_contact_may_end_a_little_after_its_recording(workplace, capsys):
     assert run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[28, 30.5]]')[0] == 0
 
 
-def test_new_writes_a_description_that_imports_as_it_is(workplace, capsys):
+def test_new_writes_a_description_that_imports_once_its_open_entries_are_filled_in(workplace, capsys):
     new = workplace / "new.toml"
     arguments = ["--source", str(workplace / "one.bag"), "--robot", str(workplace / "arm.urdf")]
     assert main(["import", "--new", str(new), *arguments]) == 0
-    assert 'model = "arm.urdf"' in new.read_text() and 'names = ["tip", "base"]' in new.read_text()
+    text, out = new.read_text(), str(workplace / "out")
+    assert 'model = "arm.urdf"' in text and 'names = ["?", "?"]' in text and "the recording also has tip, base" in text
     assert main(["import", "--new", str(new), *arguments]) == 2  # nothing is overwritten
-    out = str(workplace / "out")
+    assert main(["import", "--source", str(workplace / "three.bag"), "--arm", str(new), "--out", out]) == 2
+    assert "[robot] names has '?'" in capsys.readouterr().err and not (workplace / "out").exists()
+    new.write_text(text.replace('["?", "?"]', '["tip", "base"]'))
     assert main(["import", "--source", str(workplace / "three.bag"), "--arm", str(new), "--out", out]) == 0
     capsys.readouterr()
     assert main(["import", "--source", out]) == 2 and "--arm is missing" in capsys.readouterr().err

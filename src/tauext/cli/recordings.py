@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from tauext.cli.place_argument import JsonArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal
@@ -17,9 +17,6 @@ from tauext.files.atomic_write import atomic_folder
 from tauext.files.copies import local_file, local_folder, local_robot, staged
 from tauext.files.places import is_stored
 from tauext.files.preflight import expect_folder, expect_new_file
-
-if TYPE_CHECKING:
-    from tauext.data.importers.raw import RawRecording
 
 # --- `tauext import`: recordings of a real arm, in any format, to a dataset folder; or a template of its description.
 
@@ -74,8 +71,10 @@ def import_data(
 
 def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
     """Write the commented arm.toml; nothing is overwritten."""
-    from tauext.data.description_template import Guess, guess, template
+    from tauext.data.description import open_entries
+    from tauext.data.description_template import Guess, guess, guess_values, template
     from tauext.data.importers.open_raw import open_raw
+    from tauext.files.toml_file import parse_toml
     from tauext.files.toml_file import write_template as write_text
     from tauext.robot.load import movable_joints
 
@@ -83,27 +82,21 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         raise ConfigError(f"{path}: already exists; choose another name or remove it")
     expect_new_file(path)
     guessed, streams = Guess(), {}
-    if sources:
-        (first, *_) = open_raw(sources[0])
-        streams = first.streams()
-        guessed = guess(streams)
-        guessed.time_unit = unit_of_times(first, guessed.columns.get("time", ""))
     joints, model = [], ""
     if robot is not None:
         joints = movable_joints(robot)
         model = Path(os.path.relpath(robot, path.parent)).as_posix()
-    write_text(path, template(guessed, model, joints, list(streams)))
+    if sources:
+        (first, *_) = open_raw(sources[0])
+        streams = first.streams()
+        guessed = guess(streams, joints)
+        guess_values(guessed, first)
+    text = template(guessed, model, joints, list(streams))
+    write_text(path, text)
     print(path)
-
-
-def unit_of_times(raw: RawRecording, column: str) -> str:
-    """Unit of the column of times, as its first values show it."""
-    from tauext.data.description_template import time_unit
-
-    for block in raw.blocks():
-        if column in block.names:
-            return time_unit(block.columns[:, block.names.index(column)])
-    return ""
+    entries = open_entries(parse_toml(text, path))
+    if entries:
+        Terminal().say(f"{len(entries)} entries must be confirmed or filled in, marked with '?': {'; '.join(entries)}")
 
 
 def print_findings(out: Path) -> None:

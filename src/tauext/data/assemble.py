@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -49,6 +50,36 @@ def find_columns(arm: Arm, raw: RawRecording) -> Columns:
     streams = {stream: tuple(names) for stream, names in wanted.items()}
     places = {name: (stream, [streams[stream].index(n) for n in names]) for name, (stream, names) in found.items()}
     return Columns(streams, places)
+
+
+def logged_joints(arm: Arm, raw: RawRecording) -> tuple[str, ...]:
+    """Joints that a raw recording names in the columns of position and torque; those that it numbers, if more are there
+    than in use, by column; empty where columns are listed one by one.
+
+    Raises:
+        ConfigError: a topic is missing.
+    """
+    there = raw.streams()
+    named: list[dict[str, None]] = []
+    for key in ("q", "tau"):
+        signal = arm.signals[key]
+        if len(signal.columns) != 1:
+            continue
+        (pattern,) = signal.columns
+        names = there[_stream(arm, raw, there, signal.topic, f"signals.{key}")]
+        keys = [key for key in ("joint", "index", "number") if f"{{{key}}}" in pattern]
+        if keys == ["joint"]:
+            before, after = (re.escape(part) for part in pattern.split("{joint}", 1))
+            matches = {name: re.fullmatch(f"{before}(.+){after}", name) for name in names}
+            named.append(dict.fromkeys(match[1] for match in matches.values() if match))
+        elif keys:
+            return ()
+        else:
+            elements = [n.removeprefix(f"{pattern}[")[:-1] for n in names if n.startswith(f"{pattern}[")]
+            if all(element.isdigit() for element in elements):
+                return ()
+            named.append(dict.fromkeys(elements))
+    return tuple(name for name in named[0] if all(name in other for other in named[1:])) if named else ()
 
 
 def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], topic: str, table: str) -> str:

@@ -101,12 +101,15 @@ class RobotTable:
     """Robot file and joints."""
 
     joints: tuple[str, ...] = listed(text(), "the names of the joints in use, at least one", MISSING)
-    """Joints in use, as the robot file names them, from the base on. All others are held at the file's rest
-    position."""
+    """Joints in use, as the robot file names them, from the base on."""
     model: str = key(WORD, "")
     """URDF or MJCF file, relative to this file. "": no model; train then uses the case none."""
     names: tuple[str, ...] = listed(text(), TEXTS, example='["Base", "Shoulder"]')
     """Names of these joints in the recording, where they differ."""
+    locked: tuple[str, ...] = listed(text(), TEXTS, example='["finger_joint1"]')
+    """Movable joints of the robot file that are not in use. Every movable joint is in use or named here."""
+    ignored: tuple[str, ...] = listed(text(), TEXTS, example='["gripper"]')
+    """Joints of the recording that are not used. Every joint of the recording is used or named here."""
     gear_ratio: tuple[float, ...] = key(each(NOT_0), (), "1")
     """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
     rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), (), "0.0001")
@@ -351,11 +354,14 @@ class Arm:
 
     def __post_init__(self) -> None:
         robot, payload = self.robot, self.payload
-        for name in ("joints", "names"):
+        for name in ("joints", "names", "locked", "ignored"):
             listed = getattr(robot, name)
             self._require(len(set(listed)) == len(listed), "robot", name, list(listed), "names that differ")
         self._require(bool(robot.joints), "robot", "joints", [], "the names of the joints in use, at least one")
         self._check_count("robot", "names", robot.names)
+        for name, used in (("locked", robot.joints), ("ignored", self.names)):
+            both = [one for one in getattr(robot, name) if one in used]
+            self._require(not both, "robot", name, both, "joints that are not in use")
         if payload.mass_kg:
             self._require(bool(robot.model), "robot", "model", "''", "a robot file, where there is a payload")
             self._require(bool(payload.link), "payload", "link", "''", "the link that carries the payload")
@@ -494,7 +500,33 @@ def parse_arm(content: str, path: Place | str = "arm.toml") -> Arm:
     return _arm(parse_toml(content, path), path)
 
 
+GUESSED = "?"
+"""First character of an entry that a person must confirm, by removing the character, or fill in."""
+
+
+def open_entries(content: Any, table: str = "", key: str = "") -> list[str]:
+    """The entries that are marked as guesses, each with its table and key."""
+    if isinstance(content, dict):
+        tables = {name: f"{table}.{key}".strip(".") for name in content}
+        return [entry for name, value in content.items() for entry in open_entries(value, tables[name], name)]
+    if isinstance(content, list):
+        return [entry for value in content for entry in open_entries(value, table, key)]
+    guessed = isinstance(content, str) and content.startswith(GUESSED)
+    return [f"[{table}] {key} has '{content}'"] if guessed else []
+
+
+def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
+    """Raise ConfigError where a guess of the template is neither confirmed nor replaced."""
+    entries = open_entries(content)
+    if entries:
+        raise ConfigError(
+            f"{path}: {'; '.join(entries)}: the comment above each gives its evidence; remove the '{GUESSED}' where "
+            "the guess is right, else replace it"
+        )
+
+
 def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) -> Arm:
+    _expect_confirmed(content, path)
     top: dict[str, Key] = {name: tables(f"[{name}]", None) for name in ("robot", *TABLES, "signals")}
     given = {name: table for name, table in read_table(path, "", content, top).items() if table is not None}
     if "robot" not in given:

@@ -10,22 +10,36 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.description import SIGNALS, TABLES, TIME_UNITS, SignalTable
+from tauext.data.clock import SHARED_STAMPS
+from tauext.data.description import GUESSED, SIGNALS, TABLES, TIME_UNITS, SignalTable
+from tauext.data.importers.raw import RawRecording, RawSignals
+from tauext.data.joint_names import GRIPPER, match_joints
 from tauext.files.toml_file import Key, comment_lines, field_help
 
+_BEFORE = r"((actual|act|measured|meas|joints?|state|present|robot|motor|arm)_)*"
+_AFTER = r"(_(actual|act|measured|meas|joints?|state|rad|deg|rads|rad_s|deg_s|nm))*"
+_GOAL = r"(des|desired|cmd|commanded|command|ref|reference|target|goal|set)"
+
+
+def _usual(core: str) -> str:
+    return f"{_BEFORE}({core}){_AFTER}"
+
+
 GUESSES = {
-    "q": r"(q|pos|position|positions|joint_pos(ition)?s?|act_pos\w*|actual_q|theta|angles?|observation\.state)",
-    "dq": r"(dq|qd|vel|velocity|velocities|joint_vel(ocitie)?s?|act_vel\w*|actual_qd|observation\.velocity)",
-    "tau": r"(tau(_?[jm])?|effort|efforts|torque|torques|joint_torques?|act_torque\w*|current|currents|i|actual_current"
-    r"|observation\.effort)",
+    "q": _usual(r"q|qpos|q_pos|pos|positions?|act_pos\w*|theta|angles?") + r"|observation\.state",
+    "dq": _usual(r"dq|qd|v|qvel|q_vel|qdot|q_dot|vel|velocity|velocities|speeds?|act_vel\w*")
+    + r"|observation\.velocity",
+    "tau": _usual(r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|trq|act_torque\w*|currents?|i")
+    + r"|observation\.effort",
     "tau_ext": r"(tau_ext\w*|external_torques?)",
-    "q_des": r"(q_d(es)?|q_cmd|q_ref|target_q|ref_pos\w*|goal|goal_pos\w*|action)",
-    "temperature": r"(temp|temps|temperature|temperatures|joint_temperatures?)",
+    "q_des": rf"q_d|{_BEFORE}(q|pos|positions?)_{_GOAL}|{_GOAL}_(q|pos|positions?)\w*|ref_pos\w*|goal(_pos\w*)?|action",
+    "temperature": _usual(r"temps?|temperatures?"),
     "duty": r"(duty|pwm|load|present_(load|pwm))",
     "voltage": r"(voltage|voltages|present_voltage)",
-    "time": r"(_*(t|time|times|timestamp|stamp)(_s|_ms|_us|_ns)?|time_cont)",
+    "time": r"(_*(t|time|times|timestamps?|stamp)(_(s|sec|ms|us|ns))?|time_cont)",
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
+"""Usual names of each signal, without joint and counter."""
 
 
 @dataclass
@@ -38,15 +52,21 @@ class Guess:
     """Joint names in the recording; empty where it numbers them."""
     count: int = 0
     """Number of joints, from the columns of q."""
-    time_unit: str = ""
-    """Unit of the column of times, where its values determine it."""
+    values: dict[str, Any] = field(default_factory=dict)
+    """Values of other keys that the recording's numbers show, by "table.key"."""
+    why: dict[str, str] = field(default_factory=dict)
+    """Evidence of guesses, a sentence by "table.key"."""
 
 
-def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
-    """Guess the signals of a source from its column names."""
+def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Guess:
+    """Guess the signals of a source from its column names.
+
+    Args:
+        robot: joints of the robot file, whose names columns may contain.
+    """
     found = Guess()
     for stream, names in streams.items():
-        groups, joints = _groups(names), _named_joints(names)
+        groups, joints = _groups(names), _named_joints(names, robot)
         for pattern in sorted({name.replace(joints[0], "{joint}") for name in names if joints and joints[0] in name}):
             spelled = [pattern.replace("{joint}", joint) for joint in joints]
             if all(name in names for name in spelled):
@@ -54,6 +74,8 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
                 groups[pattern] = len(joints)
         for signal, pattern in GUESSES.items():
             fits = [g for g in groups if re.fullmatch(pattern, _bare(g), re.IGNORECASE)]
+            if signal == "q" and not fits and JOINT in groups:
+                fits = [JOINT]  # columns named by the joint alone
             single = signal in ("time", "label")
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
@@ -72,6 +94,50 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
     return found
 
 
+WIDE_RAD = 7.0
+"""Positions beyond this on two joints are degrees: cables allow an arm's joint about a turn each way."""
+
+
+def guess_values(guessed: Guess, raw: RawRecording) -> None:
+    """Add what the first block of numbers shows: unit and use of the stamps, and degrees."""
+    for block in raw.blocks():
+        if block.stream == guessed.topic or not guessed.topic:
+            _guess_clock(guessed, block, raw.stated_hz)
+            _guess_degrees(guessed, block)
+            return
+
+
+def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, float]) -> None:
+    column = guessed.columns.get("time", "")
+    if not column or column not in block.names:
+        if block.t_ns is None:
+            guessed.values["time.rate_hz"] = GUESSED + "".join(f"{hz:g}" for hz in list(stated_hz.values())[:1])
+            stated = "".join(f"; the file states {name} = {hz:g} Hz" for name, hz in stated_hz.items())
+            guessed.why["time.rate_hz"] = f"no column of times was found: name it in column, or give the rate{stated}"
+        return
+    times = block.columns[:, block.names.index(column)]
+    times = times[np.isfinite(times)]
+    steps = np.diff(times)
+    ahead = steps[steps > 0]
+    why = ""
+    if len(steps) and not len(ahead):
+        why = f"'{column}' is constant"
+    elif (steps == 0).mean() > SHARED_STAMPS if len(steps) else False:
+        why = f"{len(steps) / len(ahead):.3g} rows share each stamp of '{column}'"
+    unit = time_unit(times)
+    if not why and len(ahead) and (ahead == 1).all() and not unit:
+        why = f"'{column}' grows by exactly 1 a row: it counts rows"
+    if why:
+        guessed.columns["time"] = ""
+        guessed.values["time.rate_hz"], guessed.why["time.rate_hz"] = GUESSED, f"{why}, so the rate must be given"
+    elif unit:
+        guessed.values["time.unit"] = unit
+        guessed.why["time.unit"] = f"the steps of '{column}' are {np.median(ahead):.4g}"
+    elif len(ahead):
+        guessed.values["time.unit"] = f"{GUESSED}s"
+        guessed.why["time.unit"] = f"the steps of '{column}' are {np.median(ahead):.4g}, of no usual rate in any unit"
+
+
 def time_unit(times: np.ndarray) -> str:
     """Unit of a column of times from its steps: only one unit gives 10 Hz to 10 kHz; empty: none.
 
@@ -84,6 +150,20 @@ def time_unit(times: np.ndarray) -> str:
         return ""
     step = float(np.median(steps))
     return next((unit for unit, ns in TIME_UNITS.items() if 1e5 < step * ns <= 1e8), "")
+
+
+def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
+    pattern = guessed.columns.get("q", "")
+    if not pattern or "deg" in pattern:
+        return
+    spelled = re.sub(r"\\\{\w+\\\}", ".+", re.escape(pattern))
+    places = [k for k, name in enumerate(block.names) if re.fullmatch(rf"{spelled}(\[.*\])?", name)]
+    if not places:
+        return
+    largest = np.nanmax(np.abs(np.nan_to_num(block.columns[:, places])), axis=0)
+    if (largest > WIDE_RAD).sum() >= min(2, len(places)):
+        guessed.values["signals.q.unit"] = f"{GUESSED}deg"
+        guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}; the velocity may be in deg/s too"
 
 
 WIDTH = 120
@@ -109,19 +189,13 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         joints: its joints.
         topics: topics of the source, to choose from.
     """
-    in_file, columns = guessed.joint_names, guessed.columns
-    count = len(in_file) or guessed.count
-    numbered = tuple(f"joint{k + 1}" for k in range(count or 2))
-    in_both = tuple(joint for joint in joints if joint in in_file)
-    used = in_both or (tuple(joints[:count]) if count else tuple(joints)) or in_file or numbered
-    in_file = in_both or in_file
+    columns, why = guessed.columns, dict(guessed.why)
+    robot, evidence = _joint_entries(guessed, joints)
+    why |= {f"robot.{key}": words for key, words in evidence.items()}
     made_of = next((source for signal, source in MADE_OF.items() if signal in columns), "")
     found: dict[str, dict[str, Any]] = {
-        "robot": {"model": model, "joints": used} | ({"names": in_file} if in_file and in_file != used else {}),
-        "time": {
-            "column": columns.get("time", ""),
-            "unit": guessed.time_unit or ("ns" if columns.get("time", "").endswith("_ns") else "s"),
-        },
+        "robot": {"model": model} | robot,
+        "time": {"column": columns.get("time", ""), "unit": "ns" if columns.get("time", "").endswith("_ns") else "s"},
         "contact": {"column": columns.get("label", "")},
     }
     signals = {name: _signal(name, columns.get(name, NEEDED.get(name, name))) for name in SIGNALS}
@@ -131,15 +205,77 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         in_force = (in_force | {"servo"}) - {"tau"}
     if len(topics) > 1 and guessed.topic:
         signals |= {name: signals[name] | {"topic": guessed.topic} for name in NEEDED}
+    for entry, value in guessed.values.items():
+        table, _, key = entry.rpartition(".")
+        (signals[table.removeprefix("signals.")] if table.startswith("signals.") else found[table])[key] = value
     text = HEADER
     for name, kind in TABLES.items():
-        text += _table(name, kind, kind.__doc__ or "", found.get(name, {}), name in in_force)
+        text += _table(name, kind, kind.__doc__ or "", found.get(name, {}), name in in_force, why)
         if name == "time":  # the signals follow
             text += _shared_keys(topics if guessed.topic else ())
             for signal, (_, keys, words) in SIGNALS.items():
                 shown = keys if signal in NEEDED else ("columns", "unit")
-                text += _table(f"signals.{signal}", SignalTable, words, signals[signal], signal in in_force, shown)
+                text += _table(f"signals.{signal}", SignalTable, words, signals[signal], signal in in_force, why, shown)
     return text.rstrip() + "\n"
+
+
+def _joint_entries(guessed: Guess, joints: Sequence[str]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Entries of [robot] for the joints, and the evidence of each; what is not sure begins with "?".
+
+    Args:
+        joints: movable joints of the robot file, empty without one.
+    """
+    logged, count = guessed.joint_names, len(guessed.joint_names) or guessed.count
+    if not joints:
+        return {"joints": logged or tuple(f"joint{k + 1}" for k in range(count or 2))}, {}
+    arms = [name for name in joints if not GRIPPER.search(name)]
+    if not logged:
+        return _numbered_entries(joints, arms, count)
+    matched = match_joints(joints, logged)
+    open_names = [name for name in matched.logged_left if not GRIPPER.search(name)]
+    used = [
+        name
+        for name in joints
+        if name in matched.pairs
+        or name in matched.proposed
+        or (open_names and name in matched.robot_left and name in arms)
+    ]
+    if not used:
+        used = arms
+    names = [matched.pairs.get(name) or GUESSED + matched.proposed.get(name, "") for name in used]
+    entries: dict[str, Any] = {"joints": used}
+    why = {}
+    if names != used:
+        entries["names"] = names
+        why["names"] = f"matched by {matched.rule}" if matched.rule else "names that are equal match"
+        if matched.proposed:
+            pairs = ", ".join(f"'{there}' of the recording with '{here}'" for here, there in matched.proposed.items())
+            why["names"] += f"; proposed: {pairs}"
+        if open_names:
+            why["names"] += f"; the recording also has {', '.join(open_names)}: fill them in, or list them in ignored"
+    left = [name for name in joints if name not in used]
+    if left:
+        entries["locked"] = [name if GRIPPER.search(name) else GUESSED + name for name in left]
+        why["locked"] = "the recording has no signal of them"
+    ignored = [name for name in matched.logged_left if not (open_names and any(GUESSED == n for n in names))]
+    if ignored:
+        entries["ignored"] = ignored
+        why["ignored"] = "the robot file has no such joint"
+    return entries, why
+
+
+def _numbered_entries(joints: Sequence[str], arms: Sequence[str], count: int) -> tuple[dict[str, Any], dict[str, str]]:
+    """Entries of [robot] for a recording that numbers its joints: their order is all that it gives."""
+    order = "the recording numbers its joints, so they are taken in the robot file's order"
+    used = list(joints if count in (0, len(joints)) else arms)
+    entries: dict[str, Any] = {"joints": used}
+    if count in (0, len(used)):
+        left = [name for name in joints if name not in used]
+        return entries | ({"locked": left} if left else {}), {"joints": order} if count else {}
+    entries["joints"] = [GUESSED + name for name in used[:count]]
+    if len(used) > count:
+        entries["locked"] = [GUESSED + name for name in joints if name not in used[:count]]
+    return entries, {"joints": f"{order}; but it has {count}, the robot file {len(used)} joints: choose them"}
 
 
 def _signal(name: str, columns: str) -> dict[str, Any]:
@@ -161,11 +297,18 @@ def _shared_keys(topics: Sequence[str]) -> str:
 
 
 def _table(
-    table: str, kind: type, about: str, found: Mapping[str, Any], in_force: bool, shown: Collection[str] = ()
+    table: str,
+    kind: type,
+    about: str,
+    found: Mapping[str, Any],
+    in_force: bool,
+    why: Mapping[str, str],
+    shown: Collection[str] = (),
 ) -> str:
     """Lines of a table, with the keys found set; commented out where the table is not in force.
 
     Args:
+        why: evidence of guesses by "table.key", printed above the key.
         shown: keys; empty: all.
     """
     helps, signal = field_help(kind), table.removeprefix("signals.")
@@ -178,18 +321,44 @@ def _table(
         words = "" if kind is SignalTable and one.name in SHARED else helps.get(one.name, "")
         words += f"{' ' * bool(words)}One of {choices}." if choices else ""
         value = json.dumps(found[one.name]) if one.name in found else one.metadata["example"] or json.dumps(one.default)
+        if in_force and (evidence := why.get(f"{table}.{one.name}")):
+            lines += comment_lines(f"Evidence: {evidence}.")
         line = f"{'' if in_force and one.name in found else '# '}{one.name} = {value}"
         beside = f"{line}  # {words}".removesuffix(".") if words else line
         lines += [beside] if len(beside) <= WIDTH else [*comment_lines(words), line]
     return "\n".join(lines) + "\n\n"
 
 
-def _named_joints(names: Sequence[str]) -> tuple[str, ...]:
-    """Joint names in q_JOINT, pos_JOINT, position_JOINT or .../JOINT/position, in order; at least two such columns."""
-    for pattern in (r"q_(.+)", r"pos_(.+)", r"position_(.+)", r".*?([^/]+)/position"):
-        joints = tuple(match[1] for name in names if (match := re.fullmatch(pattern, name)))
+JOINT = "{joint}"
+_Q = "(q|pos|position|positions|angle)"
+NAMED = (rf"{_Q}[_.](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{_Q}", rf"(?P<joint>.+?)[_. ]{_Q}")
+"""Columns of positions that contain the joint's name."""
+CARTESIAN = re.compile(r"[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw", re.IGNORECASE)
+
+
+def _named_joints(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]:
+    """Joint names in q_JOINT, JOINT_pos, .../JOINT/position and the like, in order; at least two such columns.
+
+    Columns that contain a name of the robot file, alone or beside other words, give the joints first.
+    """
+    for joint in robot:
+        for column in names:
+            if re.search(rf"(?<![A-Za-z0-9]){re.escape(joint)}(?![A-Za-z0-9])", column) is None or "[" in column:
+                continue
+            before, _, after = column.partition(joint)
+            of = re.compile(f"{re.escape(before)}(.+){re.escape(after)}")
+            joints = tuple(match[1] for name in names if (match := of.fullmatch(name)))
+            if not before and not after:
+                joints = tuple(name for name in names if name in robot)
+            elif not re.fullmatch(GUESSES["q"], _bare(f"{before}{JOINT}{after}"), re.IGNORECASE):
+                continue
+            if len(joints) > 1:
+                return joints
+    for pattern in NAMED:
+        joints = tuple(match["joint"] for name in names if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
         # q_d0 and q_des_0 are numbered goals, not joints.
-        if len(joints) > 1 and not all(re.fullmatch(r"(d|des|desired|cmd|goal|target)?_?\d+", j) for j in joints):
+        none = rf"(d|{_GOAL})?_?\d*|{CARTESIAN.pattern}"
+        if len(joints) > 1 and not all(re.fullmatch(none, joint, re.IGNORECASE) for joint in joints):
             return joints
     return ()
 
@@ -222,6 +391,8 @@ def _is_current(pattern: str) -> bool:
 
 
 def _bare(pattern: str) -> str:
-    """Last part of the pattern without its counter: the signal's usual name."""
-    name = re.sub(r"[_/]?\{\w+\}_?", "", pattern)
-    return name if name.startswith(("observation.", "action")) else re.split(r"[./]", name)[-1]
+    """Last part of the pattern without its counter, in small letters with underscores: the signal's usual name."""
+    name = re.sub(r"[_/. ]?\{\w+\}[_. ]?", "", pattern)
+    if name.startswith(("observation.", "action")):
+        return name
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", re.split(r"[./]", name)[-1]).replace(" ", "_").replace("-", "_")

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tauext.data.assemble import assemble
+from tauext.data.assemble import assemble, logged_joints
 from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
 from tauext.data.free_motion import free_stretches, has_contact, length_s, within
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.importers.raw import RawRecording
+from tauext.data.joint_names import expect_all_placed
 from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
@@ -26,7 +27,7 @@ from tauext.files.plain_file import read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import provenance, write_json
 from tauext.robot.capsules import write_shapes
-from tauext.robot.load import load_tree, robot_sha256
+from tauext.robot.load import load_tree, movable_joints, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
 # --- Sets of the stretches of a raw recording: listed in the description, or by a reported rule.
@@ -376,8 +377,17 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     expect_sources(arm, sources)
     for name in not_imported(arm, sources):
         say(f"contacts of {name} are not used: it is not among the sources")
+    movable: list[str] = []
     if arm.model is not None:
+        movable = movable_joints(arm.model)
         load_tree(arm.model, joints=arm.robot.joints)  # fails before a long import
+    for source in {source.path: source for source in reversed(sources)}.values():
+        placed = dict(zip(arm.robot.joints, arm.names, strict=True))
+        logged = logged_joints(arm, source)
+        expect_all_placed(arm.path, movable, logged, placed, arm.robot.locked, arm.robot.ignored)
+    for name, left in (("robot file", arm.robot.locked), ("recording", arm.robot.ignored)):
+        if left:
+            say(f"joints of the {name} that are not in use: {', '.join(left)}")
     with new_folder(out) as part:
         if format == "lerobot":
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
+from tauext.data.joint_names import GRIPPER
 from tauext.data.servo import servo_facts
 from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import SourceFacts
@@ -17,7 +17,6 @@ NEAR = 0.01
 """Relative difference below which a measured rate is a nominal one."""
 LEARNT_STEPS = 20
 """Steps between stamps from which a period is learnt."""
-GRIPPER = re.compile(r"gripper|finger|jaw|robotiq|knuckle", re.IGNORECASE)
 
 
 def joint_names(usual: Sequence[str], robot: Path | None, arm: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -16,7 +16,17 @@ from tauext.data.clock import Table, expect_clock
 from tauext.data.description import NORMALISED, SIGNALS, Arm, SignalTable
 from tauext.data.importers.raw import RawRecording, short_list
 from tauext.data.raw_rows import Columns, RowReader
-from tauext.data.recording import BRIDGE_STEPS, REPEATED, Recording, fitted_period_ns, fresh, lost_samples, ordered
+from tauext.data.recording import (
+    BRIDGE_STEPS,
+    REPEATED,
+    TURN,
+    Recording,
+    fitted_period_ns,
+    fresh,
+    lost_samples,
+    ordered,
+    unwrapped,
+)
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
 from tauext.errors import ConfigError, RecordingError
 
@@ -313,14 +323,16 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
     rate_hz = rate_hz or arm.time.rate_hz
     start_ns: int | None = None
     number, run, end_ns = 0, 0, 0
+    turns = _Turns(arm, columns)
     try:
         for piece in reader.pieces():
             counts = Counter(raw.counts)
             raw.counts.clear()
             if start_ns is not None and piece.run > run and piece.begin_ns <= end_ns:
                 start_ns += piece.begin_ns - end_ns - round(1e9 / rate_hz)
-            run = piece.run
-            recording = _piece(raw, arm, columns, piece.tables, counts, start_ns, rate_hz, reader.remedy)
+            if piece.run > run:
+                run, turns = piece.run, _Turns(arm, columns)
+            recording = _piece(raw, arm, columns, piece.tables, counts, start_ns, rate_hz, reader.remedy, turns)
             if start_ns is None:
                 start_ns = int(recording.t_ns[0])
                 reader.expect_rates(recording.t_ns)
@@ -344,18 +356,23 @@ def _piece(
     start_ns: int | None,
     rate_hz: float,
     remedy: str,
+    turns: _Turns,
 ) -> Recording:
     """Make one recording; rate 0 means that of the fitted period.
 
     Args:
         remedy: what to do where stamps are no clock.
+        turns: of the run; takes out the jumps of whole turns.
     """
     facts: dict[str, Any] = {}
     tables = {stream: _cleaned(stream, table, arm, columns, counts, remedy) for stream, table in tables.items()}
+    tables = {stream: turns.taken_out(stream, table) for stream, table in tables.items()}
     t_ns, taken = _merged(tables, columns, counts, facts)
     if not len(t_ns):
         raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
     signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in taken.items() if key != "contact"}
+    if turns.joints and "q_des" in signals:
+        signals["q_des"] += TURN * np.round((signals["q"] - signals["q_des"]) / TURN)
     own = np.ones(len(t_ns), bool)
     if arm.servo is None:  # servos count so coarsely that equal rows need not be repeats
         own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
@@ -387,6 +404,9 @@ def _piece(
         done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
     if facts["lost_share"] >= WORTH_REPORTING:
         done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
+    if turns.joints:
+        facts["unwrapped"] = list(turns.joints)
+        done.append(f"position unwrapped: it jumped by whole turns ({', '.join(turns.joints)})")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")
     if "made" in facts:
@@ -420,6 +440,39 @@ def _make_torque(
         facts["velocity"] = f"derived from the position, over {settings.velocity_steps} samples at most"
     if arm.makes_torque:
         facts["made"] = f"torque made of the {TORQUE_WORDS[arm.servo.torque_from]}"
+
+
+class _Turns:
+    """Takes jumps of whole turns out of the positions of one run, piece by piece, before streams are merged."""
+
+    def __init__(self, arm: Arm, columns: Columns):
+        self._joints = arm.robot.joints
+        self._places = {
+            key: (*columns.signals[key], TURN / SIGNALS[key].units[arm.signals[key].unit])
+            for key in ("q", "q_des")
+            if key in columns.signals and arm.signals[key].unit != NORMALISED
+        }
+        self._before: dict[str, np.ndarray] = {}
+        self.joints: tuple[str, ...] = ()
+        """Joints whose position jumped, so far."""
+
+    def taken_out(self, stream: str, table: Table) -> Table:
+        """The rows with continuous positions."""
+        t_ns, values = table
+        for key, (at, places, turn) in self._places.items():
+            if at != stream or not len(values):
+                continue
+            before = self._before.get(key, values[:1, places])
+            q, counts = unwrapped(np.vstack([before, values[:, places]]) * (TURN / turn))
+            jumped = np.flatnonzero(counts)
+            if len(jumped):
+                values = values.copy()
+                values[:, [places[j] for j in jumped]] = q[1:, jumped] * (turn / TURN)
+                if key == "q":
+                    found = {*self.joints, *(self._joints[j] for j in jumped)}
+                    self.joints = tuple(joint for joint in self._joints if joint in found)
+            self._before[key] = values[-1:, places]
+        return t_ns, values
 
 
 def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str], remedy: str) -> Table:

@@ -117,6 +117,36 @@ def lost_samples(t_ns: np.ndarray) -> np.ndarray:
     return periods_of(np.diff(t_ns), fitted_period_ns(t_ns)) - 1
 
 
+TURN = 2 * math.pi
+NEAR_TURN = (0.02, math.pi / 2)
+"""Least and largest difference of a jump from whole turns, [rad]: three times what the joint usually moves a sample."""
+
+
+def unwrapped(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions without jumps of whole turns, and how many each joint had, (joints,) int.
+
+    A step between two samples is such a jump if it differs from whole turns by no more than the joint moves in a few
+    samples. In a joint that has one, any step of more than half a turn is one, such as that over a gap.
+
+    Args:
+        q: (samples, joints), [rad]; returned unchanged where nothing jumps.
+    """
+    steps = np.diff(q, axis=0)
+    turns = np.round(steps / TURN)
+    counts = np.zeros(q.shape[1], int)
+    if not turns.any():
+        return q, counts
+    q = q.copy()
+    for j in np.flatnonzero(turns.any(axis=0)):
+        whole, size = turns[:, j], np.abs(steps[:, j])
+        usual = float(np.quantile(size[whole == 0], 0.99)) if (whole == 0).any() else 0.0
+        near = min(max(3 * usual, NEAR_TURN[0]), NEAR_TURN[1])
+        if (np.abs(size - TURN * np.abs(whole))[whole != 0] <= near).any():
+            counts[j] = np.count_nonzero(whole)
+            q[1:, j] -= TURN * np.cumsum(whole)
+    return q, counts
+
+
 def runs_of(flags: np.ndarray) -> np.ndarray:
     """First sample of each run of true flags, and the sample after its last, (runs, 2)."""
     return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)

@@ -1,19 +1,250 @@
 """Files as the field has them: the arrays of the clean file, or one message that names the cause.
 
-The table below lists, for each property of a file, how the log is changed and what import makes of it, format by format.
+CASES lists, for each property of a file, how the log is changed, and what import makes of it in every format. Each cell
+is one of two outcomes: the same arrays as from the clean file, less the rows that are left out and counted, or one
+message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from made_arms import write_arm
 from made_files import ARRAYS, BAGS, FORMATS, JOINTS, LEROBOT, NAMED, TABLES, Log, arm_text, clean_log, write
 
-from tauext.data.description import load_arm
-from tauext.data.importing import Imported, import_dataset
+from tauext.data.importing import import_dataset
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
+
+CLEAN = clean_log()
+TABLE_LIKE = (*TABLES, *ARRAYS)
+HALF = len(CLEAN.t_ns) // 2
+PERIOD_NS = int(CLEAN.t_ns[1] - CLEAN.t_ns[0])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A property of a file in some formats, and its outcome: rows of the clean log, or a message."""
+
+    name: str
+    change: Callable[[Log], Log] = lambda log: log
+    formats: tuple[str, ...] = FORMATS
+    arm: dict = field(default_factory=dict)
+    """Arguments of arm_text()."""
+    runs: Sequence = (slice(None),)
+    """Rows of the clean log in each recording that comes out."""
+    said: str = ""
+    """Part of a line that import prints."""
+    refused: str = ""
+    """Part of the message; empty: it is imported."""
+    robot: tuple[str, ...] = ()
+    """Joints of the robot file; empty: no robot file."""
+    factor: tuple[float, ...] = ()
+    """Of the clean log's positions and velocities, joint by joint; empty: none."""
+    clock: bool = True
+    """Whether the stamps are those of the clean log; else only their steps."""
+
+
+FAR = (4.0, 1.0, 5.0)
+
+
+def put(signal: str, rows, joint, value) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        values = getattr(log, signal).copy()
+        values[rows, joint] = value
+        return replace(log, **{signal: values})
+
+    return change
+
+
+def logged(log: Log) -> Log:
+    """The log with the log times of the clean one."""
+    return replace(log, log_ns=CLEAN.t_ns)
+
+
+def two_runs(log: Log) -> Log:
+    return logged(replace(log, t_ns=np.r_[log.t_ns[:HALF], log.t_ns[HALF:] - log.t_ns[HALF] + PERIOD_NS]))
+
+
+def set_back(log: Log) -> Log:
+    return logged(replace(log, t_ns=np.r_[log.t_ns[:HALF], log.t_ns[HALF:] - 503_000_000]))
+
+
+def late(log: Log) -> Log:
+    order = np.arange(len(log.t_ns))
+    order[[100, 101, 300, 301]] = order[[101, 100, 301, 300]]
+    return logged(log.rows(order))
+
+
+def wrapped(log: Log) -> Log:
+    return replace(log, q=(log.q * FAR + np.pi) % (2 * np.pi) - np.pi, dq=log.dq * FAR)
+
+
+def every(**changes) -> Callable[[Log], Log]:
+    """Change fields of the log by functions of the log."""
+    return lambda log: replace(log, **{name: of(log) for name, of in changes.items()})
+
+
+def joints(names: tuple[str, ...], of: Callable[[np.ndarray], np.ndarray]) -> Callable[[Log], Log]:
+    """The log with these names and other columns in each array."""
+    return lambda log: replace(
+        log, names=names, **{a: np.ascontiguousarray(of(getattr(log, a))) for a in ("q", "dq", "tau")}
+    )
+
+
+def coarse(log: Log) -> np.ndarray:
+    return log.t_ns // 10**8 * 10**8 + 10**9
+
+
+SLOW_LOG = every(log_ns=lambda log: log.t_ns * 3 // 2)
+SLOW_COLUMN = every(timestamp_s=lambda log: log.t_ns * 1.5e-9)
+COARSE_BAG = every(t_ns=coarse, log_ns=lambda log: log.t_ns)
+NO_STAMPS = every(t_ns=lambda log: 0 * log.t_ns, log_ns=lambda log: log.t_ns)
+ONE_STAMP = every(t_ns=lambda log: 0 * log.t_ns + 7 * 10**9, log_ns=lambda log: log.t_ns)
+ONE_OUT = [np.r_[:250, 251:600]]
+HALVES = [slice(HALF), slice(HALF, None)]
+GAP = np.r_[:200, 260:600]
+STAMPED = tuple(kind for kind in FORMATS if kind not in LEROBOT)
+BY_RATE = {"time": "rate_hz = 50"}
+WITH_60 = {"time": 'column = "time"\nrate_hz = 60'}
+CONTRADICTS = "rate_hz = 60 Hz, but the stamps come at 50 Hz"
+HAND = (*JOINTS, "hand")
+CASES = [
+    Case("clean"),
+    Case("a gap", lambda log: log.rows(GAP), STAMPED, runs=[GAP]),
+    # --- Clock
+    Case("the clock begins again", two_runs, STAMPED, runs=HALVES, clock=False),
+    Case("the clock is set back", set_back, STAMPED, runs=HALVES, clock=False),
+    Case("late rows", late, STAMPED, said="2 samples out of order, sorted"),
+    Case(
+        "all stamps are equal",
+        every(t_ns=lambda log: 0 * log.t_ns + 5 * 10**9),
+        TABLE_LIKE,
+        refused=r'all 600 stamps are equal.*\[time\] column = "" and rate_hz',
+    ),
+    Case("all stamps are equal, the rate is given", NO_STAMPS, TABLE_LIKE, arm=BY_RATE, clock=False),
+    Case("all header stamps are zero", NO_STAMPS, BAGS, clock=False, said="a stamp of zero, timed by the bag's log"),
+    Case("all header stamps are equal", ONE_STAMP, BAGS, clock=False, said="the same stamp, timed by the bag's log"),
+    Case("stamps of one decimal", every(t_ns=coarse), TABLE_LIKE, refused="5 rows share each stamp.*resolve 0.1 s"),
+    Case("header stamps of one decimal", COARSE_BAG, BAGS, refused='resolve 0.1 s.*column = "log"'),
+    Case("the log's clock is chosen", COARSE_BAG, BAGS, arm={"time": 'column = "log"'}, clock=False),
+    Case("a column counts rows", every(t_ns=lambda log: np.arange(600) * 10**9), TABLE_LIKE, refused="counts rows"),
+    Case("header and log disagree", SLOW_LOG, BAGS, refused='header counts 11.98 s, log 17.97 s.*"header" or "log"'),
+    Case("header and log disagree, one is chosen", SLOW_LOG, BAGS, arm={"time": 'column = "header"'}),
+    Case("timestamp and fps disagree", SLOW_COLUMN, LEROBOT, refused="fps counts 11.98 s, timestamp 17.97 s"),
+    Case("timestamp and fps disagree, one is chosen", SLOW_COLUMN, LEROBOT, arm={"time": 'column = "fps"'}),
+    Case("a stated rate contradicts a column", arm=WITH_60, formats=TABLE_LIKE, refused=CONTRADICTS),
+    Case("a stated rate contradicts", arm={"time": "rate_hz = 60"}, formats=(*BAGS, *LEROBOT), refused=CONTRADICTS),
+    # --- Turns
+    Case("wraps", wrapped, factor=FAR, said=r"unwrapped: it jumped by whole turns \(shoulder, wrist\)"),
+    # --- Missing values
+    Case("one NaN", put("tau", 250, 1, np.nan), runs=ONE_OUT, said="1 row left out: '.*' is missing or no .*, first"),
+    Case("one infinite value", put("dq", 250, 2, np.inf), runs=ONE_OUT, said="1 row left out"),
+    Case(
+        "no torque of a joint",
+        put("tau", slice(None), 2, np.nan),
+        refused="600 of 600 rows are left out; tau of wrist .*take wrist out of",
+    ),
+    Case("no velocity of a joint", put("dq", slice(None), 0, np.nan), refused=r'dq of shoulder .*columns = ""'),
+    Case(
+        "a quarter of the rows lacks a value",
+        put("tau", slice(0, None, 4), 2, np.nan),
+        refused="150 of 600 rows are left out; 150 rows left out: '.*' is missing or no finite number, first",
+    ),
+    # --- Joints
+    Case("joints in another order", joints(("wrist", "shoulder", "elbow"), lambda a: a[:, [2, 0, 1]]), NAMED),
+    Case(
+        "a joint that arm.toml does not name",
+        arm={"joints": JOINTS[:2]},
+        formats=NAMED,
+        refused=r'recording\'s wrist is not used; in \[robot\], ignored = \["wrist"\]',
+    ),
+    Case(
+        "an ignored joint",
+        joints((*JOINTS, "tool"), lambda a: np.c_[a, np.arange(600) * 1e-3]),
+        NAMED,
+        arm={"robot": 'ignored = ["tool"]'},
+        said="joints not in use: tool of the recording",
+    ),
+    Case(
+        "a gripper beside the arm",
+        joints((*JOINTS, "gripper_joint"), lambda a: np.c_[a, np.arange(600) * 1e-3]),
+        NAMED,
+        said="joints not in use: gripper_joint of the recording",
+    ),
+    Case(
+        "a joint of the robot file has no signal",
+        arm={"robot": 'model = "arm.urdf"'},
+        robot=HAND,
+        refused=r'robot file\'s hand has no signal; in \[robot\], locked = \["hand"\]',
+    ),
+    Case(
+        "a locked joint",
+        arm={"robot": 'model = "arm.urdf"\nlocked = ["hand"]'},
+        robot=HAND,
+        said="joints not in use: hand of the robot file",
+    ),
+    Case(
+        "one joint has another name",
+        joints(("shoulder", "elbow", "joint3"), lambda a: a),
+        NAMED,
+        arm={"joints": JOINTS[:2], "robot": 'model = "arm.urdf"'},
+        robot=JOINTS,
+        refused="wrist has no signal, and the recording's joint3 is not used; perhaps 'joint3' is 'wrist'",
+    ),
+]
+CELLS = [pytest.param(case, kind, id=f"{case.name}-{kind}") for case in CASES for kind in case.formats]
+
+
+def imported(case: Case, kind: str, folder: Path) -> tuple[list, list[str]]:
+    """Recordings and printed lines of an import of the case's file in this format."""
+    path = write(kind, folder, case.change(CLEAN))
+    if case.robot:
+        (folder / "arm.urdf").write_text(robot_text(case.robot))
+    arm = folder / "arm.toml"
+    arm.write_text(arm_text(kind, **case.arm) + f'[split]\ntrain = ["{path.name}"]\n')
+    lines: list[str] = []
+    import_dataset([path], arm, folder / "out", "tauext", lines.append)
+    files = sorted((folder / "out").glob("*.parquet"))
+    return [load_recording(file) for file in files], "\n".join(lines).splitlines()
+
+
+def robot_text(joints) -> str:
+    """A URDF of these joints in a row."""
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="l{k}">{inertial}</link>' for k in range(len(joints) + 1))
+    parts = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k, name in enumerate(joints)
+    )
+    return f'<robot name="arm">{links}{parts}</robot>'
+
+
+@pytest.mark.parametrize(("case", "kind"), CELLS)
+def test_a_file_gives_the_clean_arrays_or_one_message(case, kind, tmp_path):
+    if case.refused:
+        with pytest.raises(TauextError, match=case.refused) as caught:
+            imported(case, kind, tmp_path)
+        assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
+        return
+    recordings, lines = imported(case, kind, tmp_path)
+    wanted = [CLEAN.rows(rows) for rows in case.runs]
+    assert len(recordings) == len(wanted)
+    for recording, log in zip(recordings, wanted, strict=True):
+        assert recording.joints == JOINTS and recording.rate_hz == 50
+        t_ns = log.t_ns if case.clock else log.t_ns - log.t_ns[0] + recording.t_ns[0]
+        assert np.abs(recording.t_ns - t_ns).max() <= 1  # seconds in a column are rounded
+        factor = case.factor or (1.0, 1.0, 1.0)
+        np.testing.assert_array_equal(recording.dq, log.dq * factor)
+        np.testing.assert_array_equal(recording.tau, log.tau)
+        if case.factor:  # the first turn is free
+            np.testing.assert_allclose(
+                np.diff(recording.q, axis=0), np.diff(log.q, axis=0) * factor, rtol=0, atol=1e-12
+            )
+        else:
+            np.testing.assert_array_equal(recording.q, log.q)
+    assert not case.said or any(re.search(case.said, line) for line in lines), lines

@@ -94,9 +94,9 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     text = template(guessed, model, joints, list(streams))
     write_text(path, text)
     print(path)
-    entries = open_entries(parse_toml(text, path))
-    if entries:
-        Terminal().say(f"{len(entries)} entries must be confirmed or filled in, marked with '?': {'; '.join(entries)}")
+    for entry in dict.fromkeys(entry.partition(" has ")[0] for entry in open_entries(parse_toml(text, path))):
+        evidence = guessed.why.get(entry.removeprefix("[").replace("] ", "."), "no evidence")
+        Terminal().say(f"to confirm or fill in, marked with '?': {entry}: {evidence}")
 
 
 def print_findings(out: Path) -> None:

@@ -113,6 +113,8 @@ DISAGREE = 0.02
 """Two rates that differ by a larger share contradict each other."""
 LEAST_DIFFERENCE_NS = 2e8
 """Two clocks of one recording may differ by so much at its ends, [ns]: messages are logged in bursts."""
+SET_NS = 1e9
+"""A step that differs by more between two clocks is one of them being set, [ns]."""
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
 """Rates of arms' logs; a clock that counts rows gives another one."""
 
@@ -180,10 +182,11 @@ class TwoClocks:
     counted_ns: list[float] = field(default_factory=lambda: [0.0, 0.0])
 
     def add(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Add a block's stamps of both clocks, [ns]; a block in which one goes back is passed over."""
-        spans = [float(t_ns[-1] - t_ns[0]) if len(t_ns) else 0.0 for t_ns in (first, second)]
-        if min(spans) >= 0:
-            self.counted_ns = [total + span for total, span in zip(self.counted_ns, spans, strict=True)]
+        """Add the steps of a block's rows by both clocks, [ns]; those at which one is set are passed over."""
+        steps = np.diff(first), np.diff(second)
+        counts = (steps[0] >= 0) & (steps[1] >= 0) & (np.abs(steps[0] - steps[1]) < SET_NS)
+        for k in (0, 1):
+            self.counted_ns[k] += float(steps[k][counts].sum())
 
     def expect_same(self) -> None:
         """Raise RecordingError where the clocks differ; the message names both and how to choose one."""

@@ -107,9 +107,9 @@ class RobotTable:
     names: tuple[str, ...] = listed(text(), TEXTS, example='["Base", "Shoulder"]')
     """Names of these joints in the recording, where they differ."""
     locked: tuple[str, ...] = listed(text(), TEXTS, example='["finger_joint1"]')
-    """Movable joints of the robot file that are not in use. Every movable joint is in use or named here."""
+    """Movable joints of the robot file that are not in use. All others but a gripper's must be in use."""
     ignored: tuple[str, ...] = listed(text(), TEXTS, example='["gripper"]')
-    """Joints of the recording that are not used. Every joint of the recording is used or named here."""
+    """Joints of the recording that are not used. All others but a gripper's must be used."""
     gear_ratio: tuple[float, ...] = key(each(NOT_0), (), "1")
     """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
     rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), (), "0.0001")

@@ -123,7 +123,9 @@ def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, floa
     if len(steps) and not len(ahead):
         why = f"'{column}' is constant"
     elif (steps == 0).mean() > SHARED_STAMPS if len(steps) else False:
-        why = f"{len(steps) / len(ahead):.3g} rows share each stamp of '{column}'"
+        why = (
+            f"{len(steps) / len(ahead):.3g} rows share each stamp of '{column}', which resolves {np.median(ahead):.4g}"
+        )
     unit = time_unit(times)
     if not why and len(ahead) and (ahead == 1).all() and not unit:
         why = f"'{column}' grows by exactly 1 a row: it counts rows"
@@ -185,11 +187,12 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     """Text of an arm.toml that explains every key and sets the keys found.
 
     Args:
+        guessed: evidence about the joints is added to it.
         model: path of the robot file.
         joints: its joints.
         topics: topics of the source, to choose from.
     """
-    columns, why = guessed.columns, dict(guessed.why)
+    columns, why = guessed.columns, guessed.why
     robot, evidence = _joint_entries(guessed, joints)
     why |= {f"robot.{key}": words for key, words in evidence.items()}
     made_of = next((source for signal, source in MADE_OF.items() if signal in columns), "")

@@ -381,13 +381,14 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     if arm.model is not None:
         movable = movable_joints(arm.model)
         load_tree(arm.model, joints=arm.robot.joints)  # fails before a long import
+    left_out: dict[str, None] = {}
     for source in {source.path: source for source in reversed(sources)}.values():
         placed = dict(zip(arm.robot.joints, arm.names, strict=True))
         logged = logged_joints(arm, source)
-        expect_all_placed(arm.path, movable, logged, placed, arm.robot.locked, arm.robot.ignored)
-    for name, left in (("robot file", arm.robot.locked), ("recording", arm.robot.ignored)):
-        if left:
-            say(f"joints of the {name} that are not in use: {', '.join(left)}")
+        line = expect_all_placed(arm.path, movable, logged, placed, arm.robot.locked, arm.robot.ignored)
+        left_out[line] = None
+    for line in filter(None, left_out):
+        say(line)
     with new_folder(out) as part:
         if format == "lerobot":
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))

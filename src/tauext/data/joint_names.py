@@ -88,8 +88,10 @@ def expect_all_placed(
     placed: Mapping[str, str],
     locked: Sequence[str],
     ignored: Sequence[str],
-) -> None:
+) -> str:
     """Refuse a description that leaves a joint out without naming it: a joint that moves would be held.
+
+    Joints with the name of a gripper may be left out. Returns a line that names all that are left out; empty: none.
 
     Args:
         path: of the description, for the message.
@@ -101,23 +103,28 @@ def expect_all_placed(
     Raises:
         ConfigError: names the joints, the pair that is left, and the entries to add.
     """
-    still = [name for name in robot if name not in placed and name not in locked]
-    unused = [name for name in logged if name not in placed.values() and name not in ignored]
+    left = [name for name in robot if name not in placed], [name for name in logged if name not in placed.values()]
+    still, unused = (
+        [name for name in names if name not in listed and not GRIPPER.search(name)]
+        for names, listed in zip(left, (locked, ignored), strict=True)
+    )
     if not still and not unused:
-        return
+        both = zip(("of the robot file", "of the recording"), left, strict=True)
+        words = "; ".join(f"{', '.join(names)} {where}" for where, names in both if names)
+        return f"joints not in use: {words}" if words else ""
     parts, ways = [], []
     if still:
         parts.append(f"the robot file's {', '.join(still)} {'has' if len(still) == 1 else 'have'} no signal")
-        ways.append(f"locked = {json.dumps(still)} if the arm does not move {'it' if len(still) == 1 else 'them'}")
+        ways.append(f"locked = {json.dumps(still)} holds {'it' if len(still) == 1 else 'them'} at the rest position")
     if unused:
         parts.append(f"the recording's {', '.join(unused)} {'is' if len(unused) == 1 else 'are'} not used")
-        ways.append(f"ignored = {json.dumps(unused)} if the arm has no such joint")
+        ways.append(f"ignored = {json.dumps(unused)} leaves {'it' if len(unused) == 1 else 'them'} out")
     matched = match_joints(still, unused)
     pairs = matched.proposed | matched.pairs
     perhaps = "".join(f"; perhaps '{there}' is '{here}'" for here, there in pairs.items())
     if still and unused:
-        ways.insert(0, "joints and names with both names of each pair")
-    raise ConfigError(f"{path}: {', and '.join(parts)}{perhaps}; give in [robot] {'; or '.join(ways)}")
+        ways.insert(0, "joints and names list both names of a pair")
+    raise ConfigError(f"{path}: {', and '.join(parts)}{perhaps}; in [robot], {', '.join(ways)}")
 
 
 def _from_one(robot: Sequence[str], logged: Sequence[str]) -> list[str]:

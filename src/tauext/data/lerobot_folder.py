@@ -212,15 +212,19 @@ def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
         rows = episode_rows(folder, number)
         with readable(folder.path, f"episode {number}"):
             columns = columns_of(folder, rows)
+            values = np.column_stack(list(columns.values()))
             if "t_ns" in rows.column_names:
-                t_ns = rows.column("t_ns").to_numpy().astype(np.int64)
+                signals = RawSignals("", tuple(columns), rows.column("t_ns").to_numpy().astype(np.int64), values)
             else:
-                t_ns = frame_stamps(columns["frame_index"], folder.fps)
-            signals = RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())))
+                t_ns, times = frame_stamps(columns["frame_index"], folder.fps), columns.get("timestamp")
+                other_ns = None if times is None else np.round(np.nan_to_num(times) * 1e9).astype(np.int64)
+                signals = RawSignals("", tuple(columns), t_ns, values, other_ns)
         yield signals
 
     name = f"{folder.path.name}-episode-{number:03d}"
-    return RawRecording(name, folder.path, f"LeRobot {folder.version.split('.')[0]} dataset", blocks)
+    return RawRecording(
+        name, folder.path, f"LeRobot {folder.version.split('.')[0]} dataset", blocks, clocks=("fps", "timestamp")
+    )
 
 
 # --- Export of recordings as episodes of a LeRobot v3 dataset folder.

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 import struct
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -131,30 +130,46 @@ def stamp_ns(message: Any) -> int:
 
 
 class Clock:
-    """Clock of a topic: header stamps, or log times if the first messages' stamps are all zero."""
+    """Clock of a topic: header stamps, or log times if the first messages' stamps are all zero or all equal."""
 
-    def __init__(self, counts: Counter[str]):
-        self._counts = counts
+    def __init__(self, raw: RawRecording):
+        self._raw = raw
         self._by_log: bool | None = None
+        self._messages = 0
 
-    def stamped(self, block: RawSignals, log_ns: np.ndarray) -> RawSignals:
+    def stamped(self, block: RawSignals, log_ns: np.ndarray, rows: np.ndarray) -> RawSignals:
         """Return the block with this clock's times; messages without a stamp among stamped ones are left out.
 
         A stamp of zero that leads the block is kept: recordings of simulated time begin there.
+
+        Args:
+            log_ns: log time of each message, [ns].
+            rows: place of each message in its group of messages of the topic.
         """
         assert block.t_ns is not None
+        rows = rows + self._messages
         if self._by_log is None:
             # A single message may have the valid stamp 0.
-            self._by_log = not block.t_ns.any() and (len(log_ns) > 1 or log_ns[0] > 0)
+            none = not block.t_ns.any() and (len(log_ns) > 1 or log_ns[0] > 0)
+            self._by_log = none or (len(log_ns) > 1 and bool((block.t_ns == block.t_ns[0]).all()))
         if self._by_log:
-            self._counts[f"{block.stream}: messages with a stamp of zero, timed by the bag's log"] += len(log_ns)
-            return RawSignals(block.stream, block.names, log_ns, block.columns)
+            why = "a stamp of zero" if not block.t_ns.any() else "one and the same stamp"
+            self._raw.counts[f"{block.stream}: messages with {why}, timed by the bag's log"] += len(log_ns)
+            return replace(block, t_ns=log_ns, rows=rows)
         stamped = block.t_ns != 0
         stamped[0] = True
-        if stamped.all():
-            return block
-        self._counts[f"{block.stream}: messages without a stamp among stamped ones left out"] += int((~stamped).sum())
-        return RawSignals(block.stream, block.names, block.t_ns[stamped], block.columns[stamped])
+        if not stamped.all():
+            first = self._raw.place(int(rows[np.argmin(stamped)]))
+            self._raw.lost.add(
+                "without a stamp among stamped ones", int((~stamped).sum()), f"{first} of {block.stream}"
+            )
+        return RawSignals(
+            block.stream, block.names, block.t_ns[stamped], block.columns[stamped], log_ns[stamped], rows[stamped]
+        )
+
+    def passed(self, messages: int) -> None:
+        """Count the messages of a group once all of its blocks are stamped."""
+        self._messages += messages
 
 
 def _in_bulk(topic: str, rows: np.ndarray, layout: Layout) -> RawSignals:
@@ -192,6 +207,9 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
             if field not in ("__msgtype__", "header"):
                 yield from _numbers(getattr(value, field), f"{name}.{field}" if name else field)
 
+
+CLOCKS = ("header", "log")
+MESSAGE = ("message", 1)
 
 # --- Common to ROS 1 and ROS 2 bags: choice of topics, and messages as blocks of columns.
 
@@ -234,16 +252,16 @@ def blocks_of(
     messages: Iterator[tuple[Any, int, bytes]],
     cdr: bool,
     deserializer: Callable[[Any], Callable[[bytes], Any]],
-    clocks: dict[str, Clock],
-    counts: Counter[str],
+    recording: RawRecording,
 ) -> Iterator[RawSignals]:
     """Yield blocks of each topic's messages, in the order of the bag.
 
     Args:
         messages: connection, log time [ns] and bytes of each message.
         deserializer: returns a connection's function from bytes to a message.
-        clocks: clocks by topic; filled here.
+        recording: keeps the counts.
     """
+    clocks: dict[str, Clock] = {}
     while taken := list(islice(messages, BLOCK_ROWS)):
         by_connection: dict[int, list[int]] = {}
         connections = {}
@@ -254,13 +272,15 @@ def blocks_of(
             connection = connections[key]
             raw = [bytes(taken[k][2]) for k in rows]
             log_ns = np.array([taken[k][1] for k in rows], np.int64)
-            clock = clocks.setdefault(connection.topic, Clock(counts))
+            clock = clocks.setdefault(connection.topic, Clock(recording))
             deserialize = deserializer(connection)
             if connection.msgtype == JOINT_STATE:
                 for group, block in joint_states(connection.topic, raw, cdr, deserialize):
-                    yield clock.stamped(block, log_ns[group])
+                    yield clock.stamped(block, log_ns[group], group)
             else:
-                yield clock.stamped(any_messages(connection.topic, raw, deserialize), log_ns)
+                block = any_messages(connection.topic, raw, deserialize)
+                yield clock.stamped(block, log_ns, np.arange(len(rows)))
+            clock.passed(len(rows))
 
 
 # --- ROS 1 bags.
@@ -281,15 +301,14 @@ def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
 
     with readable(path, *BAG), Reader(path) as reader:
         wanted = chosen_topics(path, reader.connections, topics)
-    counts: Counter[str] = Counter()
 
     def blocks() -> Iterator[RawSignals]:
         with readable(path, *BAG), Reader(path) as reader:
             connections = [c for c in reader.connections if c.topic in wanted]
-            clocks: dict[str, Clock] = {}
-            yield from blocks_of(reader.messages(connections), False, _ros1_deserializer, clocks, counts)
+            yield from blocks_of(reader.messages(connections), False, _ros1_deserializer, recording)
 
-    return [RawRecording(path.stem, path, "ROS 1 bag", blocks, counts=counts)]
+    recording = RawRecording(path.stem, path, "ROS 1 bag", blocks, clocks=CLOCKS, row_word=MESSAGE)
+    return [recording]
 
 
 def _ros1_deserializer(connection: Any) -> Callable[[bytes], Any]:
@@ -325,16 +344,18 @@ def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     wanted = chosen_topics(path, connections, topics)
     if any(c.topic in wanted and not c.msgdef.data for c in connections):
         notes.append("no message definitions in the bag: read by the standard ones")
-    counts: Counter[str] = Counter()
 
-    def blocks() -> Iterator[RawSignals]:
-        clocks: dict[str, Clock] = {}
+    def messages() -> Iterator[tuple[Any, int, bytes]]:
         for file in files:
             with _opened(file) as storage:
-                messages = storage.messages([c for c in storage.connections if c.topic in wanted])
-                yield from blocks_of(messages, True, _ros2_deserializer, clocks, counts)
+                yield from storage.messages([c for c in storage.connections if c.topic in wanted])
 
-    return [RawRecording(path.stem if path.is_file() else path.name, path, "ROS 2 bag", blocks, notes, counts)]
+    def blocks() -> Iterator[RawSignals]:
+        yield from blocks_of(messages(), True, _ros2_deserializer, recording)
+
+    name = path.stem if path.is_file() else path.name
+    recording = RawRecording(name, path, "ROS 2 bag", blocks, notes, clocks=CLOCKS, row_word=MESSAGE)
+    return [recording]
 
 
 def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:

@@ -65,6 +65,7 @@ def import_data(
     with staged(out, fresh=True) as folder:
         import_dataset([local_folder(one) for one in source], arm, folder, format, print)
         if format == "tauext":
+            print_joints(folder)
             print_findings(folder)
     print(out)
 
@@ -97,6 +98,25 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     for entry in dict.fromkeys(entry.partition(" has ")[0] for entry in open_entries(parse_toml(text, path))):
         evidence = guessed.why.get(entry.removeprefix("[").replace("] ", "."), "no evidence")
         Terminal().say(f"to confirm or fill in, marked with '?': {entry}: {evidence}")
+
+
+def print_joints(out: Path) -> None:
+    """Print what each joint of a dataset did, and draw the first recording: a swap shows at a glance."""
+    from tauext.check.joint_table import as_lines, joint_motions
+    from tauext.data.dataset import load_dataset
+    from tauext.data.servo import torque_unit
+    from tauext.report.joint_picture import draw_joints
+    from tauext.robot.load import load_tree
+    from tauext.robot.write import is_placeholder
+
+    dataset = load_dataset(out)
+    recordings = [*dataset.training(), *dataset.recordings("collisions")][:10]
+    if not recordings:
+        return
+    robot, unit = dataset.robot_file(None), torque_unit(recordings)
+    tree = None if is_placeholder(robot) else load_tree(robot, joints=recordings[0].joints)
+    print("\n".join(as_lines(joint_motions(recordings, tree), unit)))
+    draw_joints(recordings[0], tree, unit, out / "joints.png")
 
 
 def print_findings(out: Path) -> None:

@@ -96,6 +96,13 @@ def test_names_come_from_the_robot_file_and_another_arms_file_is_refused(tmp_pat
     assert chosen_joints(["gripper"], None, "arm") == (("gripper",), ())
     with pytest.raises(ConfigError, match="none of which robot.urdf has"):
         chosen_joints(["b"], file("x"), "arm")
+    with pytest.raises(
+        ConfigError, match="robot.urdf's elbow and arm's joint3 match no joint; perhaps 'joint3' is 'elbow'"
+    ):
+        chosen_joints(["a", "joint3", "c"], file("a", "elbow", "c"), "arm")
+    assert chosen_joints(["a"], file("a", "lift"), "arm")[1] == (
+        "not in the stream, held at the robot file's rest position: lift",
+    )
 
 
 def test_rates_are_learnt_in_spite_of_gaps_and_jitter():

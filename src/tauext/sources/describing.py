@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from tauext.data.joint_names import GRIPPER
+from tauext.data.joint_names import GRIPPER, match_joints
 from tauext.data.servo import servo_facts
 from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import SourceFacts
@@ -52,22 +52,36 @@ def chosen_joints(there: Sequence[str], robot: Path | None, arm: str) -> tuple[t
     """Joints to use, of those whose names are known, and notes: the robot file's in its order, else all but grippers.
 
     Raises:
-        ConfigError: the robot file has none of them.
+        ConfigError: the robot file has none of them, or both have joints that the other lacks.
         RobotError: the robot file is missing or cannot be read.
     """
+    held: list[str] = []
     if robot is not None:
-        chosen = [name for name in movable_joints(robot) if name in there]
+        movable = movable_joints(robot)
+        chosen = [name for name in movable if name in there]
         if not chosen:
             raise ConfigError(
                 f"{arm} has joints {', '.join(there)}, none of which {robot.name} has; "
-                f"its joints are {', '.join(movable_joints(robot)) or 'none'}"
+                f"its joints are {', '.join(movable) or 'none'}"
+            )
+        held, unused = (
+            [name for name in names if name not in chosen and not GRIPPER.search(name)] for names in (movable, there)
+        )
+        if held and unused:
+            pairs = match_joints(movable, there).proposed
+            perhaps = "".join(f"; perhaps '{other}' is '{name}'" for name, other in pairs.items())
+            raise ConfigError(
+                f"{robot.name}'s {', '.join(held)} and {arm}'s {', '.join(unused)} match no joint{perhaps}; give both "
+                "the same name in the robot file"
             )
         if arms_own := [name for name in chosen if not GRIPPER.search(name)]:
             chosen = arms_own
     else:
         chosen = [name for name in there if not GRIPPER.search(name)] or list(there)
     left = [name for name in there if name not in chosen]
-    return tuple(chosen), ((f"left out: {', '.join(left)}",) if left else ())
+    notes = [f"left out: {', '.join(left)}"] * bool(left)
+    notes += [f"not in the stream, held at the robot file's rest position: {', '.join(held)}"] * bool(held)
+    return tuple(chosen), tuple(notes)
 
 
 def mean_period_ns(steps_ns: Sequence[int]) -> int:

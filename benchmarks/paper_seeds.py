@@ -3,12 +3,14 @@
     python benchmarks/paper_seeds.py OUT [--cases exact none] [--seeds 0 1 2] [--max-steps N]
 
 OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT/bundles holds is not trained again, and
-one that is not there with --no-training is left out. Errors are those of test motion at 100 Hz, as in the paper, and at
+one that is not there with --no-training is left out. What was measured is kept in docs/results/full/seeds.json, so that
+pages can be made from bundles of several machines. Errors are those of test motion at 100 Hz, as in the paper, and at
 1 kHz, as a monitor answers. A collision counts by one sample over the limit, since the paper states no hold time.
 """
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ from tauext.evaluate.free_motion import count_episodes
 from tauext.evaluate.injected import estimate_recording
 from tauext.report.paper import L1_NM, L2_NM, MSE_NM2
 
+PAGE = ROOT / "docs/results/full/seeds.md"
 PAPER_STEP = 10
 """Samples from one row of the paper's data to the next."""
 STICTION_RAD_S = 0.02
@@ -62,6 +65,24 @@ def measured(bundle_path: Path, data: Path) -> dict[str, np.ndarray]:
     }
 
 
+Measures = dict[tuple[str, int], dict[str, np.ndarray]]
+
+
+def kept(new: Measures) -> Measures:
+    """What was measured now or before, by case and seed; it is written to the file of all measures."""
+    file = PAGE.with_suffix(".json")
+    listed = json.loads(file.read_text()) if file.is_file() else []
+    found = {(one.pop("case"), one.pop("seed")): {key: np.array(value) for key, value in one.items()} for one in listed}
+    found |= {key: {name: np.round(value, 3) for name, value in one.items()} for key, one in new.items()}
+    found = {key: found[key] for key in sorted(found, key=lambda key: (list(PAPER_CASES).index(key[0]), key[1]))}
+    entries = [
+        {"case": case, "seed": seed} | {name: value.tolist() for name, value in one.items()}
+        for (case, seed), one in found.items()
+    ]
+    write_page(file, ["[", *(f"{json.dumps(one)}{',' * (one is not entries[-1])}" for one in entries), "]"])
+    return found
+
+
 def mean_and_range(values: np.ndarray, form: str = ".3f") -> str:
     """Seeds' mean of each joint, and the range where there are several."""
     mean = joined(values.mean(axis=0), form, "/")
@@ -70,7 +91,7 @@ def mean_and_range(values: np.ndarray, form: str = ".3f") -> str:
     return f"{mean} ({joined(values.min(axis=0), form, '/')} to {joined(values.max(axis=0), form, '/')})"
 
 
-def page(found: dict[tuple[str, int], dict[str, np.ndarray]]) -> list[str]:
+def page(found: Measures) -> list[str]:
     cases = [case for case in PAPER_CASES if any(case == key[0] for key in found)]
     columns = "model | seeds | L1, N m | paper | L2, N m | paper | MSE, (N m)² | paper | L1 at 1 kHz, N m"
     lines = head(columns)
@@ -86,7 +107,7 @@ def page(found: dict[tuple[str, int], dict[str, np.ndarray]]) -> list[str]:
     for (case, seed), one in found.items():
         false, detected, of = one["counts"]
         cells = [joined(one[key], ".2f", "/") for key in ("near", "sliding", "limit")]
-        lines.append(table_row(case, seed, *cells, false, f"{detected} of {of}"))
+        lines.append(table_row(case, seed, *cells, int(false), f"{int(detected)} of {int(of)}"))
     return lines
 
 
@@ -112,7 +133,7 @@ def main() -> None:
                 tauext("train", "--data", data, *words, "--out", bundle, printed=out / f"{case}-{seed}.log")
             bundles[case, seed] = bundle
     measures = in_parallel(None, measured, [(bundle, data) for bundle in bundles.values()])
-    write_page(ROOT / "docs/results/full/seeds.md", page(dict(zip(bundles, measures, strict=True))))
+    write_page(PAGE, page(kept(dict(zip(bundles, measures, strict=True)))))
 
 
 if __name__ == "__main__":

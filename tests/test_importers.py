@@ -14,7 +14,7 @@ import pytest
 from made_recordings import JOINTS, joint_rows, motion, write_bag
 from scipy.io import savemat
 
-from tauext.data.importers import ros
+from tauext.data.importers import csv_table, ros
 from tauext.data.importers.open_raw import open_raw
 from tauext.errors import RecordingError
 
@@ -160,55 +160,250 @@ def table(samples: int = 50) -> dict[str, np.ndarray]:
     return {"time": (t_ns - t_ns[0]) * 1e-9, "q0": q[:, 0], "q1": q[:, 1], "tau0": tau[:, 0], "tau1": tau[:, 1]}
 
 
-def csv_text(separator: str = ",", decimal: str = ".") -> str:
-    columns = table()
-    rows = [
-        separator.join(columns),
-        *(separator.join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True)),
-    ]
-    return "\n".join([rows[0], *(row.replace(".", decimal) for row in rows[1:])]) + "\n"
+HEADER = list(table())
+ROWS = [list(map(repr, map(float, row))) for row in zip(*table().values(), strict=True)]
 
 
-def assert_table(path):
-    _, columns = read(path)[1][""]
-    for name, values in table().items():
+def lines(header: list[str] = HEADER, rows: list[list[str]] = ROWS, separator: str = ",", end: str = "\n") -> str:
+    return "".join(separator.join(row) + end for row in [header, *rows])
+
+
+def commas(rows: list[list[str]] = ROWS) -> list[list[str]]:
+    return [[cell.replace(".", ",") for cell in row] for row in rows]
+
+
+def padded(rows: list[list[str]], width: int = 26) -> list[list[str]]:
+    return [[cell.rjust(width) for cell in row] for row in rows]
+
+
+def quoted(rows: list[list[str]]) -> list[list[str]]:
+    return [[f'"{cell}"' for cell in row] for row in rows]
+
+
+def more(*cells: str, rows: list[list[str]] = ROWS) -> list[list[str]]:
+    return [[*row, *cells] for row in rows]
+
+
+def assert_table(path, samples: int = 50):
+    source, streams = read(path)
+    t_ns, columns = streams[""]
+    assert t_ns is None and not source.lost.count
+    for name, values in table(samples).items():
         np.testing.assert_array_equal(columns[name], values)
+    return source, columns
 
 
-@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", "."), ("\t", "."), (" ", "."), (";", ",")])
-def test_a_csv_is_read_with_any_separator_and_decimal_mark(tmp_path, separator, decimal):
+SAME_CSV = {
+    "commas": lines(),
+    "semicolons": lines(separator=";"),
+    "tabs": lines(separator="\t"),
+    "pipes": lines(separator="|"),
+    "blanks": lines(separator=" "),
+    "decimal commas and semicolons": lines(rows=commas(), separator=";"),
+    "decimal commas and tabs": lines(rows=commas(), separator="\t"),
+    "decimal commas and blanks": lines(rows=commas(), separator=" "),
+    "decimal commas in quotes": lines(quoted([HEADER])[0], quoted(commas())),
+    "columns aligned by blanks": lines(padded([HEADER])[0], padded(ROWS), ""),
+    "aligned with commas": lines(padded([HEADER])[0], padded(ROWS)),
+    "blanks at both ends of lines": lines(["", *HEADER, ""], [["", *row, ""] for row in ROWS], "   "),
+    "text with a comma between semicolons": lines([*HEADER, "mode"], more('"a, b"'), ";"),
+    "text with semicolons between commas": lines([*HEADER, "mode"], more("a; b; c")),
+    "names in quotes": lines(quoted([HEADER])[0], quoted(ROWS)),
+    "another separator in the names": lines(rows=[], separator=",") + lines(separator=";").split("\n", 1)[1],
+    "Windows line ends": lines(end="\r\n"),
+    "old Mac line ends": lines(end="\r"),
+    "no end of the last line": lines().rstrip("\n"),
+    "separators at the ends of all lines": lines([*HEADER, ""], more("")),
+    "separators at the ends of the rows": lines(HEADER, more("")),
+    "a separator at the end of the names": lines([*HEADER, ""]),
+    "blank lines": lines(end="\n\n"),
+    "a title": "Log of the arm, 2024-05-01 12:00\n\n" + lines(),
+    "entries before the names": "robot: ur5\ndate: 2024-05-01\nsession = 12\n\n" + lines(),
+    "comments before the names": "# robot, ur5\n# 3 of 5\n// by hand\n" + lines(),
+    "names in a comment": "# the arm\n# " + lines(separator=" "),
+    "names in a MATLAB comment": "% " + lines(separator=" "),
+    "units under the names": lines(rows=[["s", "rad", "rad", "Nm", "Nm"], *ROWS]),
+    "units in brackets": lines(rows=[["[s]", "[deg/s]", "(rad)", "[N m]", "-"], *ROWS]),
+    "a rule under the names": lines(rows=[["---"] * 5, *ROWS]),
+    "Excel's separator": "sep=;\r\n" + lines(separator=";", end="\r\n"),
+    "an index without a name": lines(["", *HEADER], [[str(k), *row] for k, row in enumerate(ROWS)]),
+    "an index that the names lack": lines(HEADER, [[str(k), *row] for k, row in enumerate(ROWS)], " "),
+    "a comment amid the rows": lines(rows=[*ROWS[:20], ["# stop"], *ROWS[20:]]),
+    "names again amid the rows": lines(rows=[*ROWS[:20], HEADER, *ROWS[20:]]),
+    "exponents of Fortran": lines(rows=[[cell + "D+00" * ("e" not in cell) for cell in row] for row in ROWS]),
+    "plus signs": lines(rows=[["+" * (cell[0] != "-") + cell for cell in row] for row in ROWS]),
+    "zeros after a crash": lines() + "\0" * 200,
+}
+
+
+@pytest.mark.parametrize("variation", SAME_CSV)
+def test_a_csv_of_each_dialect_gives_the_same_numbers(tmp_path, variation):
     path = tmp_path / "run.csv"
-    path.write_text(csv_text(separator, decimal))
+    path.write_bytes(SAME_CSV[variation].encode())
     assert_table(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
+def test_a_csv_of_each_encoding_gives_the_same_numbers(tmp_path, encoding):
+    path = tmp_path / "run.csv"
+    text = lines([*HEADER, "Kraft_ä"], more("1.5"))
+    path.write_bytes(b"\xfe\xff" * (encoding == "utf-16-be") + text.encode(encoding))
+    assert (assert_table(path)[1]["Kraft_ä"] == 1.5).all()
 
 
 def test_a_gzipped_csv_is_told_by_its_bytes_and_a_truncated_one_refused(tmp_path):
     path = tmp_path / "run.dat"
-    path.write_bytes(gzip.compress(csv_text().encode()))
+    path.write_bytes(gzip.compress(lines().encode()))
     assert_table(path)
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(RecordingError, match="run.dat: cannot be read as CSV to its end .*truncated"):
+    with pytest.raises(
+        RecordingError, match=r"run.dat: cannot be read as gzipped CSV .* truncated or damaged; copy it"
+    ):
         read(path)
 
 
-def test_the_broken_last_line_of_a_csv_is_left_out_and_counted(tmp_path):
+def test_names_of_csv_columns(tmp_path):
     path = tmp_path / "run.csv"
-    path.write_text(csv_text() + "0.5,1.0,2.")
+    for text, names in (
+        ("0.0,1,a\n0.1,2,b\n", ["column1", "column2"]),
+        ("0,1,2\n0.0,0.5,1\n0.1,0.5,2\n", ["0", "1", "2"]),
+        (",t,q\n0,0.0,1\n1,0.1,2\n", ["column1", "t", "q"]),
+        ("t,q,q,tau\n0,1,2,3\n1,2,3,4\n", ["t", "q[0]", "q[1]", "tau"]),
+        ('t,q\n0,"[0.1, 0.2]"\n1,"[0.3, 0.4]"\n', ["t", "q[0]", "q[1]"]),
+        ("t,mode\n0.0,idle\n0.1,move\n", ["t"]),
+    ):
+        path.write_text(text)
+        assert list(read(path)[1][""][1]) == names
+    assert read(path)[0].notes == ["columns of text left out: mode"]
+
+
+STAMPS = {
+    "ISO 8601": ("2024-05-01T23:59:{:06.3f}Z", "2024-05-01T23:59"),
+    "a zone": ("2024-05-02 01:59:{:06.3f}+02:00", "2024-05-01T23:59"),
+    "microseconds": ("2024-05-01 23:59:{:09.6f}", "2024-05-01T23:59"),
+    "slashes": ("2024/05/01 23:59:{:06.3f}", "2024-05-01T23:59"),
+    "day first": ("01.05.2024 23:59:{:06.3f}", "2024-05-01T23:59"),
+    "month first": ("05/01/2024 11:59:{:06.3f} PM", "2024-05-01T23:59"),
+    "MATLAB": ("01-May-2024 23:59:{:06.3f}", "2024-05-01T23:59"),
+    "time of day": ("23:59:{:06.3f}", "1970-01-01T23:59"),
+    "duration": ("1 days 23:59:{:06.3f}", "1970-01-02T23:59"),
+}
+
+
+@pytest.mark.parametrize("form", STAMPS)
+def test_a_column_of_dates_or_times_is_the_clock(tmp_path, form):
+    path = tmp_path / "run.csv"
+    pattern, begin = STAMPS[form]
+    rows = [[pattern.format(k * 0.02), *row[1:]] for k, row in enumerate(ROWS)]
+    path.write_text(lines(rows=rows))
     source, streams = read(path)
-    assert len(streams[""][1]["time"]) == 50
-    assert source.counts == {"lines with a wrong number of cells left out": 1}
-    path.write_text(csv_text() + "1,2\n" * 9)
-    with pytest.raises(RecordingError, match="9 of 59 lines lack the 5 cells"):
+    t_ns, columns = streams[""]
+    np.testing.assert_array_equal(t_ns, np.datetime64(begin, "ns").astype(np.int64) + 20_000_000 * np.arange(50))
+    np.testing.assert_array_equal(columns["q0"], table()["q0"])
+    assert source.clocks == ("time", "") and "time" not in columns
+    assert source.notes == ["stamps from column 'time', which has dates or times"]
+
+
+def test_times_of_day_continue_over_midnight_and_the_finest_clock_is_used(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("date,clock,q\n2024-05-01,23:59:59.98,1\n2024-05-01,23:59:59.99,1\n2024-05-02,00:00:00.00,1\n")
+    np.testing.assert_array_equal(np.diff(read(path)[1][""][0]), 10_000_000)
+    path.write_text("date,log,q\n" + "".join(f"12:00:00,2024-05-01T12:00:00.{k:03d},1\n" for k in range(5)))
+    source, streams = read(path)
+    np.testing.assert_array_equal(np.diff(streams[""][0]), 1_000_000)
+    assert source.notes[1] == "further columns of dates or times left out: date"
+
+
+LEFT_OUT = {
+    "too few cells": ["0.5", "1.0"],
+    "too many cells": ["0.5"] * 6,
+    "a quote without its end": ["0.5", '"1.0', "2", "3", "4"],
+    "zero bytes": ["\0\0"] * 5,
+}
+
+
+@pytest.mark.parametrize("kind", LEFT_OUT)
+def test_a_broken_line_is_left_out_and_counted_with_its_place(tmp_path, kind):
+    path = tmp_path / "run.csv"
+    path.write_text("# a comment\n\n" + lines(rows=[*ROWS[:20], LEFT_OUT[kind], *ROWS[20:]]))
+    source, streams = read(path)
+    np.testing.assert_array_equal(streams[""][1]["tau1"], table()["tau1"])
+    assert source.lost.sentences() == ["1 row left out: a wrong number of cells, first line 24"]
+    (block,) = source.blocks()
+    assert source.place(block.rows[19]) == "line 23" and source.place(block.rows[20]) == "line 25"
+
+
+@pytest.mark.parametrize(
+    "word", ["", "None", "#N/A", "-", "--", "inf", "1.#QNAN", "nan(ind)", "true", "ERROR 3", "1.2.3"]
+)
+def test_a_cell_without_a_number_is_missing_wherever_it_lies(tmp_path, word):
+    path = tmp_path / "run.csv"
+    for at in (0, 30, 49):
+        rows = [list(row) for row in ROWS]
+        rows[at][3] = word
+        path.write_text(lines(rows=rows))
+        source, streams = read(path)
+        columns = streams[""][1]
+        expected = np.where(np.arange(50) == at, np.nan, table()["tau0"])
+        np.testing.assert_array_equal(np.where(np.isfinite(columns["tau0"]), columns["tau0"], np.nan), expected)
+        np.testing.assert_array_equal(columns["tau1"], table()["tau1"])
+        assert not source.lost.count
+
+
+def test_flags_are_numbers_and_a_column_without_values_is_kept(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        lines(
+            [*HEADER, "contact", "effort"], more("True", "nan", rows=ROWS[:30]) + more("False", "nan", rows=ROWS[30:])
+        )
+    )
+    columns = read(path)[1][""][1]
+    np.testing.assert_array_equal(columns["contact"], np.arange(50) < 30)
+    assert np.isnan(columns["effort"]).all()
+
+
+def test_rates_before_the_names_of_a_csv_are_reported(tmp_path):
+    path = tmp_path / "run.csv"
+    for line, name, hz in (("# rate_hz: 100", "rate_hz", 100), ("Sample time = 0.002 s", "Sample time", 500)):
+        path.write_text(f"{line}\n# mass: 20\n" + lines())
+        assert open_raw(path)[0].stated_hz == {name: hz}
+
+
+REFUSED_CSV = {
+    "too few names": ("time;q0\n0.0,1,2\n0.1,1,2\n", r"line 1 has 2 names between ';', line 2 has 3 cells between ','"),
+    "thousands": ('t,q\n"1,000.5",1\n"1,001.5",2\n', "column 't' has separators between thousands, such as '1,000.5'"),
+    "thousands alone": ('t,q\n"1,000",1\n"1,001",2\n', "column 't' has separators between thousands"),
+    "thousands far on": (
+        "t,q\n" + "0.5,1\n" * 300 + '"1,000.5",1\n',
+        "column 't' has separators between thousands, in line 302: '1,000.5'",
+    ),
+    "names alone": ("t,q\n", "it has no rows under its names; its first line is 't,q'"),
+    "prose": ("A licence.\nMany words,\nno numbers.\n", "no table of numbers; its first line is 'A licence.'"),
+    "blank lines": ("\n\n \n", "it is empty; a CSV file begins with the names of its columns"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED_CSV)
+def test_a_csv_that_is_no_table_is_refused_with_the_cause(tmp_path, kind):
+    path = tmp_path / "run.csv"
+    text, message = REFUSED_CSV[kind]
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=f"run.csv: {message}"):
         read(path)
 
 
-def test_a_column_of_text_and_a_missing_header_are_no_obstacle(tmp_path):
+@pytest.mark.parametrize("block_bytes", [97, 1000])
+def test_blocks_of_a_csv_join_without_a_seam(tmp_path, monkeypatch, block_bytes):
+    monkeypatch.setattr(csv_table, "BLOCK_BYTES", block_bytes)
     path = tmp_path / "run.csv"
-    path.write_text("t,mode\n0.0,idle\n0.1,move\n")
-    source, streams = read(path)
-    assert list(streams[""][1]) == ["t"] and source.notes == ["columns of text left out: mode"]
-    path.write_text("0.0,1\n0.1,2\n")
-    assert read(path)[1][""][1]["column2"].tolist() == [1, 2]
+    rows = [*ROWS[:20], ["# stop"], ["1.0"], *ROWS[20:]]
+    for text in (lines(rows=rows), lines(rows=padded(rows), separator=" ")):
+        path.write_text(text)
+        source, streams = read(path)
+        np.testing.assert_array_equal(streams[""][1]["q1"], table()["q1"])
+        assert source.lost.sentences() == ["1 row left out: a wrong number of cells, first line 23"]
+        last = list(source.blocks())[-1]
+        assert source.place(last.rows[-1]) == "line 53"
 
 
 def test_parquet_columns_and_lists_come_by_name(tmp_path):
@@ -270,9 +465,6 @@ def test_files_of_no_known_format_are_refused(tmp_path):
         open_raw(path)
     path.write_bytes(b"\1\2\0\3")
     with pytest.raises(RecordingError, match="of no format that is read; these are: ROS 1 bag"):
-        open_raw(path)
-    path.write_text("A licence.\nMany words,\nno numbers.\n")
-    with pytest.raises(RecordingError, match="no table of numbers; its first line is 'A licence.'"):
         open_raw(path)
 
 

@@ -26,7 +26,6 @@ from tauext.data.description_template import time_unit
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.errors import RecordingError
 from tauext.robot.load import load_tree
 from tauext.sources.ur import VARIABLES, UrSource
 from tauext.sources.ur_dashboard import PORT
@@ -289,13 +288,6 @@ def test_quotes_spaces_and_windows_line_ends_are_no_obstacle(tmp_path):
     assert raw_names(path) == ("timestamp", "actual q 0", "actual_qd_0")
     path.write_text("time, success_rate, state.q[0]\n1,1,0.5\n2,1,0.5\n")
     assert raw_names(path) == ("time", "success_rate", "state.q[0]")
-
-
-def test_rows_with_another_separator_than_the_header_are_refused_with_both_lines(tmp_path):
-    path = tmp_path / "run.csv"
-    path.write_text("timestamp,q_0,q_1\n0.0;1;2\n0.1;1;2\n")
-    with pytest.raises(RecordingError, match=r"first line has 3 cells between ',', its next has 1: '0.0;1;2'"):
-        open_raw(path)
 
 
 def test_a_missing_column_is_named_with_its_neighbours_once_each(tmp_path, capsys, monkeypatch):

@@ -1,104 +1,386 @@
-"""CSV files, plain or gzipped: separator and decimal mark are detected, numbers read block by block."""
+"""CSV files, plain or gzipped: the dialect is found from the rows, numbers are read block by block."""
 
 from __future__ import annotations
 
+import codecs
 import csv
-import gzip
 import re
-import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
-from tauext.data.importers.raw import RawRecording, RawSignals, readable, short_list
+from tauext.data.importers.cells import (
+    StampReader,
+    choose_clock,
+    clock_notes,
+    flags_of,
+    has_thousands,
+    is_missing,
+    is_number,
+    is_stamp,
+    kind_of,
+    list_cells,
+    lists_of,
+    numbers_of,
+    stated_hz,
+)
+from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
 GZIP_MAGIC = b"\x1f\x8b"
-SEPARATORS = (",", ";", "\t", " ")
-BLOCK_BYTES = 1 << 22
-MOST_BROKEN = 0.01
-"""Largest share of broken lines; a crash leaves one."""
+UTF16_MAGIC = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+SEPARATORS = (",", ";", "\t", "|", " ")
+BLOCK_BYTES = 1 << 21
+SAMPLE_LINES, SAMPLE_ROWS = 1000, 200
+"""Lines among which the first row is found, and rows that show the kinds of the columns."""
+DIALECT_LINES = 60
+"""Lines from which separator and decimal mark are found."""
+COMMENT = re.compile(r"\s*(#+|//+|%+(?=[\s%]))\s*")
+"""Beginning of a line of comment, or of commented names; `%time` is a name of rostopic."""
+UNIT = re.compile(
+    r"(\W*(rad|deg|°|m|mm|s|sec|seconds?|ms|us|µs|ns|n\W?m|mn\W?m|a|ma|v|mv|hz|%|n|kg|k|°?c|1|unitless|bool|int|double|"
+    r"float|string)(\W*/\W*(s|sec|s2|s\^2|min|a)\W?2?)?\W*|\W*)",
+    re.IGNORECASE,
+)
+RULE = re.compile(r"[\s\-=+|:*_.#]*")
+NO_ROWS = "it has no rows under its names"
+THOUSANDS_REFUSED = "has separators between thousands, {} '{}'; write numbers without"
+RATE_LINE = re.compile(r"\W*([A-Za-z][\w .]*?)\s*(?:[\[(]?(?:s|Hz)[\])]?)?\s*[:=,;\t]\s*([-+.\deE]+)\W*(?:Hz|s)?\W*")
 
 
 @dataclass(frozen=True)
 class Dialect:
-    names: tuple[str, ...]
+    """How the lines of a file are read."""
+
     separator: str
     decimal: str
-    skip_lines: int
-    marked: bool = False
-    """Whether the file begins with the byte order mark of UTF-8, which only its decoder removes."""
+    names: tuple[str, ...] = ()
+    """A name for every cell of a row."""
+    kinds: tuple[str, ...] = ()
+    """Kind of every column: number, flag, stamp, list, text, or blank."""
+    wide: tuple[tuple[str, int], ...] = ()
+    """Columns of lists, with their length."""
+    first_line: int = 0
+    """Number of lines before the first row."""
+    header: bytes = b""
+    """Line of the names, as logs that are appended to repeat it; empty: none."""
+    notes: tuple[str, ...] = ()
 
     def cells(self, line: str) -> list[str]:
-        """The cells of a line, without quotes."""
-        return _cells(line.strip("\r\n"), self.separator)
+        """The cells of a line, without quotes and blanks around them."""
+        return _cells(line, self.separator)
+
+    def of_kind(self, *kinds: str) -> tuple[str, ...]:
+        """Names of the columns of these kinds."""
+        return tuple(name for name, kind in zip(self.names, self.kinds, strict=True) if kind in kinds)
 
 
 def open_csv(path: Path) -> list[RawRecording]:
     """Read a CSV file as one raw recording with every column of numbers; columns of text are left out.
 
-    The first line names the columns (a leading # is ignored); if it is all numbers, they are `column1`, `column2`...
-    Empty cells are NaN. A line with too few or too many cells is left out and counted.
+    Separator, decimal mark and the line of the names are found from the rows: the first run of lines with as many
+    cells, most of them numbers. Lines before the names and a line of units under them are skipped; without names, they
+    are `column1`, `column2`... A cell that is no number is NaN, `true` is 1. Columns of the same name are its elements
+    `name[0]`, `name[1]`... A line with too few or too many cells is left out and counted.
 
-    Columns `name0`, `name1`... have the joint names of a sensor_msgs/JointState, and `position0` becomes
-    `position[NAME]`, `velocity0` and `effort0` too. Columns `sec` and `nanosec` are the stamps. `ros2 topic echo --csv`
-    writes these columns without a header; such a file is recognised by its first line.
+    A column of dates or times of day gives the stamps. Columns `name0`, `name1`... have the joint names of a
+    sensor_msgs/JointState, and `position0` becomes `position[NAME]`, `velocity0` and `effort0` too. Columns `sec` and
+    `nanosec` are the stamps. `ros2 topic echo --csv` writes these columns without a header; such a file is recognised
+    by its first line.
 
     Raises:
-        RecordingError: on opening or reading: no table, truncated, or more than 1 % broken lines.
+        RecordingError: on opening or reading: no table, truncated, or thousands separators.
     """
-    with readable(path, "CSV to its end", (OSError, EOFError, zlib.error)), _text(path) as file:
-        lines = [line for _ in range(20) if (line := file.readline())]
-    with path.open("rb") as raw:
-        marked = raw.read(3) == b"\xef\xbb\xbf"
-    dialect = replace(_dialect(path, lines), marked=marked)
-    numeric = _numeric_columns(dialect, lines)
-    if not numeric:
-        raise RecordingError(f"{path}: no table of numbers; {_why_no_table(dialect, lines)}")
-    others = [name for name in dialect.names if name not in numeric]
-    notes = [f"columns of text left out: {short_list(others)}"] if others else []
-    dialect, numeric = _by_joint(dialect, numeric, lines)
-    counts: Counter[str] = Counter()
-    stem = path.name.removesuffix(".gz").removesuffix(".csv")
-
-    def blocks() -> Iterator[RawSignals]:
-        yield from _blocks(path, dialect, numeric, counts)
-
-    return [RawRecording(stem, path, "CSV", blocks, notes, counts)]
-
-
-def _text(path: Path) -> Any:
-    with path.open("rb") as raw:
-        zipped = raw.read(2) == GZIP_MAGIC
-    opened = gzip.open if zipped else open
-    return opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="")
-
-
-def _dialect(path: Path, lines: list[str]) -> Dialect:
-    if not lines or not lines[0].strip():
+    text = _Text(path)
+    lines = text.first()
+    if not any(map(str.strip, lines)):
         raise RecordingError(f"{path}: it is empty; a CSV file begins with the names of its columns")
-    first = lines[0].lstrip("#").strip()
-    separator = next((s for s in SEPARATORS if s in first), ",")
-    names = tuple(_cells(first, separator))
-    decimal = "," if separator != "," and any("," in line for line in lines[1:]) else "."
-    if all(_is_number(name, decimal) for name in names):
-        return Dialect(tuple(f"column{k + 1}" for k in range(len(names))), separator, decimal, 0)
-    if echoed := _echoed_names(names):
-        return Dialect(echoed, separator, decimal, 0)
-    for name in names:
-        if names.count(name) > 1:
-            raise RecordingError(f"{path}: {names.count(name)} columns are named {name!r}; names must differ")
-    return Dialect(names, separator, decimal, 1)
+    dialect, rows = _dialect(path, lines, text.middle())
+    stamps = dialect.of_kind("stamp")
+    candidates = {name: len({row[dialect.names.index(name)] for row in rows}) for name in stamps}
+    clock = choose_clock(candidates) if candidates else ""
+    notes = [*dialect.notes, *(clock_notes(candidates, clock) if clock else ())]
+    if others := dialect.of_kind("text"):
+        notes.append(f"columns of text left out: {short_list(others)}")
+    lost = Lost()
+    reader = _Reader(text, dialect, clock, lost)
+    return [
+        RawRecording(
+            path.name.removesuffix(".gz").removesuffix(".csv"),
+            path,
+            "CSV",
+            reader.blocks,
+            notes,
+            lost=lost,
+            clocks=(clock, ""),
+            stated_hz=_stated(lines[: dialect.first_line]),
+            row_word=reader.row_word,
+        )
+    ]
+
+
+def _stated(preamble: Sequence[str]) -> dict[str, float]:
+    """Rates in lines such as `# rate_hz: 100` before the names."""
+    found = {}
+    for line in preamble:
+        match = re.fullmatch(
+            r"\W*([A-Za-z][\w .]*?)\s*(?:\[?\(?(?:s|Hz)\]?\)?)?\s*[:=,;\t]\s*([-+.\deE]+)\W*(Hz|s)?\W*", line
+        )
+        if match and is_number(match[2]) and (hz := stated_hz(match[1], float(match[2]))):
+            found[match[1]] = hz
+    return found
+
+
+# --- Lines of a file, in UTF-8 where the encoding shows, with one line feed each.
+
+
+@dataclass(frozen=True)
+class _Text:
+    path: Path
+
+    def chunks(self) -> Iterator[bytes]:
+        """Whole lines, about BLOCK_BYTES at a time.
+
+        Raises:
+            RecordingError: truncated or damaged.
+        """
+        with self.path.open("rb") as raw:
+            zipped = raw.read(2) == GZIP_MAGIC
+        held, rest, convert = b"", b"", None
+        try:
+            with pa.input_stream(str(self.path), compression="gzip" if zipped else None) as file:
+                while data := file.read(BLOCK_BYTES):
+                    convert = convert or _converter(data)
+                    data = rest + convert(data)
+                    end = data.rfind(b"\n") + 1
+                    rest = data[end:]
+                    if end:
+                        if held:
+                            yield held
+                        held = data[:end]
+        except (OSError, pa.ArrowException) as error:
+            what = "gzipped CSV" if zipped else "CSV"
+            raise RecordingError(
+                f"{self.path}: cannot be read as {what} to its end: it is truncated or damaged; copy it again"
+            ) from error
+        if rest.strip(b"\r\n \t\0\x1a"):
+            held += rest
+        if held:
+            yield held
+
+    def first(self) -> list[str]:
+        """Up to SAMPLE_LINES lines from the beginning."""
+        begin = b""
+        for chunk in self.chunks():
+            begin += chunk
+            if begin.count(b"\n") >= SAMPLE_LINES:
+                break
+        return [_decoded(line) for line in begin.split(b"\n", SAMPLE_LINES)[:SAMPLE_LINES]]
+
+    def middle(self) -> list[str]:
+        """Lines from the middle of a large plain file; empty for others."""
+        with self.path.open("rb") as file:
+            size = self.path.stat().st_size
+            if size < 1 << 20 or file.read(2) in (GZIP_MAGIC, *UTF16_MAGIC):
+                return []
+            file.seek(size // 2)
+            return [_decoded(line) for line in file.read(1 << 16).split(b"\n")[1:-1]][:DIALECT_LINES]
+
+
+def _converter(begin: bytes) -> Any:
+    """Function that converts blocks of a file, of which this is the first, to UTF-8 with line feeds."""
+    if begin.startswith(UTF16_MAGIC):
+        decoder = codecs.getincrementaldecoder("utf-16")(errors="replace")
+        return lambda data: decoder.decode(data).encode("utf-8", "replace")
+    if b"\r" in begin and b"\n" not in begin:
+        return lambda data: data.replace(b"\r", b"\n")
+    return lambda data: data
+
+
+def _decoded(line: bytes) -> str:
+    line = line.removeprefix(codecs.BOM_UTF8)
+    try:
+        return line.decode().strip("\r\n")
+    except UnicodeDecodeError:
+        return line.decode("latin-1").strip("\r\n")
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return [
-        cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=separator != " "), [])
-    ]
+    if separator == " ":
+        line = " ".join(line.split())
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    try:
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=separator != " "), [])
+    except csv.Error:
+        return line.split(separator)
+    return [cell.strip() for cell in row]
+
+
+# --- The dialect: separator and decimal mark from the rows, then the line of the names.
+
+
+def _dialect(path: Path, lines: list[str], middle: list[str]) -> tuple[Dialect, list[list[str]]]:
+    """The dialect, and the sample's rows."""
+    declared = re.fullmatch(r'"?sep=(.)"?', lines[0].strip("\ufeff \r"), re.IGNORECASE)
+    separators = (declared[1],) if declared else SEPARATORS
+    step = max(len(lines) // DIALECT_LINES, 1)
+    sample = [line for line in [*lines[::step], *lines[:20], *middle] if line.strip()]
+    separator, decimal, count, typical = _best(sample, separators)
+    if not typical:
+        raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
+    dialect = Dialect(separator, decimal)
+
+    def row_of(line: str) -> list[str]:
+        """Cells of a row; empty for other lines."""
+        cells = [] if COMMENT.match(line) else dialect.cells(line)
+        values = sum(_is_value(cell, decimal) for cell in cells) if len(cells) == count else 0
+        missing = sum(map(is_missing, cells)) if values else 0
+        return cells if values and 2 * (values + missing) >= typical else []
+
+    first = _first_row(lines, row_of)
+    above = [k for k in range(first) if lines[k].strip() and not (declared and k == 0)]
+    counted = [*map(str, range(count))]
+    if not above and row_of(lines[first]) in (counted, ["", *counted[:-1]]) and count > 1 and len(sample) > 1:
+        above, first = [first], first + 1  # pandas numbers columns without names
+    rows = [row for line in [*lines[first : first + SAMPLE_ROWS], *middle] if (row := row_of(line))]
+    if not rows:
+        raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
+    dialect = _named(path, replace(dialect, first_line=first), lines, above, rows)
+    columns = dict(zip(dialect.names, zip(*rows, strict=True), strict=True))
+    kinds = {name: kind_of(values, decimal) for name, values in columns.items()}
+    for name in (name for name, kind in kinds.items() if kind == "text"):
+        known = [value for value in columns[name] if not is_missing(value)]
+        odd = next((value for value in known if has_thousands(value, decimal)), "")
+        if odd and all(is_number(value, decimal) or has_thousands(value, decimal) for value in known):
+            raise RecordingError(f"{path}: column '{name}' {THOUSANDS_REFUSED.format('such as', odd)}")
+    dialect = _without_blank(replace(dialect, kinds=tuple(kinds.values())), rows)
+    wide = {name: Counter(len(list_cells(v)) for v in columns[name] if v) for name in dialect.of_kind("list")}
+    dialect = replace(dialect, wide=tuple((name, held.most_common(1)[0][0]) for name, held in wide.items()))
+    if not dialect.of_kind("number", "list"):
+        raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
+    return _by_joint(dialect, rows[0]), rows
+
+
+def _is_value(cell: str, decimal: str) -> bool:
+    return is_number(cell, decimal) or is_stamp(cell) or bool(list_cells(cell))
+
+
+def _best(sample: list[str], separators: Sequence[str]) -> tuple[str, str, int, float]:
+    """Separator, decimal mark, number of cells and usual number of numbers of the rows: most numbers, least else."""
+    best, choice = (0, 0.0), (separators[0], ".", 0, 0.0)
+    for separator in separators:
+        rows = [_cells(line, separator) for line in sample if not COMMENT.match(line)]
+        for decimal in (".", ","):
+            if decimal == "," and separator == "," and '"' not in "".join(sample):
+                continue
+            numbers: dict[int, list[int]] = {}
+            for row in rows:
+                good = sum(is_number(cell, decimal) or is_stamp(cell) or len(list_cells(cell)) for cell in row)
+                if good:
+                    numbers.setdefault(len(row), []).append(good)
+            if not numbers:
+                continue
+            count = max(numbers, key=lambda n: (sum(numbers[n]), n))
+            total, lines = sum(numbers[count]), len(numbers[count])
+            if decimal == "," and not _surely_decimal(row for row in rows if len(row) == count):
+                continue
+            if (total, total / (lines * count)) > best:
+                best = total, total / (lines * count)
+                choice = separator, decimal, count, float(np.median(numbers[count]))
+        if best[1] >= 1 and choice[0] == separator and choice[2] > 1:
+            break  # every cell is a number
+    return choice
+
+
+def _surely_decimal(rows: Any) -> bool:
+    """Whether a comma in these cells is a decimal mark: some are no groups of three digits."""
+    commas = [cell for row in rows for cell in row if "," in cell]
+    return not commas or not all(has_thousands(cell, ".") for cell in commas)
+
+
+def _first_row(lines: list[str], row_of: Callable[[str], list[str]]) -> int:
+    """Index of the first row that another row follows, with nothing but blank lines between."""
+    at = [k for k, line in enumerate(lines) if line.strip()]
+    rows = ((k, bool(row_of(lines[k]))) for k in at)
+    before, single = -1, -1
+    for k, is_row in rows:
+        if is_row and before >= 0:
+            return before
+        before = k if is_row else -1
+        single = k if is_row and single < 0 else single
+    return max(single, 0)
+
+
+def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], rows: list[list[str]]) -> Dialect:
+    """The dialect with the names of its columns, from the nearest line above the rows that fits."""
+    count, notes = len(rows[0]), []
+    trailing = all(not row[-1] for row in rows)
+    fitting: list[tuple[int, list[str]]] = []
+    for k in reversed(above):
+        cells = _header_cells(lines[k], dialect.separator, count, trailing)
+        if cells and not RULE.fullmatch(lines[k]):
+            fitting.append((k, cells))
+            if not all(UNIT.fullmatch(cell) for cell in cells):
+                break
+        elif not fitting and not COMMENT.match(lines[k]) and not RULE.fullmatch(lines[k]):
+            _expect_title(path, dialect, lines, k, count)
+    names = fitting[-1][1] if fitting else list(_echoed_names(tuple(rows[0])))
+    if not names:
+        names = [""] * count
+    elif len(names) < count:
+        notes.append("the first column has no name" if not trailing else "")
+        names = [*names, ""] if trailing else ["", *names]
+    header = lines[fitting[-1][0]].strip().encode() if fitting else b""
+    names = [name or f"column{k + 1}" for k, name in enumerate(names)]
+    for name, times in Counter(names).items():
+        if times > 1:
+            notes.append(f"{times} columns are named '{name}': they are {name}[0] to {name}[{times - 1}]")
+            places = [k for k, one in enumerate(names) if one == name]
+            for number, k in enumerate(places):
+                names[k] = f"{name}[{number}]"
+    return replace(dialect, names=tuple(names), header=header, notes=tuple(filter(None, notes)))
+
+
+def _header_cells(line: str, separator: str, count: int, trailing: bool) -> list[str]:
+    """Names in a line, as many as a row has cells or one less; empty where the line does not fit."""
+    text = COMMENT.sub("", line, count=1) if COMMENT.match(line) else line.strip("\ufeff")
+    for one in (separator, *(s for s in SEPARATORS if s != separator)):
+        cells = _cells(text.strip("\r\n") if one == "\t" else text.strip(), one)
+        if len(cells) > count and not any(cells[count:]):
+            cells = cells[:count]
+        if any(is_number(cell) for cell in cells) and not all(cell.isdigit() or not cell for cell in cells):
+            continue
+        if len(cells) == count or (len(cells) == count - 1 > 0 and (one == separator or trailing)):
+            return cells
+    return []
+
+
+def _expect_title(path: Path, dialect: Dialect, lines: list[str], k: int, count: int) -> None:
+    """Refuse a line above the rows that has names, but not one for every cell."""
+    by_separator = {s: _cells(lines[k].strip(), s) for s in SEPARATORS[:-1]}
+    separator = max(by_separator, key=lambda s: len(by_separator[s]))
+    cells = by_separator[separator]
+    if len(cells) < 2 or ":" in lines[k] or "=" in lines[k] or any(map(is_number, cells)):
+        return
+    row = lines[dialect.first_line].strip()[:60]
+    raise RecordingError(
+        f"{path}: line {k + 1} has {len(cells)} names between {separator!r}, line {dialect.first_line + 1} has "
+        f"{count} cells between {dialect.separator!r}: {row!r}; use one separator, and a name for every column"
+    )
+
+
+def _without_blank(dialect: Dialect, rows: list[list[str]]) -> Dialect:
+    """Columns without a name and without a value are those of a separator at the end of each line."""
+    empty = {f"column{k + 1}" for k, values in enumerate(zip(*rows, strict=True)) if not any(values)}
+    kinds = tuple("blank" if name in empty else kind for name, kind in zip(dialect.names, dialect.kinds, strict=True))
+    return replace(dialect, kinds=kinds)
 
 
 def _echoed_names(cells: tuple[str, ...]) -> tuple[str, ...]:
@@ -107,20 +389,18 @@ def _echoed_names(cells: tuple[str, ...]) -> tuple[str, ...]:
     names = cells[3 : 3 + joints]
     numbers = (*cells[:2], *cells[3 + joints :])
     whole = all(cell.isdigit() for cell in cells[:2])
-    if joints < 1 or rest or not whole or not all(_is_number(cell, ".") for cell in numbers):
+    if joints < 1 or rest or not whole or not all(is_number(cell) or is_missing(cell) for cell in numbers):
         return ()
-    if len(set(names)) < joints or any(_is_number(name, ".") for name in names):
+    if len(set(names)) < joints or any(is_number(name) for name in names):
         return ()
     arrays = [f"{array}{k}" for array in ("name", "position", "velocity", "effort") for k in range(joints)]
     return ("sec", "nanosec", "frame_id", *arrays)
 
 
-def _by_joint(dialect: Dialect, numeric: tuple[str, ...], lines: list[str]) -> tuple[Dialect, tuple[str, ...]]:
+def _by_joint(dialect: Dialect, row: list[str]) -> Dialect:
     """Rename columns of a JointState by joint name, where text columns `name0`, `name1`... have the names."""
-    held: dict[str, list[str]] = {
-        m[1]: [] for name in dialect.names if (m := re.fullmatch(r"(.*\b)name0", name)) and name not in numeric
-    }
-    row = next(cells for line in lines[dialect.skip_lines :] if len(cells := dialect.cells(line)) == len(dialect.names))
+    text = dialect.of_kind("text")
+    held: dict[str, list[str]] = {m[1]: [] for name in text if (m := re.fullmatch(r"(.*\b)name0", name))}
     by_name = dict(zip(dialect.names, row, strict=True))
     renamed: dict[str, str] = {}
     for prefix, joints in held.items():
@@ -128,38 +408,189 @@ def _by_joint(dialect: Dialect, numeric: tuple[str, ...], lines: list[str]) -> t
             joints.append(by_name[f"{prefix}name{len(joints)}"])
         for array in ("position", "velocity", "effort"):
             renamed |= {f"{prefix}{array}{k}": f"{prefix}{array}[{joint}]" for k, joint in enumerate(joints)}
-    names, numeric = (tuple(renamed.get(name, name) for name in listed) for listed in (dialect.names, numeric))
-    return replace(dialect, names=names), numeric
+    return replace(dialect, names=tuple(renamed.get(name, name) for name in dialect.names))
 
 
-def _why_no_table(dialect: Dialect, lines: list[str]) -> str:
-    first = f"its first line is {lines[0].strip()[:60]!r}"
-    others = [line for line in lines[dialect.skip_lines :] if line.strip()]
-    if not others or len(dialect.cells(others[0])) == len(dialect.names):
-        return first
-    return (
-        f"its first line has {len(dialect.names)} cells between {dialect.separator!r}, its next has "
-        f"{len(dialect.cells(others[0]))}: {others[0].strip()[:60]!r}; use one separator, and a name for every column"
-    )
+def _why_no_table(lines: list[str], separator: str) -> str:
+    filled = [line.strip() for line in lines if line.strip()]
+    shown = f"its first line is {filled[0][:60]!r}" if filled else "it is blank"
+    if len(filled) == 1 and separator in filled[0]:
+        return f"{NO_ROWS}; {shown}"
+    return f"no table of numbers; {shown}"
 
 
-def _numeric_columns(dialect: Dialect, lines: list[str]) -> tuple[str, ...]:
-    """Columns whose first lines are numbers or empty."""
-    rows = [dialect.cells(line) for line in lines[dialect.skip_lines :]]
-    rows = [row for row in rows if len(row) == len(dialect.names)]
-    if not rows:
-        return ()
-    return tuple(
-        name for k, name in enumerate(dialect.names) if all(_is_number(row[k], dialect.decimal) for row in rows)
-    )
+# --- Rows: by Arrow, a block of lines at a time; a block with odd lines or cells is read more carefully.
 
 
-def _is_number(cell: str, decimal: str) -> bool:
-    try:
-        float(cell.strip().strip('"').replace(decimal, ".") or "nan")
-    except ValueError:
-        return False
-    return True
+_MISSING_WORDS = ["", "nan", "NaN", "None", "null", "NA"]
+"""Missing values that Arrow recognises; a block with others is read cell by cell."""
+WRONG_CELLS = "a wrong number of cells"
+
+
+@dataclass
+class _Reader:
+    text: _Text
+    dialect: Dialect
+    clock: str
+    lost: Lost
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Columns that are read, without the clock."""
+        return self.dialect.of_kind("number", "flag", "list")
+
+    @property
+    def row_word(self) -> tuple[str, int]:
+        """Rows are counted as lines of the file."""
+        return "line", self.dialect.first_line + 1
+
+    def blocks(self) -> Iterator[RawSignals]:
+        """Yield the rows block by block; another thread reads one block ahead."""
+        rows, blocks = 0, self._blocks()
+        with ThreadPoolExecutor(1) as pool:
+            waiting = pool.submit(next, blocks, None)
+            while (read := waiting.result()) is not None:
+                waiting = pool.submit(next, blocks, None)
+                signals, lost = read
+                for reason, (count, first) in lost.reasons.items():
+                    self.lost.add(reason, count, first)
+                rows += len(signals.columns)
+                if len(signals.columns):
+                    yield signals
+        if not rows:
+            raise RecordingError(f"{self.text.path}: {NO_ROWS}")
+
+    def _blocks(self) -> Iterator[tuple[RawSignals, Lost]]:
+        skip, line, stamps, whole = self.dialect.first_line, 0, StampReader(), True
+        for chunk in self.text.chunks():
+            while skip and chunk:
+                chunk, skip = chunk[chunk.find(b"\n") + 1 :] if b"\n" in chunk else b"", skip - 1
+            if not chunk:
+                continue
+            count, lost = chunk.count(b"\n") + (not chunk.endswith(b"\n")), Lost()
+            table, at = self._table(chunk, count, line, lost)
+            place = np.arange(line, line + count) if at is None else at + line
+            line += count
+            signals = self._signals(table, place, stamps, lost)
+            whole &= at is None and len(signals.columns) == count
+            yield (replace(signals, rows=None) if whole else signals), lost
+
+    def _signals(self, table: Any, place: np.ndarray, stamps: StampReader, lost: Lost) -> RawSignals:
+        wide = dict(self.dialect.wide)
+        names = tuple(one for name in self.kept for one in _elements(name, wide.get(name)))
+        columns, k = np.empty((len(place), len(names)), order="F"), 0
+        if not len(place):
+            return RawSignals("", names, None, columns, rows=place)
+        for name in self.kept:
+            count = wide.get(name, 1)
+            columns[:, k : k + count] = self._values(name, table.column(name), place, count)
+            k += count
+        t_ns = _stamps_ns(names, columns)
+        if self.clock:
+            t_ns, known = stamps.stamps(table.column(self.clock))
+            if not known.all():
+                first = self._place(int(place[np.argmin(known)]))
+                lost.add(f"'{self.clock}', its time, is missing", int((~known).sum()), first)
+                t_ns, columns, place = t_ns[known], columns[known], place[known]
+        return RawSignals("", names, t_ns, columns, rows=place)
+
+    def _place(self, row: int) -> str:
+        word, first = self.row_word
+        return f"{word} {row + first}"
+
+    def _values(self, name: str, column: Any, place: np.ndarray, count: int) -> np.ndarray:
+        """Numbers of a column (rows, count), as Arrow converted them or cell by cell."""
+        if pa.types.is_floating(column.type):
+            return np.asarray(column.to_numpy(), dtype=np.float64)[:, None]
+        kind = self.dialect.kinds[self.dialect.names.index(name)]
+        if kind == "flag":
+            return flags_of(column)[:, None]
+        if kind == "list":
+            return lists_of(column, count)
+        values = numbers_of(column, self.dialect.decimal)
+        for k in np.flatnonzero(np.isnan(values)):
+            cell = str(column[int(k)].as_py() or "").strip()
+            if has_thousands(cell, self.dialect.decimal):
+                at = f"in {self._place(int(place[k]))}:"
+                raise RecordingError(f"{self.text.path}: column '{name}' {THOUSANDS_REFUSED.format(at, cell)}")
+        return values[:, None]
+
+    def _table(self, chunk: bytes, count: int, line: int, lost: Lost) -> tuple[Any, np.ndarray | None]:
+        """The columns of a block of lines, and the indices of its rows among the lines; None: all are."""
+        if self.dialect.separator == " ":
+            chunk = _single_blanks(chunk)
+        at: np.ndarray | None = None
+        header = self.dialect.header
+        if not (header and header in chunk):
+            try:
+                table = self._parsed(chunk, pa.float64())
+                if table.num_rows == count:
+                    return table, None
+            except pa.ArrowException:
+                pass  # a line or a cell is odd
+        chunk, at = self._good_lines(chunk, line, lost)
+        if not len(at):
+            return None, at
+        try:
+            table = self._parsed(chunk, pa.float64())
+        except pa.ArrowException:
+            table = self._parsed(chunk.decode("utf-8", "replace").encode(), pa.string())
+        return table, None if len(at) == count else at
+
+    def _parsed(self, chunk: bytes, numbers: pa.DataType) -> Any:
+        from pyarrow import csv as arrow_csv
+
+        wanted = [*self.kept, *([self.clock] if self.clock else [])]
+        text = {*self.dialect.of_kind("flag", "list"), self.clock}
+        types = {name: pa.string() if name in text else numbers for name in wanted}
+        return arrow_csv.read_csv(
+            pa.BufferReader(chunk),
+            read_options=arrow_csv.ReadOptions(column_names=list(self.dialect.names), block_size=len(chunk) + 1),
+            parse_options=arrow_csv.ParseOptions(delimiter=self.dialect.separator),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types,
+                include_columns=wanted,
+                decimal_point=self.dialect.decimal,
+                null_values=_MISSING_WORDS,
+                strings_can_be_null=True,
+                check_utf8=False,
+            ),
+        )
+
+    def _good_lines(self, chunk: bytes, line: int, lost: Lost) -> tuple[bytes, np.ndarray]:
+        """The block without lines that are no rows, and the indices of those that are; broken ones are counted."""
+        separator, count = self.dialect.separator.encode(), len(self.dialect.names)
+        good, at, header = [], [], self.dialect.header
+        broken: list[int] = []
+        for k, text in enumerate(chunk.split(b"\n")):
+            text = text.strip(b"\r")
+            bare = text.strip()
+            if not bare or bare == header or COMMENT.match(bare[:9].decode("latin-1")):
+                continue
+            if b'"' in text:
+                cells = len(_cells(_decoded(text), self.dialect.separator)) if text.count(b'"') % 2 == 0 else -1
+            else:
+                cells = text.count(separator) + 1
+            if cells == count and b"\0" not in text:
+                good.append(text)
+                at.append(k)
+            else:
+                broken.append(k)
+        if broken:
+            lost.add(WRONG_CELLS, len(broken), self._place(line + broken[0]))
+        return b"\n".join(good) + b"\n", np.array(at, dtype=np.int64)
+
+
+def _single_blanks(chunk: bytes) -> bytes:
+    """One blank between cells, none at the ends of a line."""
+    chunk = chunk.replace(b"\t", b" ")
+    while b"  " in chunk:
+        chunk = chunk.replace(b"  ", b" ")
+    return chunk.removeprefix(b" ").replace(b"\n ", b"\n").replace(b" \r", b"\r").replace(b" \n", b"\n").rstrip(b" ")
+
+
+def _elements(name: str, count: int | None) -> list[str]:
+    return [name] if count is None else [f"{name}[{k}]" for k in range(count)]
 
 
 def _stamps_ns(names: tuple[str, ...], columns: np.ndarray) -> np.ndarray | None:
@@ -168,45 +599,3 @@ def _stamps_ns(names: tuple[str, ...], columns: np.ndarray) -> np.ndarray | None
         return None
     whole, part = (np.nan_to_num(columns[:, names.index(name)]).astype(np.int64) for name in ("sec", "nanosec"))
     return whole * 10**9 + part
-
-
-def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Counter[str]) -> Iterator[RawSignals]:
-    import pyarrow as pa
-    from pyarrow import csv as arrow_csv
-
-    key = "lines with a wrong number of cells left out"
-    rows = 0
-
-    def broken(_: Any) -> str:
-        counts[key] += 1
-        return "skip"
-
-    with readable(path, "CSV to its end", (pa.ArrowException, OSError)):
-        reader = arrow_csv.open_csv(
-            pa.input_stream(str(path), compression="gzip" if path.open("rb").read(2) == GZIP_MAGIC else None),
-            read_options=arrow_csv.ReadOptions(
-                column_names=list(dialect.names),
-                skip_rows=dialect.skip_lines,
-                block_size=BLOCK_BYTES,
-                # Latin-1 reads the same numbers, and a damaged line need not be valid UTF-8.
-                encoding="utf8" if dialect.marked else "latin-1",
-            ),
-            parse_options=arrow_csv.ParseOptions(delimiter=dialect.separator, invalid_row_handler=broken),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types=dict.fromkeys(numeric, pa.float64()),
-                include_columns=list(numeric),
-                decimal_point=dialect.decimal,
-                null_values=["", "nan", "NaN", "NA", "null"],
-            ),
-        )
-        for batch in reader:
-            columns = np.column_stack([column.to_numpy(zero_copy_only=False) for column in batch.columns])
-            rows += len(columns)
-            columns = columns.astype(np.float64, copy=False)
-            yield RawSignals("", numeric, _stamps_ns(numeric, columns), columns)
-    if not rows:
-        raise RecordingError(f"{path}: it has no rows under its names")
-    if counts[key] > max(1, MOST_BROKEN * rows):
-        raise RecordingError(
-            f"{path}: {counts[key]} of {rows + counts[key]} lines lack the {len(dialect.names)} cells of the first"
-        )

@@ -51,6 +51,7 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
         return hdf5.open_matlab(path)
     if begin.startswith(hdf5.MAGIC):
         return hdf5.open_hdf5(path)
-    if begin.startswith(csv_table.GZIP_MAGIC) or b"\0" not in begin:
+    text = begin.rstrip(b"\0")  # a file system leaves zeros at the end of a file after a crash
+    if begin.startswith((csv_table.GZIP_MAGIC, *csv_table.UTF16_MAGIC)) or (text and b"\0" not in text):
         return csv_table.open_csv(path)
     raise RecordingError(f"{path}: its first bytes are of no format that is read; these are: {FORMATS}")

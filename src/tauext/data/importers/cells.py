@@ -1,0 +1,246 @@
+"""Cells of text in tables: numbers, dates and times, words for missing values, and rates that a file states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+# --- Kinds of cells.
+
+
+MISSING = frozenset(
+    ["", "-", "--", "---", "?", "*", "n/a", "na", "<na>", "#n/a", "#na", "nan", "-nan", "+nan", "nan(ind)", "-nan(ind)",
+     "nan(snan)", "-nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "1.#inf", "-1.#inf", "#div/0!", "#value!",
+     "#ref!", "#num!", "null", "none", "nil", "nat", "missing", "undefined", "inf", "-inf", "+inf"]
+)  # fmt: skip
+"""Words that stand for a missing value, in lower case."""
+_EXPONENT = r"(?:[eEdD][-+]?\d+)?"
+NUMBER = {".": rf"[-+]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", ",": rf"[-+]?(?:\d+(?:,\d+)?|,\d+){_EXPONENT}"}
+"""Numbers by their decimal mark; Fortran writes the exponent as D."""
+THOUSANDS = {".": r"[-+]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", ",": r"[-+]?[1-9]\d{0,2}(?:[. ']\d{3})+(?:,\d*)?"}
+"""Numbers with separators between their thousands, by their decimal mark."""
+FLAGS = {"true": 1.0, "false": 0.0}
+STAMP = (
+    r"(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2}|[A-Za-z]{3})[-/.](?P<day>\d{1,2})"
+    r"|(?P<first>\d{1,2})[-/. ](?P<second>\d{1,2}|[A-Za-z]{3})[-/. ](?P<last>\d{4})|(?P<days>\d+) days?)?"
+    r"[T ,_]{0,3}(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,:](?P<part>\d{1,9})\d*)?"
+    r" ?(?P<noon>[AaPp][Mm])?(?: ?(?P<zone>Z|UTC|GMT|[-+]\d{2}:?\d{2}))?(?:\[.*\])?"
+)
+"""A date with a time of day, a time of day, or a duration."""
+_NUMBER = {mark: re.compile(text) for mark, text in NUMBER.items()}
+_THOUSANDS = {mark: re.compile(text) for mark, text in THOUSANDS.items()}
+_STAMP = re.compile(STAMP)
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+DAY_NS = 86_400 * 10**9
+
+
+def is_number(cell: str, decimal: str = ".") -> bool:
+    """Whether the cell is a finite number with this decimal mark."""
+    return _NUMBER[decimal].fullmatch(cell) is not None
+
+
+def is_stamp(cell: str) -> bool:
+    """Whether the cell has a time of day, with or without a date."""
+    return _STAMP.fullmatch(cell) is not None
+
+
+def has_thousands(cell: str, decimal: str) -> bool:
+    """Whether the cell is a number with separators between its thousands."""
+    return _THOUSANDS[decimal].fullmatch(cell) is not None
+
+
+def list_cells(cell: str) -> list[str]:
+    """Numbers of a list in one cell, `[0.1, 0.2]`; empty where the cell is none."""
+    if cell[:1] not in ("[", "(") or cell[-1:] not in ("]", ")"):
+        return []
+    cells = [one for one in re.split(r"[,;\s]+", cell[1:-1]) if one]
+    return cells if all(is_number(one) or is_missing(one) for one in cells) else []
+
+
+def is_missing(cell: str) -> bool:
+    """Whether the cell stands for a missing value."""
+    return cell.lower() in MISSING
+
+
+def kind_of(cells: Sequence[str], decimal: str = ".") -> str:
+    """Kind of a column by a sample of its cells: number, stamp, flag, list, or text.
+
+    A column has the kind of at least half of the cells that are not missing; one without any value is of numbers.
+    """
+    known = [cell for cell in cells if not is_missing(cell)]
+    for kind, fits in (
+        ("number", lambda cell: is_number(cell, decimal)),
+        ("stamp", is_stamp),
+        ("flag", lambda cell: cell.lower() in FLAGS),
+        ("list", lambda cell: bool(list_cells(cell))),
+    ):
+        if 2 * sum(map(fits, known)) >= len(known):
+            return kind
+    return "text"
+
+
+# --- Columns of text cells, converted by Arrow.
+
+
+def numbers_of(column: Any, decimal: str = ".") -> np.ndarray:
+    """Numbers of a column of text, float64; NaN where a cell is no finite number."""
+    text = pc.utf8_trim_whitespace(column.cast(pa.string()))
+    fits = pc.match_substring_regex(text, f"^(?:{NUMBER[decimal]})$")
+    text = pc.replace_substring_regex(pc.if_else(fits, text, None), "[dD]", "e")
+    if decimal != ".":
+        text = pc.replace_substring(text, decimal, ".")
+    return np.asarray(text.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def flags_of(column: Any) -> np.ndarray:
+    """1 and 0 of a column of true and false, float64; NaN where a cell is neither, or a number."""
+    text = pc.utf8_lower(pc.utf8_trim_whitespace(column.cast(pa.string())))
+    values = numbers_of(text)
+    for word, value in FLAGS.items():
+        values[np.asarray(pc.fill_null(pc.equal(text, word), False).to_numpy(zero_copy_only=False), bool)] = value
+    return values
+
+
+def lists_of(column: Any, count: int) -> np.ndarray:
+    """Numbers of a column of lists in text, (samples, count); NaN where a list has another length."""
+    text = pc.replace_substring_regex(column.cast(pa.string()), r"^\s*[\[(]\s*|\s*[\])]\s*$", "")
+    lists = pc.split_pattern_regex(text, r"\s*[,;]\s*|\s+")
+    if isinstance(lists, pa.ChunkedArray):
+        lists = lists.combine_chunks()
+    fits = pc.fill_null(pc.equal(pc.list_value_length(lists), count), False)
+    values = np.full((len(lists), count), np.nan)
+    values[np.asarray(fits.to_numpy(zero_copy_only=False), bool)] = numbers_of(lists.filter(fits).flatten()).reshape(
+        -1, count
+    )
+    return values
+
+
+class StampReader:
+    """Converts cells with dates and times of day to stamps, block by block.
+
+    Times of day without a date continue over midnight.
+    """
+
+    def __init__(self) -> None:
+        self._days_ns = 0
+        self._newest: int | None = None
+
+    def stamps(self, column: Any) -> tuple[np.ndarray, np.ndarray]:
+        """(samples,) int64 [ns], and which cells are stamps."""
+        text = pc.utf8_trim_whitespace(column.cast(pa.string()))
+        found = pc.extract_regex(text, f"^(?:{STAMP})$")
+        if isinstance(found, pa.ChunkedArray):
+            found = found.combine_chunks()
+        known = np.asarray(found.is_valid().to_numpy(zero_copy_only=False), bool)
+        part = {name: found.field(k) for k, name in enumerate(field.name for field in found.type)}
+        day, dated, valid = _days(part)
+        hours = _whole(part["h"])
+        noon = pc.utf8_lower(part["noon"])
+        if _has(noon).any():
+            hours = np.where(_has(noon), hours % 12 + 12 * _equal(noon, "pm"), hours)
+        fraction = pc.utf8_rpad(part["part"], 9, "0")
+        ns = (day * 86_400 + hours * 3600 + _whole(part["m"]) * 60 + _whole(part["s"])) * 10**9 + _whole(fraction)
+        if (zoned := _has(part["zone"]) & ~_equal(part["zone"], "Z")).any():
+            zone = pc.replace_substring(part["zone"], ":", "")
+            minutes = _whole(pc.utf8_slice_codeunits(zone, 1, 3)) * 60 + _whole(pc.utf8_slice_codeunits(zone, 3, 5))
+            sign = np.where(_equal(pc.utf8_slice_codeunits(zone, 0, 1), "-"), -1, 1)
+            ns -= np.where(zoned, sign * minutes * 60 * 10**9, 0)
+        known &= valid
+        return self._over_midnight(ns, known & ~dated), known
+
+    def _over_midnight(self, ns: np.ndarray, of_day: np.ndarray) -> np.ndarray:
+        if not of_day.any():
+            return ns
+        times = ns[of_day]
+        before = np.r_[times[0] if self._newest is None else self._newest, times[:-1]]
+        self._newest = int(times[-1])
+        days = np.cumsum((times - before < -DAY_NS // 2).astype(np.int64) - (times - before > DAY_NS // 2))
+        ns = ns.copy()
+        ns[of_day] += self._days_ns + days * DAY_NS
+        self._days_ns += int(days[-1]) * DAY_NS
+        return ns
+
+
+def _days(part: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Days since 1970 (of a duration: its days; 0: none), whether there is a date or days, and whether it is valid."""
+    count = len(part["h"])
+    year_first, year_last, days = (_has(part[name]) for name in ("year", "last", "days"))
+    dated = year_first | year_last
+    if not dated.any():
+        return _whole(part["days"]), days, np.ones(count, bool)
+    year = _whole(part["year"]) + _whole(part["last"])
+    month, day = _month(part["month"]) + _month(part["second"]), _whole(part["day"]) + _whole(part["first"])
+    # With AM or PM, or where the second number is no month, the month is the first.
+    turned = year_last & (_has(part["noon"]) | (month > 12)) & (day <= 12)
+    month, day = np.where(turned, day, month), np.where(turned, month, day)
+    valid = ~dated | ((month >= 1) & (month <= 12) & (day >= 1) & (day <= 31) & (year >= 1970) & (year < 2200))
+    months = np.where(dated & valid, (year - 1970) * 12 + month - 1, 0)
+    since = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + day - 1
+    return np.where(dated, since, _whole(part["days"])), dated | days, valid
+
+
+def _has(text: Any) -> np.ndarray:
+    return np.asarray(pc.fill_null(pc.not_equal(text, ""), False).to_numpy(zero_copy_only=False), bool)
+
+
+def _equal(text: Any, word: str) -> np.ndarray:
+    return np.asarray(pc.fill_null(pc.equal(text, word), False).to_numpy(zero_copy_only=False), bool)
+
+
+def _whole(text: Any) -> np.ndarray:
+    """Digits as int64; 0 where there are none."""
+    digits = pc.if_else(pc.fill_null(pc.match_substring_regex(text, r"^\d+$"), False), text, "0")
+    return np.asarray(digits.cast(pa.int64()).to_numpy(zero_copy_only=False), np.int64)
+
+
+def _month(text: Any) -> np.ndarray:
+    text = pc.utf8_lower(text)
+    for number, name in enumerate(_MONTHS):
+        text = pc.if_else(pc.equal(text, name), str(number + 1), text)
+    return _whole(text)
+
+
+USUAL_CLOCK = re.compile(r".*(time|stamp|date|clock).*", re.IGNORECASE)
+
+
+def choose_clock(candidates: Mapping[str, int]) -> str:
+    """Name of the column of stamps that serves as the clock: the most different stamps, then a usual name."""
+    return max(candidates, key=lambda name: (candidates[name], bool(USUAL_CLOCK.fullmatch(name))))
+
+
+def clock_notes(candidates: Mapping[str, int], clock: str) -> list[str]:
+    """Sentences that name the clock, and the further columns of stamps that are left out."""
+    others = [name for name in candidates if name != clock]
+    notes = [f"stamps from column '{clock}', which has dates or times"]
+    return notes + [f"further columns of dates or times left out: {', '.join(others)}"] * bool(others)
+
+
+# --- Rates and sample times that a file states beside its rows.
+
+
+_RATES = re.compile(
+    r"(fs|fps|rate|(sample|sampling|update|control|recording|log)_?(rate|freq(uency)?)|frequency)(_?hz)?", re.IGNORECASE
+)
+_PERIODS = re.compile(
+    r"(ts|dt|(sample|sampling|cycle)_?(time|period|interval)|period)(_?(?P<unit>s|sec|ms|us|ns))?", re.IGNORECASE
+)
+_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LEAST_HZ, MOST_HZ = 5.0, 20_000.0
+"""Other rates are not those of an arm's samples."""
+
+
+def stated_hz(name: str, value: float) -> float | None:
+    """Rate that an entry of this name states, [Hz]; None: the entry is no rate or sample time of an arm's log."""
+    name = re.sub(r"[\s.-]+", "_", name.strip())
+    if _RATES.fullmatch(name):
+        hz = value
+    elif (match := _PERIODS.fullmatch(name)) and value > 0:
+        hz = 1.0 / (value * _UNITS_S[(match["unit"] or "").lower()])
+    else:
+        return None
+    return hz if LEAST_HZ <= hz <= MOST_HZ else None

@@ -406,14 +406,134 @@ def test_blocks_of_a_csv_join_without_a_seam(tmp_path, monkeypatch, block_bytes)
         assert source.place(last.rows[-1]) == "line 53"
 
 
-def test_parquet_columns_and_lists_come_by_name(tmp_path):
-    path = tmp_path / "run.parquet"
-    lists = pa.FixedSizeListArray.from_arrays(pa.array(np.arange(100.0)), 2)
-    pq.write_table(pa.table({**table(), "pair": lists, "note": ["x"] * 50}), path)
-    assert_table(path)
+def pairs(of: str) -> np.ndarray:
+    return np.column_stack([table()[f"{of}0"], table()[f"{of}1"]])
+
+
+def fixed_lists(values: np.ndarray) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+T_NS = np.datetime64("2024-05-01T12:00", "ns").astype(np.int64) + 10_000_000 * np.arange(50)
+SAME_ARROW = {
+    "numbers": {name: pa.array(values) for name, values in table().items()},
+    "lists": {"q": pa.array(pairs("q").tolist()), "tau": pa.array(pairs("tau").tolist(), pa.large_list(pa.float64()))},
+    "lists of one length": {"q": fixed_lists(pairs("q")), "tau": fixed_lists(pairs("tau"))},
+    "lists of one row": {"q": pa.array(pairs("q")[:, None].tolist()), "tau": pa.array(pairs("tau")[:, None].tolist())},
+    "lists of one column": {
+        "q": pa.array(pairs("q")[:, :, None].tolist()),
+        "tau": pa.array(pairs("tau")[:, :, None].tolist()),
+    },
+    "a struct": {
+        "arm": pa.array([{"q": q, "tau": t} for q, t in zip(pairs("q").tolist(), pairs("tau").tolist(), strict=True)])
+    },
+    "a tensor": {
+        name: pa.ExtensionArray.from_storage(pa.fixed_shape_tensor(pa.float64(), [1, 2]), fixed_lists(pairs(name)))
+        for name in ("q", "tau")
+    },
+    "text": {name: pa.array(map(repr, map(float, values)), pa.string()) for name, values in table().items()},
+    "a dictionary": {name: pa.array(values).dictionary_encode() for name, values in table().items()},
+}
+
+
+@pytest.mark.parametrize("form", ["parquet", "arrow"])
+@pytest.mark.parametrize("variation", SAME_ARROW)
+def test_arrow_columns_of_each_type_give_the_same_numbers(tmp_path, form, variation):
+    path = tmp_path / f"run.{form}"
+    columns = pa.table({"picture": pa.array([b"x"] * 50), "mode": ["idle"] * 50, **SAME_ARROW[variation]})
+    if form == "parquet":
+        pq.write_table(columns, path, row_group_size=20)
+    else:
+        with pa.ipc.new_file(path, columns.schema) as file:
+            file.write_table(columns, max_chunksize=20)
     source, streams = read(path)
-    np.testing.assert_array_equal(streams[""][1]["pair[1]"], np.arange(1.0, 100, 2))
-    assert source.notes == ["columns without numbers left out: note"]
+    t_ns, found = streams[""]
+    spelled = "arm.{}[{}]" if variation == "a struct" else "{}{}" if "q0" in SAME_ARROW[variation] else "{}[{}]"
+    for signal in ("q", "tau"):
+        for k in range(2):
+            np.testing.assert_array_equal(found[spelled.format(signal, k)], table()[f"{signal}{k}"])
+    assert t_ns is None and source.notes == ["columns without numbers left out: mode, picture"]
+
+
+STAMP_TYPES = {
+    "ns": pa.array(T_NS).cast(pa.timestamp("ns")),
+    "us with a zone": pa.array(T_NS // 1000).cast(pa.timestamp("us", "Europe/Berlin")),
+    "ms": pa.array(T_NS // 10**6).cast(pa.timestamp("ms")),
+    "text": pa.array(T_NS // 1000).cast(pa.timestamp("us")).cast(pa.string()),
+    "time of day": pa.array(T_NS // 1000 % (86_400 * 10**6)).cast(pa.time64("us")),
+    "time of day in ms": pa.array((T_NS // 10**6 % 86_400_000).astype(np.int32)).cast(pa.time32("ms")),
+    "duration": pa.array(T_NS - T_NS[0]).cast(pa.duration("ns")),
+}
+
+
+@pytest.mark.parametrize("kind", STAMP_TYPES)
+@pytest.mark.parametrize("name", ["timestamp", "__index_level_0__"])
+def test_an_arrow_column_of_times_is_the_clock(tmp_path, kind, name):
+    if kind == "duration" and name != "timestamp":
+        return  # a duration may be anything
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({name: STAMP_TYPES[kind], **table()}), path)
+    source, streams = read(path)
+    t_ns, columns = streams[""]
+    day = 86_400 * 10**9
+    begin = {"time of day": T_NS[0] % day, "time of day in ms": T_NS[0] % day, "duration": 0}.get(kind, T_NS[0])
+    np.testing.assert_array_equal(t_ns, begin + T_NS - T_NS[0])
+    np.testing.assert_array_equal(columns["tau1"], table()["tau1"])
+    assert source.clocks == (name, "") and name not in columns
+    assert source.notes == [f"stamps from column '{name}', which has dates or times"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "exact"),
+    [
+        (pa.float32(), False),
+        (pa.float16(), False),
+        (pa.int16(), True),
+        (pa.uint64(), True),
+        (pa.decimal128(6, 2), True),
+    ],
+)
+def test_arrow_numbers_of_each_type_are_read(tmp_path, kind, exact):
+    path = tmp_path / "run.parquet"
+    numbers = pa.array([None, *range(49)], pa.float64()).cast(kind)
+    flags = pa.array([None, *(k % 2 == 0 for k in range(49))])
+    pq.write_table(pa.table({"q": numbers, "contact": flags, "effort": pa.nulls(50), "at": table()["time"]}), path)
+    columns = read(path)[1][""][1]
+    np.testing.assert_array_equal(columns["q"], np.r_[np.nan, np.arange(49.0)])
+    np.testing.assert_array_equal(columns["contact"], np.r_[np.nan, np.arange(49) % 2 == 0])
+    assert np.isnan(columns["effort"]).all()
+
+
+def test_rows_of_parquet_without_a_stamp_or_with_another_length_of_a_list(tmp_path):
+    path = tmp_path / "run.parquet"
+    stamps = pa.array([None if k == 7 else int(t) for k, t in enumerate(T_NS)], pa.timestamp("ns"))
+    lists = [[float(k), 0.5][: 1 if k == 9 else 2] if k != 11 else None for k in range(50)]
+    ragged = pa.array([[1.0] * (k % 9 + 1) for k in range(50)])
+    pq.write_table(pa.table({"stamp": stamps, "q": pa.array(lists), "points": ragged}), path)
+    source, streams = read(path)
+    t_ns, columns = streams[""]
+    np.testing.assert_array_equal(t_ns, np.delete(T_NS, 7))
+    assert source.lost.sentences() == ["1 row left out: 'stamp', its time, is missing, first row 8"]
+    expected = np.where(np.isin(np.arange(50), (9, 11)), np.nan, np.arange(50.0))
+    np.testing.assert_array_equal(columns["q[0]"], np.delete(expected, 7))
+    assert source.counts == {"lists of 'q' without 2 elements are missing values": 1}
+    assert source.notes[-1] == "columns without numbers left out: points (lists of changing length)"
+    (block,) = source.blocks()
+    assert source.place(block.rows[7]) == "row 9"
+
+
+def test_parquet_without_rows_or_numbers_is_refused(tmp_path):
+    path = tmp_path / "run.parquet"
+    for columns, message in (
+        ({"q": pa.array([], pa.float64())}, "it has no rows"),
+        (
+            {"mode": ["a"], "stamp": pa.array([1], pa.timestamp("ns"))},
+            "no column has numbers; its columns are mode, stamp",
+        ),
+    ):
+        pq.write_table(pa.table(columns), path)
+        with pytest.raises(RecordingError, match=f"run.parquet: {message}"):
+            open_raw(path)
 
 
 @pytest.mark.parametrize("across", [False, True])

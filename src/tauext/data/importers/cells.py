@@ -151,9 +151,10 @@ class StampReader:
             sign = np.where(_equal(pc.utf8_slice_codeunits(zone, 0, 1), "-"), -1, 1)
             ns -= np.where(zoned, sign * minutes * 60 * 10**9, 0)
         known &= valid
-        return self._over_midnight(ns, known & ~dated), known
+        return self.over_midnight(ns, known & ~dated), known
 
-    def _over_midnight(self, ns: np.ndarray, of_day: np.ndarray) -> np.ndarray:
+    def over_midnight(self, ns: np.ndarray, of_day: np.ndarray) -> np.ndarray:
+        """Stamps [ns] with the days since the first block added to the rows that are times of day."""
         if not of_day.any():
             return ns
         times = ns[of_day]

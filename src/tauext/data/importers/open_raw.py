@@ -12,7 +12,7 @@ from tauext.errors import RecordingError
 from tauext.files.plain_file import expect_file
 
 FORMATS = (
-    "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, HDF5, MATLAB, "
+    "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, Arrow, HDF5, MATLAB, "
     "LeRobot v3 folder"
 )
 
@@ -45,7 +45,7 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
         return ros.open_ros1(path, topics)
     if begin.startswith((ros.SQLITE_MAGIC, ros.MCAP_MAGIC)):
         return ros.open_ros2(path, topics)
-    if begin.startswith(parquet.MAGIC):
+    if begin.startswith((parquet.MAGIC, parquet.ARROW_MAGIC)):
         return parquet.open_parquet(path)
     if begin.startswith((hdf5.MAGIC_5, hdf5.MAGIC_73)):
         return hdf5.open_matlab(path)

@@ -1,8 +1,10 @@
-"""Parquet files: columns of numbers, and columns of lists of one length."""
+"""Parquet and Arrow files: columns of numbers, of lists and structs of numbers, and of times."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,64 +12,258 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable, short_list
+from tauext.data.importers.cells import (
+    USUAL_CLOCK,
+    StampReader,
+    choose_clock,
+    clock_notes,
+    flags_of,
+    kind_of,
+    numbers_of,
+)
+from tauext.data.importers.damaged import whole
+from tauext.data.importers.raw import BLOCK_ROWS, Lost, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
-MAGIC = b"PAR1"
+MAGIC, ARROW_MAGIC = b"PAR1", b"ARROW1"
 BROKEN = (pa.ArrowException, OSError)
+MOST_ELEMENTS = 1000
+"""Longer lists are images or point clouds."""
+UNIT_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
 def open_parquet(path: Path) -> list[RawRecording]:
-    """Read columns of numbers under their names, lists of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
+    """Read columns of numbers under their names; missing is NaN.
+
+    Elements of a list are `name[0]`, `name[1]`, ..., also of lists of lists; a list of another length than the others
+    is missing. Fields of a struct are `name.field`. A column of timestamps, times of day or their text is the clock.
 
     Raises:
-        RecordingError: on opening or reading: damaged, or without numbers.
+        RecordingError: on opening or reading: damaged, without rows or without numbers.
     """
-    with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
-        names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
-        others = [field.name for field in file.schema_arrow if not _is_numeric(field.type)]
-    if not names:
-        raise RecordingError(f"{path}: no column has numbers; its columns are {', '.join(others)}")
-    notes = [f"columns without numbers left out: {short_list(others)}"] if others else []
+    table = _Table(path)
+    with whole(path, table.kind, BROKEN):
+        leaves, others = table.leaves()
+    stamps = {leaf.name: leaf.different for leaf in leaves if leaf.kind == "stamp"}
+    clock = choose_clock(stamps) if stamps else ""
+    used = [leaf for leaf in leaves if leaf.kind != "stamp" or leaf.name == clock]
+    if not [leaf for leaf in used if leaf.kind != "stamp"]:
+        listed = short_list([*others, *stamps])
+        raise RecordingError(f"{path}: no column has numbers; its columns are {listed}")
+    notes = clock_notes(stamps, clock) if clock else []
+    if others:
+        notes.append(f"columns without numbers left out: {short_list(others)}")
+    lost, counts = Lost(), Counter[str]()
+    raw = RawRecording(
+        path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, counts, lost, clocks=(clock, "")
+    )
+    return [raw]
 
-    def blocks() -> Iterator[RawSignals]:
-        yield from parquet_blocks(path, names)
 
-    return [RawRecording(path.stem, path, "Parquet", blocks, notes)]
+# --- Columns of a table: each leaf of lists and structs is one signal or array.
 
 
-def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
-    """Yield the columns of these names, block by block.
+@dataclass(frozen=True)
+class Leaf:
+    """A column of numbers, or a field of a struct."""
 
-    Raises:
-        RecordingError: damaged, or a list of changing length.
-    """
-    with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
-        if not file.metadata.num_rows:
-            raise RecordingError(f"{path}: it has no rows")
-        for batch in file.iter_batches(BLOCK_ROWS, columns=names):
-            columns: dict[str, np.ndarray] = {}
-            for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                columns |= _expanded(path, name, column)
-            yield RawSignals("", tuple(columns), None, np.column_stack(list(columns.values())))
+    name: str
+    column: str
+    """Column of the file that holds it."""
+    kind: str
+    """number, flag, stamp, list, or number in text: "digits"."""
+    count: int = 1
+    """Elements of a list."""
+    different: int = 0
+    """Different stamps in the first rows."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its signals."""
+        return tuple(f"{self.name}[{k}]" for k in range(self.count)) if self.kind == "list" else (self.name,)
+
+
+@dataclass(frozen=True)
+class _Table:
+    path: Path
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        with self.path.open("rb") as file:
+            kind = "Arrow" if file.read(len(ARROW_MAGIC)) == ARROW_MAGIC else "Parquet"
+        object.__setattr__(self, "kind", kind)
+
+    def batches(self, columns: list[str] | None = None) -> Iterator[Any]:
+        """Record batches of up to BLOCK_ROWS rows, with these columns; None: all."""
+        if self.kind == "Parquet":
+            with pq.ParquetFile(self.path) as file:
+                yield from file.iter_batches(BLOCK_ROWS, columns=columns)
+            return
+        with pa.memory_map(str(self.path)) as source, pa.ipc.open_file(source) as file:
+            for k in range(file.num_record_batches):
+                batch = file.get_batch(k)
+                batch = batch if columns is None else batch.select(columns)
+                for first in range(0, len(batch), BLOCK_ROWS):
+                    yield batch.slice(first, BLOCK_ROWS)
+
+    def leaves(self) -> tuple[list[Leaf], list[str]]:
+        """Leaves with numbers or times, and the names of the others."""
+        first = next((batch for batch in self.batches(self._readable()) if len(batch)), None)
+        if first is None:
+            raise RecordingError(f"{self.path}: it has no rows")
+        leaves, others = [], []
+        for column, values in zip(first.schema.names, first.columns, strict=True):
+            for name, leaf in _flat(column, values):
+                kind, count = _kind(name, leaf)
+                if kind in ("text", "long"):
+                    others.append(f"{name} (lists of changing length)" if kind == "long" else name)
+                    continue
+                different = len(leaf.unique()) if kind == "stamp" else 0
+                leaves.append(Leaf(name, column, kind, count, different))
+        return leaves, others + [name for name in self._names() if name not in first.schema.names]
+
+    def _names(self) -> list[str]:
+        return [field.name for field in self._schema()]
+
+    def _readable(self) -> list[str]:
+        """Columns that may hold numbers; those of images are not read."""
+        return [field.name for field in self._schema() if not _is_binary(field.type)]
+
+    def _schema(self) -> Any:
+        if self.kind == "Parquet":
+            with pq.ParquetFile(self.path) as file:
+                return file.schema_arrow
+        with pa.memory_map(str(self.path)) as source, pa.ipc.open_file(source) as file:
+            return file.schema
+
+    def blocks(self, leaves: list[Leaf], raw: RawRecording) -> Iterator[RawSignals]:
+        """Yield the leaves' numbers, block by block.
+
+        Raises:
+            RecordingError: damaged.
+        """
+        columns = list(dict.fromkeys(leaf.column for leaf in leaves))
+        signals = [leaf for leaf in leaves if leaf.kind != "stamp"]
+        names = tuple(name for leaf in signals for name in leaf.names)
+        stamps, row, all_known = StampReader(), 0, True
+        with whole(self.path, self.kind, BROKEN):
+            for batch in self.batches(columns):
+                held = dict(one for name in columns for one in _flat(name, batch.column(name)))
+                numbers = np.column_stack([_numbers(leaf, held[leaf.name], raw.counts) for leaf in signals])
+                t_ns, rows = None, None
+                for leaf in (leaf for leaf in leaves if leaf.kind == "stamp"):
+                    t_ns, known = _stamps_ns(held[leaf.name], stamps)
+                    if not known.all():
+                        why = f"'{leaf.name}', its time, is missing"
+                        raw.lost.add(why, int((~known).sum()), raw.place(row + int(np.argmin(known))))
+                        t_ns, numbers, all_known = t_ns[known], numbers[known], False
+                    rows = None if all_known else row + np.flatnonzero(known)
+                row += len(batch)
+                if len(numbers):
+                    yield RawSignals("", names, t_ns, numbers, rows=rows)
+
+
+def _is_binary(kind: pa.DataType) -> bool:
+    if pa.types.is_nested(kind) and not pa.types.is_map(kind):
+        fields = [kind.field(k) for k in range(kind.num_fields)]
+        return (
+            any(_is_binary(one.type) for one in fields)
+            if not pa.types.is_struct(kind)
+            else all(_is_binary(one.type) for one in fields)
+        )
+    binary = (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_fixed_size_binary, pa.types.is_map)
+    return any(test(kind) for test in binary)
+
+
+def _flat(name: str, column: Any) -> Iterator[tuple[str, Any]]:
+    """The column, or the fields of its structs, with plain types."""
+    if isinstance(column, pa.ExtensionArray):
+        column = column.storage
+    if isinstance(column, pa.DictionaryArray):
+        column = column.dictionary_decode()
+    if pa.types.is_struct(column.type):
+        for child, values in zip(column.type, column.flatten(), strict=True):
+            yield from _flat(f"{name}.{child.name}", values)
+    else:
+        yield name, column
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
 
 
 def _is_numeric(kind: pa.DataType) -> bool:
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-        return _is_numeric(kind.value_type)
-    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+    tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_decimal, pa.types.is_null)
+    return any(test(kind) for test in tests)
 
 
-def _expanded(path: Path, name: str, column: Any) -> dict[str, np.ndarray]:
-    if not hasattr(column.type, "value_type"):
-        return {name: _floats(column)}
-    values = _floats(column.flatten())
-    lengths = column.value_lengths().to_numpy(zero_copy_only=False)
-    if column.null_count or len(set(lengths.tolist())) > 1:
-        raise RecordingError(f"{path}: the lists in column '{name}' are of changing length; they must stay the same")
-    rows = values.reshape(len(column), -1)
-    return {f"{name}[{k}]": rows[:, k] for k in range(rows.shape[1])}
+def _kind(name: str, column: Any) -> tuple[str, int]:
+    """Kind of a leaf, and the number of its elements."""
+    kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_time(kind):
+        return "stamp", 1
+    if pa.types.is_duration(kind):
+        return ("stamp" if USUAL_CLOCK.fullmatch(name) else "number"), 1
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind) or kind == pa.string_view():
+        found = kind_of([str(cell or "").strip() for cell in column[:1000].to_pylist()])
+        return {"number": "digits", "list": "text"}.get(found, found), 1
+    if _is_list(kind):
+        values, counts = _elements(column)
+        known = Counter(counts[counts > 0].tolist())
+        if not _is_numeric(values.type) or not known:
+            return "text", 1
+        count, times = known.most_common(1)[0]
+        return ("list", count) if 2 * times >= known.total() and count <= MOST_ELEMENTS else ("long", 1)
+    return ("number" if _is_numeric(kind) else "text"), 1
+
+
+def _elements(column: Any) -> tuple[Any, np.ndarray]:
+    """All elements of lists, also of lists of lists, and their number a row."""
+    if isinstance(column, pa.ExtensionArray):
+        column = column.storage
+    if not _is_list(column.type):
+        return column, np.ones(len(column), np.int64)
+    values, inner = _elements(column.flatten())
+    lengths = column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
+    total, ends = np.r_[0, np.cumsum(inner)], np.cumsum(lengths)
+    return values, total[ends] - total[ends - lengths]
+
+
+def _numbers(leaf: Leaf, column: Any, counts: Counter[str]) -> np.ndarray:
+    """(samples, elements) float64; NaN where a value is missing."""
+    if leaf.kind == "digits":
+        return numbers_of(column)[:, None]
+    if leaf.kind == "flag":
+        return flags_of(column)[:, None]
+    if leaf.kind == "number":
+        return _floats(column)[:, None]
+    values, lengths = _elements(column)
+    floats = _floats(values)
+    good = lengths == leaf.count
+    if good.all():
+        return floats.reshape(-1, leaf.count)
+    if odd := int((~good & (lengths > 0)).sum()):
+        counts[f"lists of '{leaf.name}' without {leaf.count} elements are missing values"] += odd
+    rows = np.full((len(column), leaf.count), np.nan)
+    first = (np.cumsum(lengths) - lengths)[good]
+    rows[good] = floats[first[:, None] + np.arange(leaf.count)]
+    return rows
 
 
 def _floats(column: Any) -> np.ndarray:
-    return column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    if pa.types.is_duration(column.type):
+        return _floats(column.cast(pa.int64())) * (UNIT_NS[column.type.unit] * 1e-9)
+    floats = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return np.asarray(floats, dtype=np.float64)
+
+
+def _stamps_ns(column: Any, reader: StampReader) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps [ns] of a column of timestamps, times of day, durations or their text, and which are known."""
+    kind = column.type
+    if not pa.types.is_temporal(kind):
+        return reader.stamps(column)
+    known = np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool)
+    whole_units = column.cast(pa.int32()) if pa.types.is_time32(kind) else column
+    numbers = whole_units.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    t_ns = np.asarray(numbers, np.int64) * UNIT_NS[kind.unit]
+    return (reader.over_midnight(t_ns, known) if pa.types.is_time(kind) else t_ns), known

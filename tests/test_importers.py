@@ -536,29 +536,241 @@ def test_parquet_without_rows_or_numbers_is_refused(tmp_path):
             open_raw(path)
 
 
-@pytest.mark.parametrize("across", [False, True])
-def test_hdf5_arrays_may_lie_either_way(tmp_path, across):
-    path = tmp_path / "run.h5"
-    both = np.column_stack([table()["q0"], table()["q1"]])
-    with h5py.File(path, "w") as file:
-        file["arm/time"], file["arm/q"], file["gains"] = table()["time"], both.T if across else both, np.ones(7)
-    source, streams = read(path)
-    np.testing.assert_array_equal(streams[""][1]["arm/q[1]"], table()["q1"])
-    assert source.notes == ["arrays of another length than 50 left out: gains (7)"]
+RECORDS = np.zeros(50, [("time", "f8"), ("q", "f8", 2), ("tau", "f8", (1, 2)), ("mode", "S4")])
+RECORDS["time"], RECORDS["q"], RECORDS["tau"] = table()["time"], pairs("q"), pairs("tau")[:, None]
+SAME_ARRAYS = {
+    "rows": {"time": table()["time"], "q": pairs("q"), "tau": pairs("tau")},
+    "columns": {"time": table()["time"], "q": pairs("q").T, "tau": pairs("tau").T},
+    "an axis of one before": {"time": table()["time"][None], "q": pairs("q")[None], "tau": pairs("tau")[None]},
+    "an axis of one between": {
+        "time": table()["time"][:, None],
+        "q": pairs("q")[:, None],
+        "tau": pairs("tau")[:, None],
+    },
+    "an axis of one behind": {"time": table()["time"], "q": pairs("q")[..., None], "tau": pairs("tau").T[..., None]},
+    "Simulink's last axis": {"time": table()["time"], "q": pairs("q").T[:, None], "tau": pairs("tau").T[:, None]},
+    "fewer samples than joints": {
+        "time": table(2)["time"],
+        "q": pairs("q")[:2].repeat(2, 1),
+        "tau": pairs("tau")[:2].repeat(2, 1),
+    },
+}
 
 
-def test_matlab_structs_of_version_5_and_7_3_come_alike(tmp_path):
-    both = np.column_stack([table()["q0"], table()["q1"]])
-    savemat(tmp_path / "old.mat", {"rec": {"q": both.T, "t": table()["time"]}, "gain": 3.0})
-    new = tmp_path / "new.mat"
-    with h5py.File(new, "w", userblock_size=512) as file:
-        file["rec/q"], file["rec/t"] = both, table()["time"][None]
-    with new.open("r+b") as file:
+def as_matlab_73(path, write):
+    """A file of MATLAB 7.3: HDF5 behind a block of 512 bytes."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        write(file)
+    with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, written by a test".ljust(124) + b"\0\2IM")
-    for name in ("old.mat", "new.mat"):
-        _, columns = read(tmp_path / name)[1][""]
-        np.testing.assert_array_equal(columns["rec.q[1]"], table()["q1"])
-        np.testing.assert_array_equal(columns["rec.t"], table()["time"])
+
+
+@pytest.mark.parametrize("name", ["run.h5", "old.mat", "new.mat"])
+@pytest.mark.parametrize("variation", SAME_ARRAYS)
+def test_arrays_of_each_orientation_give_the_same_numbers(tmp_path, name, variation):
+    path, arrays = tmp_path / name, SAME_ARRAYS[variation]
+
+    def write(file):
+        for key, values in arrays.items():
+            file[f"rec/{key}"] = values
+        file["gains"] = np.ones(7)
+
+    if name == "old.mat":
+        savemat(path, {"rec": arrays, "gains": np.ones(7)})
+    elif name == "new.mat":
+        as_matlab_73(path, write)
+    else:
+        with h5py.File(path, "w") as file:
+            write(file)
+    source, streams = read(path)
+    mark = "/" if name == "run.h5" else "."
+    columns = streams[""][1]
+    samples, twice = (2, 2) if "fewer" in variation else (50, 1)
+    np.testing.assert_array_equal(columns[f"rec{mark}time"], table()["time"][:samples])
+    for signal in ("q", "tau"):
+        for k in range(2 * twice):
+            expected = table()[f"{signal}{k // twice}"][:samples]
+            np.testing.assert_array_equal(columns[f"rec{mark}{signal}[{k}]"], expected)
+    assert source.notes == [f"arrays of another length than {samples} left out: gains (7)"]
+
+
+def test_hdf5_fields_names_and_rates(tmp_path):
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["log"] = RECORDS
+        file["arm/q"], file["arm/joint_names"], file["arm/fs"] = pairs("q"), ["shoulder", "elbow"], 100.0
+        file["arm/contact"], file["arm/half"] = np.arange(50) > 30, pairs("q").astype(np.float16)
+        file["arm/q"].attrs["dt"] = 0.01
+        file["camera/fps"], file["camera/image"], file["empty"] = 30.0, np.zeros((7, 9, 9)), np.zeros((0, 3))
+        file["pose"] = np.zeros((50, 4, 4))
+        file["table/block0_values"], file["table/block0_items"] = pairs("tau"), np.array([b"tau_1", b"tau_2"])
+        file["table/axis1"] = np.arange(50) * 10**7
+        file["table"].attrs["pandas_type"] = "frame"
+    source, streams = read(path)
+    columns = streams[""][1]
+    for names in (("log.q[0]", "log.q[1]"), ("arm/q[shoulder]", "arm/q[elbow]")):
+        np.testing.assert_array_equal(np.column_stack([columns[name] for name in names]), pairs("q"))
+    for names in (("log.tau[0]", "log.tau[1]"), ("table/tau_1", "table/tau_2")):
+        np.testing.assert_array_equal(np.column_stack([columns[name] for name in names]), pairs("tau"))
+    np.testing.assert_array_equal(columns["table/index"], np.arange(50) * 10**7)
+    np.testing.assert_array_equal(columns["arm/contact"], np.arange(50) > 30)
+    np.testing.assert_array_equal(columns["arm/half[elbow]"], pairs("q")[:, 1].astype(np.float16))
+    assert "pose[15]" in columns and "log.mode" not in columns
+    assert source.stated_hz == {"arm/fs": 100.0, "arm/q/dt": 100.0}
+    assert source.notes == ["arrays of another length than 50 left out: camera/image (9), empty (3)"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "lengths", "runs"),
+    [
+        ("data/demo_{}", (50, 40, 50), True),
+        ("episode_{}", (50, 50, 50), True),
+        ("block{}", (50, 40, 30), True),
+        ("joint_{}", (50, 50, 50), False),
+        ("part_{}", (50, 50, 50), False),
+    ],
+)
+def test_groups_of_runs_are_recordings_of_their_own(tmp_path, pattern, lengths, runs):
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["gains"], file.attrs["rate_hz"] = np.ones(3), 100
+        for k, samples in enumerate(lengths):
+            group = file.create_group(pattern.format(k + 9))
+            group["obs/q"], group["t"] = pairs("q")[:samples] + k, table()["time"][:samples]
+    sources = open_raw(path)
+    assert all(source.stated_hz == {"rate_hz": 100.0} for source in sources)
+    if not runs:
+        (source,) = sources
+        assert f"{pattern.format(10)}/obs/q[1]" in source.streams()[""]
+        return
+    assert [source.name for source in sources] == [f"run-{pattern.format(k + 9).split('/')[-1]}" for k in range(3)]
+    for k, source in enumerate(sources):
+        (block,) = source.blocks()
+        assert block.names == ("obs/q[0]", "obs/q[1]", "t")
+        np.testing.assert_array_equal(block.columns[:, :2], pairs("q")[: lengths[k]] + k)
+    assert sources[0].notes == ["arrays outside of the runs left out: gains"]
+
+
+def matlab_runs(kind: str) -> dict:
+    """Two runs of 50 and 40 samples in the ways of MATLAB."""
+    one, other = ({"t": table()["time"][:n], "q": pairs("q")[:n]} for n in (50, 40))
+    if kind == "an array of structs":
+        runs = np.zeros((1, 2), [("t", object), ("q", object)])
+        for k, run in enumerate((one, other)):
+            runs[0, k] = (run["t"], run["q"])
+        return {"log": runs}
+    cells = {key: np.empty(2, object) for key in ("t", "q")}
+    for key, cell in cells.items():
+        cell[:] = [one[key], other[key]]
+    if kind == "parallel cells":
+        return cells
+    structs = np.empty(2, object)
+    structs[:] = [one, other]
+    return {"runs": structs}
+
+
+@pytest.mark.parametrize("kind", ["an array of structs", "parallel cells", "cells of structs"])
+def test_runs_of_matlab_are_recordings_of_their_own(tmp_path, kind):
+    savemat(tmp_path / "run.mat", matlab_runs(kind))
+    first, second = open_raw(tmp_path / "run.mat")
+    assert (first.name, second.name) == ("run-1", "run-2")
+    for source, samples in ((first, 50), (second, 40)):
+        (block,) = source.blocks()
+        columns = dict(zip(block.names, block.columns.T, strict=True))
+        np.testing.assert_array_equal(columns["q[1]"], table()["q1"][:samples])
+        np.testing.assert_array_equal(columns["t"], table()["time"][:samples])
+
+
+@pytest.mark.parametrize("cell", [True, False])
+def test_references_of_matlab_7_3_are_followed(tmp_path, cell):
+    def write(file):
+        for k in range(2):
+            file[f"#refs#/t{k}"], file[f"#refs#/q{k}"] = table()["time"][None, : 50 - k], pairs("q").T[:, : 50 - k]
+        for key in ("t", "q"):
+            held = file.create_dataset(key if cell else f"log/{key}", (2, 1), h5py.ref_dtype)
+            held[:, 0] = [file[f"#refs#/{key}{k}"].ref for k in range(2)]
+            if cell:
+                held.attrs["MATLAB_class"] = np.bytes_("cell")
+        file["empty"] = np.array([0, 3], np.uint64)
+        file["empty"].attrs["MATLAB_empty"] = 1
+
+    as_matlab_73(tmp_path / "run.mat", write)
+    sources = open_raw(tmp_path / "run.mat")
+    for k, source in enumerate(sources):
+        (block,) = source.blocks()
+        columns = dict(zip(block.names, block.columns.T, strict=True))
+        np.testing.assert_array_equal(columns["q[1]"], table()["q1"][: 50 - k])
+    assert [source.name for source in sources] == ["run-1", "run-2"]
+
+
+def test_simulink_and_cells_of_joints(tmp_path):
+    path = tmp_path / "run.mat"
+    names, joints = np.empty(2, object), np.empty(2, object)
+    names[:], joints[:] = ["shoulder", "elbow"], [table()["tau0"], table()["tau1"]]
+    signals = {"values": pairs("q").T[:, None], "dimensions": 2.0, "label": "q"}
+    out = {"time": table()["time"], "signals": signals, "Ts": 0.01}
+    savemat(path, {"out": out, "tau": joints, "joint_names": names})
+    source, streams = read(path)
+    columns = streams[""][1]
+    np.testing.assert_array_equal(columns["out.signals.values[elbow]"], table()["q1"])
+    np.testing.assert_array_equal(columns["tau[shoulder]"], table()["tau0"])
+    assert source.stated_hz == {"out.Ts": 100.0}
+
+
+REFUSED_ARRAYS = {
+    "a square": ({"q": np.eye(7)}, r"which axis of 'q' \(7 x 7\) counts samples is not clear; add an array `time`"),
+    "a square with a clock": ({"time": np.arange(7.0), "q": np.eye(7)}, r"which axis of 'q' \(7 x 7\) counts"),
+    "few samples without a clock": ({"q": np.ones((5, 7)), "tau": np.ones((5, 7))}, r"which axis of 'q' \(5 x 7\)"),
+    "images": ({"image": np.zeros((50, 30, 30))}, r"looks like a signal, .*; its arrays: image \(50 x 30 x 30\)"),
+    "nothing": ({}, "looks like a signal, .*; its arrays: none"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED_ARRAYS)
+def test_arrays_that_are_no_signals_are_refused_with_the_cause(tmp_path, kind):
+    path = tmp_path / "run.h5"
+    arrays, message = REFUSED_ARRAYS[kind]
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    with pytest.raises(RecordingError, match=f"run.h5: .*{message}"):
+        open_raw(path)
+
+
+def test_matlab_objects_are_named_with_the_way_on(tmp_path):
+    def write(file):
+        file["log"] = np.arange(6, dtype=np.uint32)[None]
+        file["log"].attrs["MATLAB_class"], file["log"].attrs["MATLAB_object_decode"] = np.bytes_("timeseries"), 3
+
+    path = tmp_path / "run.mat"
+    as_matlab_73(path, write)
+    with pytest.raises(
+        RecordingError, match=r"MATLAB objects cannot be read: log \(timeseries\); save .* plain arrays"
+    ):
+        open_raw(path)
+    as_matlab_73(
+        path, lambda file: (write(file), file.create_dataset("t", data=table()["time"]))
+    )  # as the message says
+    source, streams = read(path)
+    np.testing.assert_array_equal(streams[""][1]["t"], table()["time"])
+    assert source.notes == ["MATLAB objects left out: log (timeseries)"]
+
+
+def test_a_missing_filter_of_hdf5_is_named(tmp_path):
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_chunk((50,))
+        plist.set_filter(32001, h5py.h5z.FLAG_OPTIONAL)
+        space = h5py.h5s.create_simple((50,))
+        h5py.h5d.create(file.id, b"q", h5py.h5t.NATIVE_DOUBLE, space, plist).write_direct_chunk((0,), bytes(400))
+    with pytest.raises(
+        RecordingError, match="'/q' is compressed by the filter .*; write the file with gzip, or without"
+    ):
+        open_raw(path)
+    with h5py.File(path, "w") as file:
+        file.create_dataset("q", data=table()["q0"], compression="gzip")
+    np.testing.assert_array_equal(read(path)[1][""][1]["q"], table()["q0"])
 
 
 @pytest.mark.parametrize("name", ["run.parquet", "run.h5", "run.mat"])

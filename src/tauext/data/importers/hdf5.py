@@ -1,57 +1,283 @@
-"""HDF5 and MATLAB files: named arrays to signals."""
+"""HDF5 and MATLAB files: named arrays to signals, a group of arrays for each run."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable, short_list
+from tauext.data.importers.cells import USUAL_CLOCK, stated_hz
+from tauext.data.importers.damaged import whole
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
-# --- Named arrays of HDF5 and MATLAB files as one table: which are signals, and their orientation.
+# --- Named arrays of a file: which are signals, and which of their axes counts samples.
 
 
 MOST_WIDE = 64
 """Largest number of elements of a signal a sample."""
 
 
-def sample_count(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> int:
-    """Number of samples: the most common length, weighted by the count of numbers.
+@dataclass(frozen=True)
+class Array:
+    """An array of numbers in a file."""
+
+    path: tuple[str, ...]
+    """Groups or structs, and the array's name."""
+    shape: tuple[int, ...]
+    """Without axes of one element."""
+    held: Any
+    """The array itself, or what the reader finds it by."""
+    labels: tuple[str, ...] = ()
+    """Names of its elements, where the file has them."""
+    named: bool = False
+    """Whether the labels are names of columns, not of elements."""
+
+    def columns(self, name: str, samples: int) -> tuple[str, ...]:
+        """Names of its columns: `name`, or `name[0]`, `name[1]`... ; empty if no single axis counts the samples."""
+        if sample_axis(self.shape, samples) is None:
+            return ()
+        count = int(np.prod(self.shape)) // samples
+        if self.named and len(self.labels) == count:
+            return tuple(f"{name.removesuffix(self.path[-1])}{label}" for label in self.labels)
+        if count == 1:
+            return (name,)
+        labels = self.labels if len(self.labels) == count else map(str, range(count))
+        return tuple(f"{name}[{label}]" for label in labels) if count <= MOST_WIDE else ()
+
+
+@dataclass
+class Content:
+    """What a file holds."""
+
+    arrays: list[Array] = field(default_factory=list)
+    scalars: dict[tuple[str, ...], float] = field(default_factory=dict)
+    words: dict[tuple[str, ...], tuple[str, ...]] = field(default_factory=dict)
+    """Lists of texts."""
+    objects: list[str] = field(default_factory=list)
+    """MATLAB objects with their class."""
+
+    def add(self, path: tuple[str, ...], shape: Sequence[int], held: Any) -> None:
+        """Add an array; one of a single number is a scalar."""
+        self.arrays.append(Array(path, tuple(int(n) for n in shape if n != 1), held))
+
+    def label(self) -> None:
+        """Name the elements of arrays by names that the array has, or its group, or one above."""
+        names = {path[:-1]: words for path, words in self.words.items() if JOINT_NAMES.fullmatch(path[-1])}
+        for k, array in enumerate(self.arrays):
+            for depth in range(len(array.path), -1, -1):
+                words = names.get(array.path[:depth], ())
+                if not array.labels and len(words) > 1 and len(words) in array.shape and len(set(words)) == len(words):
+                    self.arrays[k] = array = replace(array, labels=words)
+
+
+JOINT_NAMES = re.compile(
+    r"((joint|motor|axis|dof|column|field|channel|signal)s?_?)?names?|joints|columns|channels|labels", re.IGNORECASE
+)
+
+
+def sample_axis(shape: tuple[int, ...], samples: int) -> int | None:
+    """The one axis that counts samples; None if there is none or several."""
+    return shape.index(samples) if shape.count(samples) == 1 else None
+
+
+def sample_count(path: Path, arrays: Sequence[Array]) -> int:
+    """Number of samples: the length of a clock, else the most common length, weighted by the count of numbers.
 
     Raises:
-        RecordingError: no array looks like a signal.
+        RecordingError: no array looks like a signal, or the axis of samples is not clear.
     """
+    signals = [one for one in arrays if _is_signal(one.shape)]
+    clocks = {one.shape[0] for one in signals if len(one.shape) == 1 and CLOCK.fullmatch(one.path[-1])}
     votes: Counter[int] = Counter()
-    for shape in shapes.values():
-        if _is_signal(shape):
-            votes[max(shape)] += min(shape) if len(shape) == 2 else 1
+    for one in signals:
+        votes[max(one.shape)] += int(np.prod(one.shape)) // max(one.shape)
+    fitting = [n for n in clocks if any(n in one.shape and len(one.shape) > 1 for one in signals)]
     if not votes:
-        listed = ", ".join(f"{name} {shape}" for name, shape in list(shapes.items())[:12]) or "none"
+        raise RecordingError(f"{path}: {_no_signals(arrays)}")
+    samples = fitting[0] if len(fitting) == 1 else max(votes, key=lambda length: (votes[length], length))
+    wide = [one for one in signals if len(one.shape) > 1 and samples in one.shape]
+    square = [one for one in wide if sample_axis(one.shape, samples) is None]
+    unclear = square if len(square) == len(wide) else []
+    if not fitting and not any(one.shape == (samples,) for one in signals):
+        unclear = unclear or [one for one in wide if max(one.shape) <= MOST_WIDE]
+    if unclear:
+        one = unclear[0]
         raise RecordingError(
-            f"{path}: no array of numbers in it looks like a signal, (samples,) or (samples, joints); "
-            f"its arrays: {listed}. MATLAB objects (timeseries, table) must be saved as plain arrays"
+            f"{path}: which axis of '{one.path[-1]}' {_by(one.shape)} counts samples is not clear; add an array "
+            f"`time` (samples,), and record more samples than {max(one.shape)}"
         )
-    return max(votes, key=lambda length: (votes[length], length))
+    return samples
 
 
-def columns_of(name: str, shape: tuple[int, ...], samples: int) -> tuple[str, ...] | None:
-    """Names of an array's columns: `name`, or `name[0]`, `name[1]`, ... ; None if its length differs."""
-    if not _is_signal(shape) or max(shape) != samples:
-        return None
-    if len(shape) == 1 or min(shape) == 1:
-        return (name,)
-    return tuple(f"{name}[{k}]" for k in range(min(shape)))
+CLOCK = re.compile(rf"t|tout|{USUAL_CLOCK.pattern}", re.IGNORECASE)
 
 
 def _is_signal(shape: tuple[int, ...]) -> bool:
-    if len(shape) == 1:
-        return shape[0] > 1
-    return len(shape) == 2 and max(shape) > min(shape) > 0 and min(shape) <= MOST_WIDE
+    if not shape or 0 in shape:
+        return False
+    return int(np.prod(shape)) // max(shape) <= MOST_WIDE
+
+
+def _by(shape: Sequence[int]) -> str:
+    return f"({' x '.join(map(str, shape))})"
+
+
+def _no_signals(arrays: Sequence[Array]) -> str:
+    listed = short_list([f"{one.path[-1]} {_by(one.shape)}" for one in arrays], 12) or "none"
+    return (
+        "no array of numbers in it looks like a signal, (samples,) or (samples, joints) of at most "
+        f"{MOST_WIDE} joints; its arrays: {listed}"
+    )
+
+
+# --- Runs: groups with the same arrays, each of its own length.
+
+
+RUNS = re.compile(
+    r"(demo|run|episode|ep|traj|trajectory|trial|test|rec|recording|session|exp|experiment|rollout|sequence|seq|motion)",
+    re.IGNORECASE,
+)
+PARTS = re.compile(r"(joint|j|axis|a|motor|actuator|servo|link|arm|robot|sensor|signals?)", re.IGNORECASE)
+
+
+def runs_of(path: Path, arrays: Sequence[Array]) -> list[tuple[tuple[str, ...], list[Array]]]:
+    """Groups that are recordings of their own, in natural order, with their arrays; one () if the file is one.
+
+    Groups of one parent are runs if their names are numbered words such as `demo_0`, or if they have the same arrays
+    with other lengths.
+    """
+    children: dict[tuple[str, ...], dict[str, list[Array]]] = {}
+    for one in arrays:
+        for depth in range(len(one.path) - 1):
+            children.setdefault(one.path[:depth], {}).setdefault(one.path[depth], []).append(one)
+    for parent in sorted(children, key=len):
+        by_stem: dict[str, list[str]] = {}
+        for name in children[parent]:
+            match = re.fullmatch(r"(.*?)[\W_]*\d+", name)
+            by_stem.setdefault(match[1] if match else "\0", []).append(name)
+        for stem, names in by_stem.items():
+            groups = {name: children[parent][name] for name in sorted(names, key=_natural)}
+            if _are_runs(path, stem or (parent[-1] if parent else ""), len(parent) + 1, groups):
+                return [((*parent, name), held) for name, held in groups.items()]
+    return [((), list(arrays))]
+
+
+def _are_runs(path: Path, stem: str, depth: int, groups: Mapping[str, Sequence[Array]]) -> bool:
+    if RUNS.fullmatch(stem) and any(_is_signal(one.shape) for held in groups.values() for one in held):
+        return True
+    if len(groups) < 2 or PARTS.fullmatch(stem):
+        return False
+    names = [{one.path[depth:] for one in held} for held in groups.values()]
+    lengths = set()
+    for held in groups.values():
+        try:
+            lengths.add(sample_count(path, held))
+        except RecordingError:
+            return False
+    return all(one == names[0] for one in names) and len(lengths) > 1
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+# --- From the content of a file to raw recordings.
+
+
+Opened = Callable[[], AbstractContextManager[Callable[[Any], Any]]]
+"""Opens the file; gives a function that returns the array, or a dataset, that `held` stands for."""
+
+
+def recordings(path: Path, kind: str, separator: str, content: Content, opened: Opened) -> list[RawRecording]:
+    """A raw recording for each run in the content of a file.
+
+    Raises:
+        RecordingError: there is no signal in any.
+    """
+    content.label()
+    found: list[RawRecording] = []
+    refused: list[str] = []
+    runs = runs_of(path, content.arrays)
+    for group, arrays in runs:
+        where = path if not group else f"{path}: {separator.join(group)}"
+        try:
+            samples = sample_count(Path(where), arrays)
+        except RecordingError as error:
+            if len(runs) == 1:
+                remedy = ""
+                if content.objects:
+                    remedy = f". MATLAB objects cannot be read: {short_list(content.objects)}; save their numbers as "
+                    remedy += "plain arrays (t = x.Time; q = x.Data; or table2struct(x, 'ToScalar', true))"
+                raise RecordingError(f"{error}{remedy}") from None
+            refused.append(str(error).removeprefix(f"{path}: "))
+            continue
+        names = {one.path: separator.join(one.path[len(group) :]) for one in arrays}
+        columns = {one.path: one.columns(names[one.path], samples) for one in arrays}
+        notes = _left_out(names, columns, arrays, samples, content.objects)
+        stem = f"{path.stem}-{'-'.join(group[-1:])}" if group else path.stem
+        used = [one for one in arrays if columns[one.path]]
+        blocks = partial(_blocks, path, kind, used, [c for one in used for c in columns[one.path]], samples, opened)
+        places = {one.path[:depth] for one in used for depth in range(len(one.path) + 1)}
+        stated = {
+            separator.join(entry): hz
+            for entry, value in content.scalars.items()
+            if entry[:-1] in places and (hz := stated_hz(entry[-1], value))
+        }
+        found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated))
+    if not found:
+        raise RecordingError(f"{path}: {refused[0] if refused else _no_signals(content.arrays)}")
+    if refused:
+        found[0].notes.append(f"{len(refused)} of {len(runs)} runs left out; the first: {refused[0]}")
+    inside = {one.path for _, arrays in runs for one in arrays}
+    if outside := [separator.join(one.path) for one in content.arrays if one.path not in inside and one.shape]:
+        found[0].notes.append(f"arrays outside of the runs left out: {short_list(outside)}")
+    return found
+
+
+def _left_out(
+    names: Mapping[tuple[str, ...], str],
+    columns: Mapping[tuple[str, ...], tuple[str, ...]],
+    arrays: Iterable[Array],
+    samples: int,
+    objects: Sequence[str],
+) -> list[str]:
+    others = [one for one in arrays if not columns[one.path] and one.shape]
+    square = [f"{names[one.path]} {_by(one.shape)}" for one in others if one.shape.count(samples) > 1]
+    wide = [f"{names[one.path]} {_by(one.shape)}" for one in others if one.shape.count(samples) == 1]
+    rest = [f"{names[one.path]} ({max(one.shape)})" for one in others if samples not in one.shape]
+    reasons = {
+        f"arrays of another length than {samples} left out": rest,
+        "square arrays left out, since the axis of samples is not clear": square,
+        f"arrays of more than {MOST_WIDE} numbers a sample left out": wide,
+        "MATLAB objects left out": objects,
+    }
+    return [f"{reason}: {short_list(listed)}" for reason, listed in reasons.items() if listed]
+
+
+def _blocks(
+    path: Path, kind: str, used: Sequence[Array], names: Sequence[str], samples: int, opened: Opened
+) -> Iterator[RawSignals]:
+    with whole(path, kind, BROKEN), opened() as array_of:
+        for first in range(0, samples, BLOCK_ROWS):
+            rows = slice(first, min(first + BLOCK_ROWS, samples))
+            parts = [_rows(array_of(one.held), rows, samples) for one in used]
+            yield RawSignals("", tuple(names), None, np.column_stack(parts).astype(np.float64, copy=False))
+
+
+def _rows(array: Any, rows: slice, samples: int) -> np.ndarray:
+    """Rows of an array of any orientation, (rows, elements)."""
+    axis = array.shape.index(samples)
+    part = array[tuple(rows if k == axis else slice(None) for k in range(len(array.shape)))]
+    return np.moveaxis(part, axis, 0).reshape(rows.stop - rows.start, -1)
 
 
 # --- HDF5 files, and MATLAB files of version 7.3, which are HDF5 inside.
@@ -63,53 +289,172 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawRecording]:
-    """Read datasets (samples,), (samples, joints) or (joints, samples) as one raw recording, with groups in the names.
+    """Read datasets (samples,), (samples, joints) or (joints, samples), with groups in their names.
 
-    Datasets of other lengths are left out and listed in the notes.
+    Axes of one element do not count. Fields of compound datasets are `name.field`. Groups with the same datasets and
+    lengths of their own, such as `demo_0`, are recordings of their own. Elements have the names of a list
+    `joint_names` beside them. Datasets of other lengths are left out and listed in the notes; scalars and attributes
+    such as `rate_hz` are stated rates.
 
     Raises:
         RecordingError: on opening or reading: damaged, or without signals.
     """
     import h5py
 
-    with readable(path, kind, BROKEN), h5py.File(path) as file:
-        shapes = _numeric(file, separator)
-    samples = sample_count(path, {name: shape for name, (_, shape) in shapes.items()})
-    columns = {name: columns_of(name, shape, samples) for name, (_, shape) in shapes.items()}
-    others = [f"{name} ({max(shape, default=1)})" for name, (_, shape) in shapes.items() if columns[name] is None]
-    notes = [f"arrays of another length than {samples} left out: {short_list(others)}"] if others else []
+    @contextmanager
+    def opened() -> Iterator[Callable[[Any], Any]]:
+        with h5py.File(path) as file:
+            yield partial(_dataset, file)
 
-    def blocks() -> Iterator[RawSignals]:
-        names = tuple(name for array in columns.values() for name in array or ())
-        with readable(path, kind, BROKEN), h5py.File(path) as file:
-            for first in range(0, samples, BLOCK_ROWS):
-                rows = slice(first, min(first + BLOCK_ROWS, samples))
-                parts = [_rows(file[shapes[a][0]], rows, samples) for a in columns if columns[a]]
-                yield RawSignals("", names, None, np.column_stack(parts).astype(np.float64, copy=False))
-
-    return [RawRecording(path.stem, path, kind, blocks, notes)]
+    with whole(path, kind, BROKEN), h5py.File(path) as file:
+        content = _hdf5_content(file, kind != "HDF5")
+        for one in content.arrays:
+            _expect_filters(path, file[one.held[0]])
+    return recordings(path, kind, separator, content, opened)
 
 
-def _numeric(file: Any, separator: str) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Path in the file and shape of every numeric dataset, by its name with this separator."""
+@dataclass(frozen=True)
+class _Field:
+    """A field of a compound dataset, as an array."""
+
+    dataset: Any
+    name: str
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (*self.dataset.shape, *self.dataset.dtype[self.name].shape)
+
+    def __getitem__(self, at: tuple[slice, ...]) -> np.ndarray:
+        return np.asarray(self.dataset[at[: self.dataset.ndim]][self.name])
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Vectors of one length as an array (samples, vectors)."""
+
+    parts: tuple[Any, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.parts[0].size, len(self.parts))
+
+    def __getitem__(self, at: tuple[slice, ...]) -> np.ndarray:
+        return np.column_stack([np.ravel(part[()])[at[0]] for part in self.parts])
+
+
+def _dataset(file: Any, held: tuple[str, ...]) -> Any:
+    """The dataset, a field of it, or several vectors."""
+    name, *others = held
+    if others and others[0].startswith("."):
+        return _Field(file[name], others[0][1:])
+    return _Stack(tuple(file[one] for one in held)) if others else file[name]
+
+
+def _expect_filters(path: Path, dataset: Any) -> None:
     import h5py
 
-    found: dict[str, tuple[str, tuple[int, ...]]] = {}
+    plist = dataset.id.get_create_plist()
+    for k in range(plist.get_nfilters()):
+        number, *_, name = plist.get_filter(k)
+        if not h5py.h5z.filter_avail(number):
+            label = name.decode(errors="replace") or str(number)
+            raise RecordingError(
+                f"{path}: '{dataset.name}' is compressed by the filter '{label}', which is not available here; write "
+                "the file with gzip, or without compression"
+            )
+
+
+def _hdf5_content(file: Any, matlab: bool) -> Content:
+    import h5py
+
+    content = Content()
+    frames: set[str] = set()
+
+    def number(path: tuple[str, ...], value: Any) -> None:
+        if isinstance(value, int | float | np.number) or (isinstance(value, np.ndarray) and value.size == 1):
+            try:
+                content.scalars[path] = float(np.ravel(value)[0])
+            except (TypeError, ValueError):
+                pass  # a text
+
+    def attributes(path: tuple[str, ...], item: Any) -> None:
+        for name in item.attrs:
+            value = item.attrs.get(name)
+            number((*path, str(name)), value)
+            if JOINT_NAMES.fullmatch(str(name)) and np.ndim(value) == 1:
+                content.words[(*path, str(name))] = tuple(map(_word, value))
 
     def visit(name: str, item: Any) -> None:
-        hidden = name.startswith("#")  # internal data of MATLAB objects
-        text = isinstance(item, h5py.Dataset) and item.attrs.get("MATLAB_class") in (b"char", b"cell")
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and not hidden and not text:
-            found[name.replace("/", separator)] = (name, tuple(int(n) for n in item.shape))
+        path = tuple(name.split("/"))
+        if name.startswith("#"):
+            return  # internal data of MATLAB objects
+        if not matlab:
+            attributes(path, item)
+        if isinstance(item, h5py.Dataset):
+            dataset(path, item)
+        elif not matlab and _word(item.attrs.get("pandas_type", "")) == "frame":
+            frame(path, item)
 
+    def frame(path: tuple[str, ...], group: Any) -> None:
+        """A pandas table: blocks of columns of one type, and the index."""
+        for name in group:
+            if match := re.fullmatch(r"block(\d+)_values", name):
+                words = tuple(_word(one) for one in group[f"block{match[1]}_items"][()])
+                content.add((*path, name), group[name].shape, (group[name].name,))
+                content.arrays[-1] = replace(content.arrays[-1], labels=words, named=True)
+        if "axis1" in group and group["axis1"].dtype.kind in "iuf":
+            content.add((*path, "index"), group["axis1"].shape, (group["axis1"].name,))
+        frames.add(group.name)
+
+    def dataset(path: tuple[str, ...], item: Any) -> None:
+        kind = _word(item.attrs.get("MATLAB_class", ""))
+        if item.parent.name in frames or item.shape is None or item.attrs.get("MATLAB_empty", 0):
+            return
+        if "MATLAB_object_decode" in item.attrs and kind not in ("logical", "char", "cell", "struct", ""):
+            content.objects.append(f"{'.'.join(path)} ({kind})")
+        elif h5py.check_ref_dtype(item.dtype) is h5py.Reference:
+            references(path, item, kind == "cell")
+        elif item.dtype.names:
+            for name in item.dtype.names:
+                sub = item.dtype[name]
+                if sub.base.kind in "fiub":
+                    content.add((*path[:-1], f"{path[-1]}.{name}"), (*item.shape, *sub.shape), (item.name, f".{name}"))
+        elif item.dtype.kind in "fiub" and kind != "char":
+            if item.size == 1:
+                number(path, item[()])
+            content.add(path, item.shape, (item.name,))
+        elif item.dtype.kind in "SO" and item.ndim == 1 and item.size <= MOST_WIDE:
+            content.words[path] = tuple(_word(one) for one in item[()])
+
+    def references(path: tuple[str, ...], item: Any, cell: bool) -> None:
+        """Cells, and the fields of arrays of structs."""
+        targets = [file[one] for one in np.ravel(item[()]) if one]
+        if cell and all(_word(t.attrs.get("MATLAB_class", "")) == "char" for t in targets):
+            content.words[path] = tuple("".join(map(chr, np.ravel(t[()]).tolist())) for t in targets)
+            return
+        vectors = [t for t in targets if isinstance(t, h5py.Dataset) and t.dtype.kind in "fiub" and t.size > 1]
+        one_length = len({t.size for t in vectors}) == 1 and all(t.size == max(t.shape) for t in vectors)
+        if cell and one_length and len(vectors) == len(targets) > 1:
+            content.add(path, (vectors[0].size, len(vectors)), tuple(t.name for t in vectors))
+            return
+        for k, target in enumerate(targets):
+            at = (*path, str(k + 1))
+            if isinstance(target, h5py.Group):
+                for name, child in target.items():
+                    if isinstance(child, h5py.Dataset):
+                        dataset((*at, name), child)
+            else:
+                # runs in parallel cells, or in an array of structs
+                dataset((str(k + 1), *path) if cell else (*path[:-1], str(k + 1), path[-1]), target)
+
+    if not matlab:
+        attributes((), file)
     file.visititems(visit)
-    return found
+    return content
 
 
-def _rows(dataset: Any, rows: slice, samples: int) -> np.ndarray:
-    if dataset.ndim == 1:
-        return dataset[rows]
-    return dataset[rows] if dataset.shape[0] == samples else dataset[:, rows].T
+def _word(value: Any) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
 # --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as HDF5.
@@ -119,7 +464,10 @@ MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
 
 def open_matlab(path: Path) -> list[RawRecording]:
-    """Read the arrays of a MATLAB file, in structs or not, as one raw recording; a field's name is `struct.field`.
+    """Read the arrays of a MATLAB file, in structs or not; a field's name is `struct.field`.
+
+    Arrays of structs and cells whose elements have lengths of their own are recordings of their own. For all else see
+    open_hdf5().
 
     Raises:
         RecordingError: damaged, or without signals; MATLAB objects (timeseries, table) cannot be read.
@@ -129,36 +477,55 @@ def open_matlab(path: Path) -> list[RawRecording]:
             return open_hdf5(path, ".", "MATLAB 7.3")
     from scipy.io import loadmat
 
-    # SciPy raises many types on damaged files; opaque objects beside the data are ignored.
-    with readable(path, "a MATLAB file", (Exception,)), warnings.catch_warnings():
+    # SciPy raises many types on damaged files.
+    with whole(path, "a MATLAB file", (Exception,)), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(path, struct_as_record=False, squeeze_me=True)
-    arrays = {name: array for key, value in content.items() for name, array in _arrays(str(key), value)}
-    samples = sample_count(path, {name: array.shape for name, array in arrays.items()})
-    names: list[str] = []
-    columns: list[np.ndarray] = []
-    for name, array in arrays.items():
-        if held := columns_of(name, array.shape, samples):
-            names += held
-            columns.append(array if array.shape[0] == samples else array.T)
-    others = [
-        f"{name} ({max(array.shape)})"
-        for name, array in arrays.items()
-        if array.size > 1 and columns_of(name, array.shape, samples) is None
-    ]
-    notes = [f"arrays of another length than {samples} left out: {short_list(others)}"] if others else []
+        loaded = loadmat(path, struct_as_record=False, squeeze_me=True)
+        content = Content()
+        for name, value in loaded.items():
+            if not str(name).startswith("__") or type(value).__name__ == "MatlabOpaque":
+                _add_matlab(content, (str(name),), value)
 
-    def blocks() -> Iterator[RawSignals]:
-        yield RawSignals("", tuple(names), None, np.column_stack(columns).astype(np.float64, copy=False))
+    @contextmanager
+    def opened() -> Iterator[Callable[[Any], Any]]:
+        yield lambda held: held
 
-    return [RawRecording(path.stem, path, "MATLAB", blocks, notes)]
+    return recordings(path, "MATLAB", ".", content, opened)
 
 
-def _arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    if name.startswith("__"):
-        return
-    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        yield name, value
+def _add_matlab(content: Content, path: tuple[str, ...], value: Any) -> None:
+    kind = type(value).__name__
+    if kind in ("MatlabOpaque", "MatlabObject"):
+        content.objects.append(_opaque(path, value))
     elif hasattr(value, "_fieldnames"):
-        for field in value._fieldnames:
-            yield from _arrays(f"{name}.{field}", getattr(value, field))
+        for name in value._fieldnames:
+            _add_matlab(content, (*path, name), getattr(value, name))
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        content.add(path, value.shape, np.squeeze(value))
+    elif isinstance(value, int | float | np.number):
+        content.scalars[path] = float(value)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "OU":
+        _add_cells(content, path, np.ravel(value))
+
+
+def _add_cells(content: Content, path: tuple[str, ...], cells: np.ndarray) -> None:
+    """Elements of a cell or of an array of structs."""
+    if all(isinstance(one, str) for one in cells):
+        content.words[path] = tuple(map(str, cells))
+        return
+    vectors = [one for one in cells if isinstance(one, np.ndarray) and one.dtype.kind in "fiub" and one.ndim == 1]
+    if len(vectors) == len(cells) > 1 and len({len(one) for one in vectors}) == 1:
+        content.add(path, (len(vectors[0]), len(vectors)), np.column_stack(vectors))
+        return
+    for k, one in enumerate(cells):
+        _add_matlab(content, (*path, str(k + 1)) if hasattr(one, "_fieldnames") else (str(k + 1), *path), one)
+
+
+def _opaque(path: tuple[str, ...], value: Any) -> str:
+    """Name and class of a MATLAB object."""
+    try:
+        one = np.ravel(value)[0]
+        name, kind = (_word(one[key]) for key in ("s0", "s2"))
+    except (IndexError, KeyError, TypeError, ValueError):
+        name, kind = path[-1], str(getattr(value, "classname", "object"))
+    return f"{name} ({kind})"

@@ -245,8 +245,8 @@ def test_what_cannot_be_labelled_is_refused_in_words(place, tmp_path):
     (slow / "meta/info.json").write_text(json.dumps(info | {"fps": 50}))
     with pytest.raises(BundleError, match="runs at 30 Hz, these frames at 50"):
         label_dataset(slow, bundle, arm, tmp_path / "out")
-    (slow / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v2.0"}))
-    with pytest.raises(RecordingError, match="version v2.0; v3.0 and v2.1 are read"):
+    (slow / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v1.6"}))
+    with pytest.raises(RecordingError, match="version v1.6; v3.0, v2.1, v2.0 are read"):
         label_dataset(slow, bundle, arm, tmp_path / "out")
     other = parse_arm(arms.ARM.replace("UNIT", "deg").replace('"shoulder", "elbow"', '"elbow", "shoulder"'))
     with pytest.raises(BundleError, match="is for joints shoulder, elbow, wrist"):

@@ -1,9 +1,10 @@
-"""LeRobot v3 dataset folders: reading, and export of recordings as episodes."""
+"""LeRobot dataset folders: reading, and export of recordings as episodes of v3."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,18 +16,21 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from tauext.data.importers.raw import RawRecording, RawSignals
+from tauext.data.importers.parquet import floats_of, is_list, rows_of_lists
+from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import json_of, read_text
 
-# --- LeRobot dataset folders, v3.0 (lerobot 0.4 and later) and v2.1 (0.3): metadata and rows of an episode.
+# --- LeRobot dataset folders, v3.0 (lerobot 0.4 and later), v2.1 and v2.0 (before): metadata and rows of an episode.
 
 
 INFO = "meta/info.json"
 MOST_ELEMENTS = 10_000
 """Most elements of a feature; no robot's state has more."""
-VERSIONS = ("v3.0", "v2.1")
+VERSIONS = ("v3.0", "v2.1", "v2.0")
+NUMERIC = ("float", "int", "uint", "bool")
+FRAME, TIMESTAMP, OWN_STAMPS = "frame_index", "timestamp", "t_ns"
 EPISODES_V2 = "meta/episodes.jsonl"
 STATE, ACTION = "observation.state", "action"
 GOAL = "goal"
@@ -44,7 +48,7 @@ class LerobotFolder:
 
     @property
     def version(self) -> str:
-        """Version of the format, v3.0 or v2.1."""
+        """Version of the format, v3.0 or v2.1; v2.0 has the files of v2.1 but other statistics."""
         return next(v for v in VERSIONS if str(self.info["codebase_version"]).startswith(v.split(".")[0]))
 
     @property
@@ -64,7 +68,7 @@ class LerobotFolder:
 
     def numeric(self, columns: list[str]) -> list[str]:
         """Numeric features among these columns."""
-        return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(("float", "int"))]
+        return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(NUMERIC)]
 
     def names(self, feature: str, count: int) -> list[str]:
         """Names of a feature's elements; their indices if it has none.
@@ -76,11 +80,19 @@ class LerobotFolder:
             raise RecordingError(
                 f"{self.path / INFO}: {feature} has {count:,} elements; no more than {MOST_ELEMENTS:,} are read"
             )
-        names: Any = self.features[feature].get("names")
-        if isinstance(names, dict):  # some datasets: {"motors": [...]}
-            names = next(iter(names.values()), None)
-        fits = isinstance(names, list) and len(names) == count
-        return [str(n) for n in names] if fits else [str(k) for k in range(count)]
+        names = _names(self.features[feature].get("names"))
+        fits = len(names) == len(set(names)) == count
+        return names if fits else [str(k) for k in range(count)]
+
+
+def _names(names: Any) -> list[str]:
+    """Names in a list, in lists by kind such as {"motors": [...]}, or in {name: index}."""
+    if isinstance(names, dict) and names and all(isinstance(index, int) for index in names.values()):
+        return [str(name) for name in sorted(names, key=lambda name: names[name])]
+    if isinstance(names, dict | list):
+        parts = list(names.values()) if isinstance(names, dict) else names
+        return [name for part in parts for name in (_names(part) if isinstance(part, dict | list) else [str(part)])]
+    return []
 
 
 def open_folder(path: Path) -> LerobotFolder:
@@ -99,9 +111,9 @@ def open_folder(path: Path) -> LerobotFolder:
         raise RecordingError(f"{path}: is not a LeRobot dataset: it has no {INFO}") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{path / INFO}: cannot be read as LeRobot's ({type(error).__name__}: {error})") from error
-    if not re.match(r"v3\.|v2\.1$", str(version)):
+    if not re.match(r"v3\.|v2\.[01]$", str(version)):
         raise RecordingError(
-            f"{path}: a LeRobot dataset of version {version}; {' and '.join(VERSIONS)} are read: convert it with "
+            f"{path}: a LeRobot dataset of version {version}; {', '.join(VERSIONS)} are read: convert it with "
             "LeRobot's own script"
         )
     folder = LerobotFolder(path, info, {})
@@ -134,27 +146,60 @@ def readable(path: Path, what: str) -> Iterator[None]:
     """Convert errors on damaged files to RecordingError."""
     try:
         yield
-    except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError) as error:
+    except (pa.ArrowException, OSError) as error:
+        raise RecordingError(f"{path}: {what} cannot be read: truncated or damaged; copy it again") from error
+    except LookupError as error:
+        lacking = error.args[0] if error.args else "a part"
+        raise RecordingError(f"{path}: {what} cannot be read: it lacks {lacking!r}; copy it again") from error
+    except (ValueError, TypeError, AttributeError) as error:
         cause = " ".join(f"{error}".split()) or type(error).__name__
         raise RecordingError(f"{path}: {what} cannot be read ({cause}); copy it again") from error
 
 
-def episode_rows(folder: LerobotFolder, number: int) -> pa.Table:
+@dataclass(frozen=True)
+class Frames:
+    """Data files of each episode, with the number of frames in them, and the files that cannot be read."""
+
+    files: dict[int, list[Path]]
+    counts: Counter[int]
+    broken: list[Path]
+
+
+def frames_of(folder: LerobotFolder) -> Frames:
+    """Find the frames of every episode by reading its number alone."""
+    files: dict[int, list[Path]] = {}
+    counts, broken = Counter[int](), []
+    for path in folder.data_files():
+        try:
+            numbers = pq.read_table(path, columns=["episode_index"]).column(0).to_numpy()
+        except (pa.ArrowException, OSError, LookupError):
+            broken.append(path)
+            continue
+        held = Counter(numbers.tolist())
+        counts.update(held)
+        for number in held:
+            files.setdefault(number, []).append(path)
+    return Frames(files, counts, broken)
+
+
+def episode_rows(folder: LerobotFolder, number: int, files: list[Path] | None = None) -> pa.Table:
     """The numeric columns of an episode, in the order of its frames.
+
+    Args:
+        files: data files that hold frames of it; None: those of the folder, by their names.
 
     Raises:
         RecordingError: damaged, or the number of rows differs from the episode's length.
     """
     with readable(folder.path, f"episode {number}"):
-        if folder.version == "v3.0":
-            table = ds.dataset(folder.data_files())
-            rows = table.to_table(
-                columns=folder.numeric(table.schema.names), filter=ds.field("episode_index") == number
-            ).sort_by("frame_index")
-        else:
-            size = int(folder.info.get("chunks_size", 1000))
-            file = pq.ParquetFile(folder.path / f"data/chunk-{number // size:03d}/episode_{number:06d}.parquet")
-            rows = file.read(columns=folder.numeric(file.schema_arrow.names)).sort_by("frame_index")
+        if files is None and folder.version != "v3.0":
+            files = sorted((folder.path / "data").glob(f"chunk-*/episode_{number:06d}.parquet"))
+            if not files:
+                raise RecordingError(f"{folder.path}: episode {number} has no data file; copy the folder again")
+        table = ds.dataset(files or folder.data_files())
+        rows = table.to_table(columns=folder.numeric(table.schema.names), filter=ds.field("episode_index") == number)
+        if FRAME in rows.column_names:
+            rows = rows.sort_by(FRAME)
     if len(rows) != folder.lengths[number]:
         raise RecordingError(
             f"{folder.path}: episode {number} has {len(rows)} frames, its metadata lists {folder.lengths[number]}"
@@ -162,7 +207,7 @@ def episode_rows(folder: LerobotFolder, number: int) -> pa.Table:
     return rows
 
 
-def columns_of(folder: LerobotFolder, rows: pa.Table) -> dict[str, np.ndarray]:
+def columns_of(folder: LerobotFolder, rows: pa.Table, counts: Counter[str] | None = None) -> dict[str, np.ndarray]:
     """Columns of an episode by name, `feature[element]`, as float64, and the goals, `goal[element]`.
 
     The goal of NAME.pos is the state's element NAME.goal if recorded, else the action of the frame before: an action
@@ -171,10 +216,12 @@ def columns_of(folder: LerobotFolder, rows: pa.Table) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {}
     for name in rows.column_names:
         column = rows.column(name).combine_chunks()
-        if not hasattr(column.type, "value_type"):
-            columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
+        if not is_list(column.type):
+            columns[name] = floats_of(column)
             continue
-        values = column.flatten().to_numpy(zero_copy_only=False).reshape(len(rows), -1).astype(np.float64)
+        values, odd = rows_of_lists(column)
+        if odd and counts is not None:
+            counts[f"lists of '{name}' without {values.shape[1]} elements are missing values"] += odd
         names = folder.names(name, values.shape[1])
         columns |= {f"{name}[{element}]": values[:, k] for k, element in enumerate(names)}
     goals = {}
@@ -196,35 +243,63 @@ def frame_stamps(frames: np.ndarray, fps: float) -> np.ndarray:
 def open_lerobot(path: Path) -> list[RawRecording]:
     """Open every episode of a LeRobot dataset as a raw recording; a feature's element `name` is `feature[name]`.
 
-    Times are those of the feature `t_ns` if present (tauext writes it), else frame_index / fps. For `goal[name]` see
-    columns_of().
+    Times are those of the feature `t_ns` if present (tauext writes it), else frame_index / fps, with the feature
+    `timestamp` as the second clock. For `goal[name]` see columns_of(). An episode whose frames are damaged or are not
+    as many as its metadata lists is left out, and the notes list it.
 
     Raises:
-        RecordingError: unsupported version, or a file is missing or damaged."""
+        RecordingError: unsupported version, a file is missing or damaged, or no episode is left.
+    """
     folder = open_folder(path)
-    return [raw_episode(folder, number) for number in folder.lengths]
+    frames = frames_of(folder)
+    good = [number for number, length in folder.lengths.items() if frames.counts[number] == length]
+    notes = []
+    if bad := [number for number in folder.lengths if number not in good]:
+        held, length = frames.counts[bad[0]], folder.lengths[bad[0]]
+        why = f"episode {bad[0]} has {held} frames, its metadata lists {length}"
+        if frames.broken:
+            why += f"; {frames.broken[0].relative_to(path)} is truncated or damaged: copy it again"
+        if not good:
+            raise RecordingError(f"{path}: {why}")
+        notes.append(f"episodes left out: {short_list(map(str, bad))}; {why}")
+    raws = [raw_episode(folder, number, frames.files[number]) for number in good]
+    raws[0].notes.extend(notes)
+    return raws
 
 
-def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
-    """Open one episode; its frames are read when its blocks are requested."""
+def raw_episode(folder: LerobotFolder, number: int, files: list[Path] | None = None) -> RawRecording:
+    """Open one episode; its frames are read when its blocks are requested.
+
+    Args:
+        files: data files that hold frames of it; None: those of the folder, by their names.
+    """
+    counts = Counter[str]()
 
     def blocks() -> Iterator[RawSignals]:
-        rows = episode_rows(folder, number)
+        rows = episode_rows(folder, number, files)
+        other_ns = None
         with readable(folder.path, f"episode {number}"):
-            columns = columns_of(folder, rows)
-            values = np.column_stack(list(columns.values()))
-            if "t_ns" in rows.column_names:
-                signals = RawSignals("", tuple(columns), rows.column("t_ns").to_numpy().astype(np.int64), values)
+            columns = columns_of(folder, rows, counts)
+            if OWN_STAMPS in rows.column_names:
+                t_ns = rows.column(OWN_STAMPS).to_numpy().astype(np.int64)
             else:
-                t_ns, times = frame_stamps(columns["frame_index"], folder.fps), columns.get("timestamp")
-                other_ns = None if times is None else np.round(np.nan_to_num(times) * 1e9).astype(np.int64)
-                signals = RawSignals("", tuple(columns), t_ns, values, other_ns)
+                t_ns = frame_stamps(columns.get(FRAME, np.arange(len(rows))), folder.fps)
+                other_ns = _second_clock(columns.get(TIMESTAMP, columns.get(f"{TIMESTAMP}[0]")))
+            signals = RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())), other_ns)
         yield signals
 
+    own = OWN_STAMPS in folder.features
     name = f"{folder.path.name}-episode-{number:03d}"
-    return RawRecording(
-        name, folder.path, f"LeRobot {folder.version.split('.')[0]} dataset", blocks, clocks=("fps", "timestamp")
-    )
+    kind = f"LeRobot {folder.version.split('.')[0]} dataset"
+    clocks = (OWN_STAMPS, "") if own else ("fps", TIMESTAMP if TIMESTAMP in folder.features else "")
+    return RawRecording(name, folder.path, kind, blocks, counts=counts, clocks=clocks, row_word=("frame", 0))
+
+
+def _second_clock(timestamps: np.ndarray | None) -> np.ndarray | None:
+    """Stamps [ns] of timestamps [s]; None where they are missing or stand still."""
+    if timestamps is None or not np.isfinite(timestamps).all() or np.ptp(timestamps) <= 0:
+        return None
+    return np.round((timestamps - timestamps[0]) * 1e9).astype(np.int64) + round(float(timestamps[0]) * 1e9)
 
 
 # --- Export of recordings as episodes of a LeRobot v3 dataset folder.

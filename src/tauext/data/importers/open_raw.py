@@ -13,7 +13,7 @@ from tauext.files.plain_file import expect_file
 
 FORMATS = (
     "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, Arrow, HDF5, MATLAB, "
-    "LeRobot v3 folder"
+    "LeRobot folder"
 )
 
 

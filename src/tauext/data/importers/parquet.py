@@ -188,7 +188,7 @@ def _flat(name: str, column: Any) -> Iterator[tuple[str, Any]]:
         yield name, column
 
 
-def _is_list(kind: pa.DataType) -> bool:
+def is_list(kind: pa.DataType) -> bool:
     return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
 
 
@@ -207,13 +207,12 @@ def _kind(name: str, column: Any) -> tuple[str, int]:
     if pa.types.is_string(kind) or pa.types.is_large_string(kind) or kind == pa.string_view():
         found = kind_of([str(cell or "").strip() for cell in column[:1000].to_pylist()])
         return {"number": "digits", "list": "text"}.get(found, found), 1
-    if _is_list(kind):
+    if is_list(kind):
         values, counts = _elements(column)
-        known = Counter(counts[counts > 0].tolist())
-        if not _is_numeric(values.type) or not known:
+        if not _is_numeric(values.type) or not counts.any():
             return "text", 1
-        count, times = known.most_common(1)[0]
-        return ("list", count) if 2 * times >= known.total() and count <= MOST_ELEMENTS else ("long", 1)
+        count, share = usual_length(counts)
+        return ("list", count) if share >= 0.5 and count <= MOST_ELEMENTS else ("long", 1)
     return ("number" if _is_numeric(kind) else "text"), 1
 
 
@@ -221,7 +220,7 @@ def _elements(column: Any) -> tuple[Any, np.ndarray]:
     """All elements of lists, also of lists of lists, and their number a row."""
     if isinstance(column, pa.ExtensionArray):
         column = column.storage
-    if not _is_list(column.type):
+    if not is_list(column.type):
         return column, np.ones(len(column), np.int64)
     values, inner = _elements(column.flatten())
     lengths = column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
@@ -236,23 +235,41 @@ def _numbers(leaf: Leaf, column: Any, counts: Counter[str]) -> np.ndarray:
     if leaf.kind == "flag":
         return flags_of(column)[:, None]
     if leaf.kind == "number":
-        return _floats(column)[:, None]
-    values, lengths = _elements(column)
-    floats = _floats(values)
-    good = lengths == leaf.count
-    if good.all():
-        return floats.reshape(-1, leaf.count)
-    if odd := int((~good & (lengths > 0)).sum()):
+        return floats_of(column)[:, None]
+    rows, odd = rows_of_lists(column, leaf.count)
+    if odd:
         counts[f"lists of '{leaf.name}' without {leaf.count} elements are missing values"] += odd
-    rows = np.full((len(column), leaf.count), np.nan)
-    first = (np.cumsum(lengths) - lengths)[good]
-    rows[good] = floats[first[:, None] + np.arange(leaf.count)]
     return rows
 
 
-def _floats(column: Any) -> np.ndarray:
+def usual_length(lengths: np.ndarray) -> tuple[int, float]:
+    """The most common length of lists that are not empty, and its share among them; (0, 0): all are empty."""
+    known = Counter(lengths[lengths > 0].tolist())
+    return (known.most_common(1)[0][0], known.most_common(1)[0][1] / known.total()) if known else (0, 0.0)
+
+
+def rows_of_lists(column: Any, count: int = 0) -> tuple[np.ndarray, int]:
+    """Numbers of a column of lists, (samples, count) float64, and the number of lists of another length.
+
+    Args:
+        count: elements of a row; 0: the usual number. A row with another number, or without a list, is NaN.
+    """
+    values, lengths = _elements(column)
+    floats = floats_of(values)
+    count = count or usual_length(lengths)[0]
+    good = lengths == count
+    if good.all():
+        return floats.reshape(-1, count), 0
+    rows = np.full((len(column), count), np.nan)
+    first = (np.cumsum(lengths) - lengths)[good]
+    rows[good] = floats[first[:, None] + np.arange(count)]
+    return rows, int((~good & (lengths > 0)).sum())
+
+
+def floats_of(column: Any) -> np.ndarray:
+    """(samples,) float64 of a column of numbers, flags or durations [s]; NaN where one is missing."""
     if pa.types.is_duration(column.type):
-        return _floats(column.cast(pa.int64())) * (UNIT_NS[column.type.unit] * 1e-9)
+        return floats_of(column.cast(pa.int64())) * (UNIT_NS[column.type.unit] * 1e-9)
     floats = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.asarray(floats, dtype=np.float64)
 

@@ -110,6 +110,7 @@ HALVES = [slice(HALF), slice(HALF, None)]
 GAP = np.r_[:200, 260:600]
 STAMPED = tuple(kind for kind in FORMATS if kind not in LEROBOT)
 BY_RATE = {"time": "rate_hz = 50"}
+BESIDE = {"time": 'column = "time"\nrate_hz = 50'}
 WITH_60 = {"time": 'column = "time"\nrate_hz = 60'}
 CONTRADICTS = "rate_hz = 60 Hz, but the stamps come at 50 Hz"
 HAND = (*JOINTS, "hand")
@@ -127,6 +128,9 @@ CASES = [
         refused=r'all 600 stamps are equal.*\[time\] column = "" and rate_hz',
     ),
     Case("all stamps are equal, the rate is given", NO_STAMPS, TABLE_LIKE, arm=BY_RATE, clock=False),
+    Case(
+        "the rate is given beside them", NO_STAMPS, TABLE_LIKE, arm=BESIDE, clock=False, said="stamps of 'time' are no"
+    ),
     Case("all header stamps are zero", NO_STAMPS, BAGS, clock=False, said="a stamp of zero, timed by the bag's log"),
     Case("all header stamps are equal", ONE_STAMP, BAGS, clock=False, said="the same stamp, timed by the bag's log"),
     Case("stamps of one decimal", every(t_ns=coarse), TABLE_LIKE, refused="5 rows share each stamp.*resolve 0.1 s"),

@@ -73,7 +73,7 @@ def import_data(
 def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
     """Write the commented arm.toml; nothing is overwritten."""
     from tauext.data.description import open_entries
-    from tauext.data.description_template import Guess, guess, guess_values, template
+    from tauext.data.description_template import RATE, Guess, guess, guess_values, template
     from tauext.data.importers.open_raw import open_raw
     from tauext.files.toml_file import parse_toml
     from tauext.files.toml_file import write_template as write_text
@@ -98,6 +98,8 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     for entry in dict.fromkeys(entry.partition(" has ")[0] for entry in open_entries(parse_toml(text, path))):
         evidence = guessed.why.get(entry.removeprefix("[").replace("] ", "."), "no evidence")
         Terminal().say(f"to confirm or fill in, marked with '?': {entry}: {evidence}")
+    if RATE in guessed.why:
+        Terminal().say(f"to fill in: [time] rate_hz: {guessed.why[RATE]}")
 
 
 def print_joints(out: Path) -> None:

@@ -98,6 +98,10 @@ WIDE_RAD = 7.0
 """Positions beyond this on two joints are degrees: cables allow an arm's joint about a turn each way."""
 
 
+RATE = "time.rate_hz"
+"""Key that must be given where no column is a clock."""
+
+
 def guess_values(guessed: Guess, raw: RawRecording) -> None:
     """Add what the first block of numbers shows: unit and use of the stamps, and degrees."""
     for block in raw.blocks():
@@ -111,9 +115,8 @@ def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, floa
     column = guessed.columns.get("time", "")
     if not column or column not in block.names:
         if block.t_ns is None:
-            guessed.values["time.rate_hz"] = GUESSED + "".join(f"{hz:g}" for hz in list(stated_hz.values())[:1])
             stated = "".join(f"; the file states {name} = {hz:g} Hz" for name, hz in stated_hz.items())
-            guessed.why["time.rate_hz"] = f"no column of times was found: name it in column, or give the rate{stated}"
+            guessed.why[RATE] = f"no column of times was found: name it in column, or give the rate{stated}"
         return
     times = block.columns[:, block.names.index(column)]
     times = times[np.isfinite(times)]
@@ -131,7 +134,7 @@ def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, floa
         why = f"'{column}' grows by exactly 1 a row: it counts rows"
     if why:
         guessed.columns["time"] = ""
-        guessed.values["time.rate_hz"], guessed.why["time.rate_hz"] = GUESSED, f"{why}, so the rate must be given"
+        guessed.why[RATE] = f"{why}: it is no clock, so give the rate of the rows"
     elif unit:
         guessed.values["time.unit"] = unit
         guessed.why["time.unit"] = f"the steps of '{column}' are {np.median(ahead):.4g}"
@@ -324,7 +327,7 @@ def _table(
         words = "" if kind is SignalTable and one.name in SHARED else helps.get(one.name, "")
         words += f"{' ' * bool(words)}One of {choices}." if choices else ""
         value = json.dumps(found[one.name]) if one.name in found else one.metadata["example"] or json.dumps(one.default)
-        if in_force and (evidence := why.get(f"{table}.{one.name}")):
+        if evidence := why.get(f"{table}.{one.name}") if in_force else "":
             lines += comment_lines(f"Evidence: {evidence}.")
         line = f"{'' if in_force and one.name in found else '# '}{one.name} = {value}"
         beside = f"{line}  # {words}".removesuffix(".") if words else line

@@ -195,7 +195,7 @@ class RowReader:
         """Stamps of a block's rows by the clock in use, [ns], and which are known."""
         raw, arm = self._raw, self._arm
         known = np.ones(len(values), bool)
-        if "time" in self._columns.signals:
+        if "time" in self._columns.signals and not self._by_rate:
             times = values[:, self._columns.signals["time"][1][0]]
             known = np.isfinite(times)
             if not known.all():
@@ -204,19 +204,18 @@ class RowReader:
             t_ns = np.zeros(len(times), np.int64)
             unit_ns = TIME_UNITS[arm.time.unit]
             t_ns[known] = np.round(times[known] * unit_ns).astype(np.int64)
-            if not self._stamped:
-                expect_no_counter(t_ns[known], unit_ns, arm.time.column)
-            self._stamped = True
-            return t_ns, known
+            if self._stamped or not self._uses_rate(t_ns[known], f"'{arm.time.column}'"):
+                if not self._stamped:
+                    expect_no_counter(t_ns[known], unit_ns, arm.time.column)
+                self._stamped = True
+                return t_ns, known
         if arm.time.column and block.other_ns is not None and arm.time.column == raw.clocks[1]:
             self._stamped = True
             return block.other_ns, known
         if block.t_ns is not None and not self._by_rate:
             if block.other_ns is not None and not arm.time.column and not arm.time.rate_hz:
                 self._clocks.add(block.t_ns, block.other_ns)
-            # Where no other clock is there, a stated rate replaces stamps that are none.
-            shared = np.mean(block.t_ns[1:] == block.t_ns[:-1]) if len(block.t_ns) > 2 else 0.0
-            if self._stamped or not arm.time.rate_hz or raw.clocks[1] or shared <= SHARED_STAMPS:
+            if self._stamped or raw.clocks[1] or not self._uses_rate(block.t_ns, "the file"):
                 self._stamped = True
                 return block.t_ns, known
         if not arm.time.rate_hz:
@@ -226,7 +225,16 @@ class RowReader:
                 f"its rows ([time] rate_hz){stated}"
             )
         self._by_rate = True
+        known = np.ones(len(values), bool)
         return np.round(rows * (1e9 / arm.time.rate_hz)).astype(np.int64), known
+
+    def _uses_rate(self, t_ns: np.ndarray, whose: str) -> bool:
+        """Whether the stated rate replaces the first block's stamps, since most rows share theirs with others."""
+        rate_hz = self._arm.time.rate_hz
+        if not rate_hz or len(t_ns) < 3 or np.mean(t_ns[1:] == t_ns[:-1]) <= SHARED_STAMPS:
+            return False
+        self._raw.notes.append(f"stamps of {whose} are no clock: rows at the stated {rate_hz:g} Hz")
+        return True
 
     # --- What was left out.
 

@@ -210,23 +210,15 @@ def test_a_missing_or_unreadable_file_is_named(tmp_path):
         load_tree(write(tmp_path, '<robot name="arm"><link></robot>'))
     with refused(r"arm\.xml: its root element is <sdf>; a URDF has <robot>, an MJCF <mujoco>"):
         load_tree(write(tmp_path, "<sdf/>"))
-    with refused(r"arm\.xml: MuJoCo cannot read it: .*invalid joint type"):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace("revolute", "screw")))
-    with refused(r"arm\.xml: MuJoCo cannot read it: .*inertia must satisfy"):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace('izz="0.01', 'izz="9')))
-    with refused(r"arm\.xml: MuJoCo cannot read it: .*unrecognized element"):
-        load_tree(write(tmp_path, "<mujoco><worldbody><bodies/></worldbody></mujoco>"))
     with refused(r"arm\.xml: is a xacro template; expand it first: xacro arm\.xml > robot\.urdf"):
         load_tree(write(tmp_path, '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>'))
 
 
 def test_names_that_stand_twice_in_the_file_are_refused(tmp_path):
-    with refused("2 joints are named 'shoulder'; every joint needs a name of its own"):
+    with refused("line 4: 2 joints are named 'shoulder', the first in line 3; every joint needs a name of its own"):
         load_tree(write(tmp_path, urdf(planar_rig()).replace('<joint name="elbow"', '<joint name="shoulder"')))
-    with refused("2 links are named 'base'; every link needs a name of its own"):
+    with refused("2 links are named 'base', the first in line 2; every link needs a name of its own"):
         load_tree(write(tmp_path, urdf(planar_rig(), '<link name="base"/>')))
-    with refused("MuJoCo cannot read it: .*repeated name 'a'"):
-        load_tree(write(tmp_path, two_links().replace('name="b"', 'name="a"')))
 
 
 def test_rotor_inertia_that_cannot_be_read_is_refused(tmp_path):
@@ -244,12 +236,12 @@ def test_rotor_inertia_that_cannot_be_read_is_refused(tmp_path):
 
 def test_floating_bases_and_ball_joints_in_use_are_refused(tmp_path):
     floating = write(tmp_path, urdf(planar_rig()).replace('"shoulder" type="revolute"', '"shoulder" type="floating"'))
-    with refused(r"joint 'shoulder' of body 'shoulder_link' is a free joint \(floating base\); joints in use must be"):
+    with refused(r"joint 'shoulder' of body 'shoulder_link' has several axes \(floating, .*\); joints in use must be"):
         load_tree(floating)
-    with refused("joint 'shoulder' is a free joint .* and has no single position to be locked at"):
+    with refused("joint 'shoulder' has several axes, and no single position to be locked at"):
         load_tree(floating, locked={"shoulder": 0.0})
     ball = write(tmp_path, two_links(second='type="ball"'))
-    with refused("joint 'b' of body 'lower' is a ball joint; joints in use must be hinges or slides"):
+    with refused("joint 'b' of body 'lower' has several axes .*; joints in use must be hinges or slides"):
         load_tree(ball, ["a", "b"])
 
 
@@ -265,12 +257,14 @@ def test_a_moving_link_without_mass_is_named(tmp_path):
 
 def test_numbers_that_make_no_sense_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs a NaN where it stands
-    with refused(r"arm\.xml: link 'upper': mass = -1\.0 kg and inertia \[0.01, 0.01, 0.002\] must be >= 0"):
+    with refused(r"arm\.xml: link 'upper': mass = -1 kg must be >= 0, and mass, centre of mass and inertia must be"):
         load_tree(write(tmp_path, two_links().replace('mass="1"', 'mass="-1"', 1)))
     with refused(r"link 'shoulder_link': mass = -8\.191 kg"):
         load_tree(write(tmp_path, urdf(planar_rig()).replace('mass value="8', 'mass value="-8')))
-    with refused(r"link 'lower': mass = 1\.0 kg and inertia \[-0.01, 0.01, 0.002\] must be >= 0"):
-        load_tree(write(tmp_path, two_links().replace('inertia="0.01', 'inertia="-0.01').replace('"-0.01', '"0.01', 1)))
+    with refused(
+        r"link 'shoulder_link': mass = 8\.191 kg must be >= 0, and mass, centre of mass and inertia must be f"
+    ):
+        load_tree(write(tmp_path, urdf(planar_rig()).replace('ixx="', 'ixx="nan" x="', 1)))
     with refused(r"arm\.xml: joint 'a': rotor inertia = -1\.0+ must be >= 0"):
         load_tree(write(tmp_path, two_links('armature="-1"')))
     with refused(r"arm\.xml: joint 'b': every number of a link must be finite"):

@@ -49,7 +49,7 @@ def test_an_effort_that_is_no_torque_is_refused(tmp_path, effort):
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path):
-    with pytest.raises(RobotError, match=r"none\.urdf: its torque limits cannot be read"):
+    with pytest.raises(RobotError, match=r"none\.urdf: no such file"):
         torque_limits(tmp_path / "none.urdf", ["j1"])
 
 

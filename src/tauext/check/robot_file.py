@@ -6,46 +6,33 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from tauext import _core
-from tauext.check.finding import Finding
+from tauext.check.finding import Finding, Severity
 from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
 from tauext.data.servo import torque_unit
 from tauext.errors import RobotError
-from tauext.robot.load import load_tree, robot_sha256
+from tauext.robot.compile import LEAST
+from tauext.robot.load import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256
 from tauext.robot.torque_limits import torque_limits
+from tauext.robot.xml_file import read_xml
 
-# --- Masses, inertias, joints and limits in a URDF, read as XML, since loading may refuse it.
+# --- Masses, inertias and limits, which loading accepts as the file gives them.
 
 
-MOVING = ("revolute", "continuous", "prismatic")
 TRIANGLE = 1e-3
 """Share by which a rounded principal inertia may exceed the sum of the others."""
+NEGLIGIBLE = 1e-3
+"""Share of mass and inertia that a joint moves below which an impossible link changes nothing."""
 
 
-def read_xml(path: Path) -> ElementTree.Element | None:
-    """Root of a URDF; None for other files, such as an MJCF, which MuJoCo checks itself."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError):
-        return None
-    return root if root.tag == "robot" else None
-
-
-def moving_joints(root: ElementTree.Element) -> list[str]:
-    """Names of the independent joints, in the order of the file."""
-    joints = [j for j in root.findall("joint") if j.get("type") in MOVING and j.find("mimic") is None]
-    return [j.get("name", "") for j in joints]
-
-
-def position_limits(root: ElementTree.Element | None, joints: Sequence[str]) -> np.ndarray:
-    """Lower and upper limits (joints, 2), [rad or m]; infinite where the file has none."""
+def position_limits(path: Path, joints: Sequence[str]) -> np.ndarray:
+    """Lower and upper limits of a URDF (joints, 2), [rad or m]; infinite where the file has none, and for an MJCF."""
     limits = np.tile([-math.inf, math.inf], (len(joints), 1))
-    for joint in [] if root is None else root.findall("joint"):
+    for joint in read_xml(path).root.findall("joint"):
         limit = joint.find("limit")
         if joint.get("name") not in joints or joint.get("type") == "continuous" or limit is None:
             continue
@@ -58,67 +45,48 @@ def position_limits(root: ElementTree.Element | None, joints: Sequence[str]) -> 
     return limits
 
 
-def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> list[Finding]:
-    """Findings on masses and inertias of the links that these joints move."""
-    if root is None:
-        return []
-    links = {link.get("name"): link for link in root.findall("link")}
+def model_findings(bodies: Sequence[CarriedBody]) -> list[Finding]:
+    """Findings on masses and inertias of the links that joints in use move.
+
+    An impossible inertia is a fault, or a note if the link is negligible beside the others that its joint moves.
+    """
     found = []
-    for joint in root.findall("joint"):
-        child = joint.find("child")
-        if joint.get("name") not in joints or child is None:  # load_tree reports such a joint
-            continue
-        name = child.get("link")
-        carried = [name, *_fixed_to(root, name)]
-        masses = {link: _mass(links[link]) for link in carried if link in links}
-        for link, mass in masses.items():
-            if mass < 0 or not math.isfinite(mass):
-                evidence = f"link '{link}': mass = {mass:g} kg"
-                found.append(Finding("mass-missing", "fault", joint.get("name"), evidence, "it must be > 0"))
-            problem = _impossible(links[link]) if mass > 0 else None
+    for joint in dict.fromkeys(body.joint for body in bodies):
+        carried = [body for body in bodies if body.joint == joint]
+        for body in carried:
+            if not 0 <= body.mass_kg < math.inf:
+                evidence = f"link '{body.name}': mass = {body.mass_kg:g} kg"
+                found.append(Finding("mass-missing", "fault", joint, evidence, "it must be > 0"))
+            problem = _impossible(body.inertia_kg_m2) if body.mass_kg > LEAST else None
             if problem:
+                negligible = _share(body, carried) <= NEGLIGIBLE
+                nothing = f"; below {NEGLIGIBLE:.1%} of what the joint moves, it changes nothing" if negligible else ""
+                evidence = f"link '{body.name}': {problem}{nothing}"
                 advice = (
                     "correct the file: take it from the CAD model, about the centre of mass, in kg m^2 (not kg mm^2)"
                 )
-                evidence = f"link '{link}': {problem}"
-                found.append(Finding("inertia-impossible", "fault", joint.get("name"), evidence, advice))
-        if sum(masses.values()) == 0:
-            evidence = f"link '{name}' and links fixed to it have no mass"
+                severity: Severity = "note" if negligible else "fault"
+                found.append(Finding("inertia-impossible", severity, joint, evidence, advice))
+        if all(abs(body.mass_kg) <= LEAST for body in carried):
+            evidence = f"link '{carried[0].name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
-            found.append(Finding("mass-missing", "fault", joint.get("name"), evidence, advice))
+            found.append(Finding("mass-missing", "fault", joint, evidence, advice))
     return found
 
 
-def _fixed_to(root: ElementTree.Element, link: str | None) -> list[str]:
-    found = []
-    for joint in root.findall("joint"):
-        if joint.get("type") == "fixed" and joint.find("parent").get("link") == link:  # type: ignore[union-attr]
-            child = joint.find("child").get("link", "")  # type: ignore[union-attr]
-            found += [child, *_fixed_to(root, child)]
-    return found
+def _share(body: CarriedBody, carried: Sequence[CarriedBody]) -> float:
+    """Largest share of a body in mass and inertia of the bodies that are carried together."""
+    mass = sum(max(one.mass_kg, 0.0) for one in carried)
+    inertia = sum(float(np.abs(one.inertia_kg_m2).sum()) for one in carried)
+    return max(body.mass_kg / mass, float(np.abs(body.inertia_kg_m2).sum()) / max(inertia, LEAST))
 
 
-def _mass(link: ElementTree.Element) -> float:
-    mass = link.find("inertial/mass")
-    try:
-        return float(mass.get("value", "0")) if mass is not None else 0.0
-    except ValueError:
-        return math.nan
-
-
-def _impossible(link: ElementTree.Element) -> str | None:
-    inertia = link.find("inertial/inertia")
-    if inertia is None:
-        return None
-    try:
-        xx, yy, zz, xy, xz, yz = (float(inertia.get(k, "0")) for k in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
-    except ValueError:
-        return "an inertia is no number"
-    if not np.isfinite([xx, yy, zz, xy, xz, yz]).all():
+def _impossible(inertia: np.ndarray) -> str | None:
+    if not np.isfinite(inertia).all():
         return "an inertia is not finite"
-    principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    principal = np.sort(inertia)
     values = ", ".join(f"{x:.3g}" for x in principal)
-    if principal[0] <= 0:
+    if principal[0] <= LEAST:
         return f"principal inertias {values} kg m^2: not positive"
     if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE):
         return f"principal inertias {values} kg m^2: the largest exceeds the sum of the others"
@@ -148,29 +116,28 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
         RobotError: the file is missing."""
     if not path.is_file():
         raise RobotError(f"{path}: there is no such robot file; give a URDF or MJCF")
-    root, names = read_xml(path), list(joints)
+    names = list(joints)
     found: list[Finding] = []
     none = RobotFile(None, np.tile([-np.inf, np.inf], (len(joints), 1)), np.full(len(joints), np.inf), found)
-    known = moving_joints(root) if root is not None else _names(path, names)
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        evidence = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
-        if len(unknown) < len(names) or len(known) < len(names):
-            advice = "name the joints as the robot file does, at import"
-            found.append(Finding("joint-names", "fault", None, evidence, advice))
-            return none
-        names = known[: len(names)]
-        advice = f"taken in the file's order: {', '.join(names)}; name them so at import"
-        found.append(Finding("joint-names", "warning", None, evidence, advice))
-    found += model_findings(root, names)
     try:
+        known = movable_joints(path)
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            evidence = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
+            if len(unknown) < len(names) or len(known) < len(names):
+                advice = "name the joints as the robot file does, at import"
+                found.append(Finding("joint-names", "fault", None, evidence, advice))
+                return none
+            names = known[: len(names)]
+            advice = f"taken in the file's order: {', '.join(names)}; name them so at import"
+            found.append(Finding("joint-names", "warning", None, evidence, advice))
+        found += model_findings(carried_bodies(path, names))
+        if any(finding.severity == "fault" for finding in found):  # what a wrong model does not explain is no finding
+            return none
         tree = load_tree(path, names, gravity=gravity)
-        return RobotFile(tree, position_limits(root, names), torque_limits(path, names), found)
+        return RobotFile(tree, position_limits(path, names), torque_limits(path, names), found)
     except RobotError as error:
-        if not any(finding.severity == "fault" for finding in found):
-            found.append(
-                Finding("model-unusable", "fault", None, str(error), "correct the file, or check without --robot")
-            )
+        found.append(Finding("model-unusable", "fault", None, str(error), "correct the file, or check without --robot"))
         return none
 
 
@@ -189,14 +156,6 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
     return [
         Finding("robot-file-changed", "warning", None, evidence, advice, others[0].name if len(others) == 1 else None)
     ]
-
-
-def _names(path: Path, otherwise: list[str]) -> list[str]:
-    """Joints of an MJCF file, or `otherwise` if unreadable; loading then reports the reason."""
-    try:
-        return [link.joint_name for link in load_tree(path).links]
-    except RobotError:
-        return otherwise
 
 
 # --- Positions and torques beyond the robot file's own limits.

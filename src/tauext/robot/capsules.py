@@ -20,6 +20,7 @@ from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.load import compiled, placed_bodies
 from tauext.robot.write import PAYLOAD
+from tauext.robot.xml_file import XmlFile, read_xml
 
 # --- Shapes of parts of links: capsules, or surface points to fit capsules to.
 
@@ -108,13 +109,7 @@ READ_FORMATS = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
 
 
-def is_urdf(path: Path) -> bool:
-    for _, element in ElementTree.iterparse(path, events=("start",)):
-        return element.tag == "robot"
-    return False
-
-
-def urdf_shapes(path: Path, bodies: list[str]) -> tuple[list[tuple[int, Shape]], list[str]]:
+def urdf_shapes(file: XmlFile, bodies: list[str]) -> tuple[list[tuple[int, Shape]], list[str]]:
     """Body index and shape in the body's axes, and sentences about shapes that could not be read.
 
     A link's collision elements are used, else its visual ones. `package://` is resolved in the file's folder and its
@@ -122,14 +117,14 @@ def urdf_shapes(path: Path, bodies: list[str]) -> tuple[list[tuple[int, Shape]],
     """
     numbers, found = {name: number for number, name in enumerate(bodies)}, []
     lost: dict[str, list[str]] = {}
-    for link in ElementTree.parse(path).getroot().iter("link"):
+    for link in file.root.findall("link"):
         body = numbers.get(link.get("name", ""), -1)
         for element in link.findall("collision") or link.findall("visual") if body >= 0 else ():
             geometry = element.find("geometry")
             if geometry is None or not len(geometry):
                 continue
             try:
-                shape = _shape(geometry[0], path)
+                shape = _shape(geometry[0], file.path)
                 if shape is not None:
                     found.append((body, shape.moved(*_origin(element.find("origin")))))
             except (OSError, ValueError) as error:
@@ -204,7 +199,7 @@ def _mesh(file: Path, scale: np.ndarray) -> Shape:
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ValueError(f"{file.name}: {error}") from error
+        raise ValueError(f"{file.name} is no mesh that can be read") from error
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, model.mesh_quat[0])  # MuJoCo keeps meshes along their principal axes
     vertices = model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0]
@@ -322,7 +317,7 @@ def body_capsules(path: str | os.PathLike[str]) -> BodyCapsules:
         RobotError: the file cannot be read.
     """
     path = Path(path)
-    model = compiled(path, keep_fixed=True)
+    model = compiled(path)
     placed, notes = _placed(path, model)
     bodies: dict[str, list[Ends]] = {}
     for body, shape in placed:
@@ -396,8 +391,8 @@ def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsul
 
 
 def _placed(path: Path, model: mujoco.MjModel) -> tuple[Sequence[tuple[int, Shape]], list[str]]:
-    if is_urdf(path):
-        return urdf_shapes(path, [model.body(body).name for body in range(model.nbody)])
+    if (file := read_xml(path)).root.tag == "robot":
+        return urdf_shapes(file, [model.body(body).name for body in range(model.nbody)])
     return list(mjcf_shapes(model)), []
 
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import warnings
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -19,15 +15,15 @@ import numpy as np
 from tauext._core import MAX_JOINTS, CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
 from tauext.files.preflight import in_words
+from tauext.robot.compile import LEAST, compiled_as_given, no_mujoco_warnings, our_words, read_mjcf
 from tauext.robot.inertial import point_inertia, six_of
+from tauext.robot.urdf import urdf_spec
+from tauext.robot.xml_file import read_xml
 
 # --- Which joints of a robot file are in use, in which order, and where the others are held.
 
 
-_KIND = {
-    int(mujoco.mjtJoint.mjJNT_FREE): "a free joint (floating base)",
-    int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
-}
+_SEVERAL_AXES = (int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL))
 
 
 @dataclass(frozen=True)
@@ -74,11 +70,10 @@ def _check_chosen(model: mujoco.MjModel, chosen: list[int], where: str) -> None:
         raise RobotError(f"{where}: no moving joint is left; a robot needs at least one that is not fixed or locked")
     for j in chosen:
         name, body = model.joint(j).name, model.body(model.jnt_bodyid[j]).name
-        kind = _KIND.get(int(model.jnt_type[j]))
-        if kind:
+        if int(model.jnt_type[j]) in _SEVERAL_AXES:
             raise RobotError(
-                f"{where}: joint {name!r} of body {body!r} is {kind}; joints in use must be hinges or slides: "
-                "name those in `joints`, and this one is held where the file has it"
+                f"{where}: joint {name!r} of body {body!r} has several axes (floating, planar, free or ball); joints "
+                "in use must be hinges or slides: name those in `joints`, and this one is held where the file has it"
             )
         if not name:
             raise RobotError(
@@ -89,18 +84,14 @@ def _check_chosen(model: mujoco.MjModel, chosen: list[int], where: str) -> None:
 
 
 def _check_locked(model: mujoco.MjModel, joint: int, position: float, where: str) -> None:
-    name, kind = model.joint(joint).name, _KIND.get(int(model.jnt_type[joint]))
-    if kind:
-        raise RobotError(f"{where}: joint {name!r} is {kind} and has no single position to be locked at")
+    name = model.joint(joint).name
+    if int(model.jnt_type[joint]) in _SEVERAL_AXES:
+        raise RobotError(f"{where}: joint {name!r} has several axes, and no single position to be locked at")
     if not math.isfinite(position):
         raise RobotError(f"{where}: joint {name!r}: locked position {position} must be finite, [rad or m]")
 
 
 # --- Turn a compiled MuJoCo model into a tree: one link per joint in use, with everything rigidly attached.
-
-
-LEAST = 2e-15
-"""Mass [kg] and inertia [kg m^2] up to this count as zero; MuJoCo's least mass of a moving body is 1e-15."""
 
 
 def carriers(model: mujoco.MjModel, joint_ids: Sequence[int]) -> list[int]:
@@ -142,6 +133,7 @@ def make_tree(
         link.translation = (base_frame.T @ (origins[i] - base_origin)).tolist()
         link.rotor_inertia = _rotor_inertia(model, joint)
         carried = [body for body in range(model.nbody) if carrier[body] == i]
+        _expect_numbers(model, carried, where)
         body = int(model.jnt_bodyid[joint])
         _set_inertia(link, model, data, carried, frames[i], origins[i])
         # A body with several joints belongs to the last one; the links before it are empty by design.
@@ -155,6 +147,17 @@ def make_tree(
         return Tree(links, list(gravity))
     except CoreError as error:
         raise RobotError(f"{where}: {error}") from error
+
+
+def _expect_numbers(model: mujoco.MjModel, bodies: list[int], where: str) -> None:
+    """Refuse a negative mass and values that are not finite; an inertia that no body can have is left to `check`."""
+    for body in bodies:
+        mass, com, inertia = model.body_mass[body], model.body_ipos[body], model.body_inertia[body]
+        if not (mass >= 0 and np.isfinite([mass, *com, *inertia]).all()):
+            raise RobotError(
+                f"{where}: link {model.body(body).name!r}: mass = {mass:g} kg must be >= 0, and mass, centre of mass "
+                "and inertia must be finite"
+            )
 
 
 def frame_of_joint(data: mujoco.MjData, joint: int) -> tuple[np.ndarray, np.ndarray]:
@@ -176,13 +179,13 @@ class PlacedBody:
 
 
 def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], list[PlacedBody]]:
-    """A robot file's model with fixed links, the model's indices of the tree's joints, and the bodies they move.
+    """A robot file's model, the model's indices of the tree's joints, and the bodies they move.
 
     Args:
         path: URDF or MJCF that the tree is of.
         tree: defines which joints are in use.
     """
-    model = compiled(path, keep_fixed=True)
+    model = compiled(path)
     choice = choose_joints(model, [link.joint_name for link in tree.links], {}, str(path))
     data = posed(model, choice.qpos)
     found = []
@@ -193,6 +196,32 @@ def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], li
             place = axes.T @ (np.array(data.xpos[body]) - origin)
             found.append(PlacedBody(body, model.body(body).name, link, turned, place))
     return model, choice.joint_ids, found
+
+
+@dataclass(frozen=True)
+class CarriedBody:
+    """A body that a joint in use moves, with mass and inertia as the file gives them, possible or not."""
+
+    name: str
+    joint: str
+    mass_kg: float
+    inertia_kg_m2: np.ndarray
+    """(3,), principal."""
+
+
+def carried_bodies(path: Path, joints: Sequence[str]) -> list[CarriedBody]:
+    """Bodies that these joints move, each with the last joint before it; every other joint is held.
+
+    Raises:
+        RobotError: the file cannot be read, or lacks a joint.
+    """
+    model = compiled(path)
+    choice = choose_joints(model, joints, {}, str(path))
+    return [
+        CarriedBody(model.body(body).name, joints[joint], float(model.body_mass[body]), model.body_inertia[body].copy())
+        for body, joint in enumerate(carriers(model, choice.joint_ids))
+        if joint >= 0
+    ]
 
 
 def posed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
@@ -249,7 +278,7 @@ def _set_inertia(
     inertia = np.zeros((3, 3))
     for body, mass in zip(bodies, masses, strict=True):
         axes = data.ximat[body].reshape(3, 3)
-        principal = np.where(model.body_inertia[body] > LEAST, model.body_inertia[body], 0.0)
+        principal = np.where(np.abs(model.body_inertia[body]) > LEAST, model.body_inertia[body], 0.0)
         arm = data.xipos[body] - com
         inertia += (axes * principal) @ axes.T + point_inertia(mass, arm)
     inertia = frame.T @ inertia @ frame
@@ -318,82 +347,6 @@ def _check_tendon(model: mujoco.MjModel, tendon: int, joint_ids: list[int], carr
         )
 
 
-# --- Read a URDF without visual and collision elements, with the rotor inertia of its transmissions.
-
-
-_DROPPED = ("visual", "collision", "material", "limit", "safety_controller")
-
-
-def read_urdf(path: Path) -> mujoco.MjSpec:
-    """Read a URDF with MuJoCo, without appearance, collision shapes and limits.
-
-    The URDF standard has no rotor inertia; Drake's extension is supported. A transmission of one joint adds its
-    actuator's `rotor_inertia` times the square of `gear_ratio`, or of the standard's `mechanicalReduction`.
-
-    Raises:
-        RobotError: the file is a xacro template, two joints or links share a name, or a number cannot be read.
-        ElementTree.ParseError, ValueError: the file is no XML, or no URDF to MuJoCo.
-    """
-    robot = ElementTree.parse(path).getroot()
-    _refuse_xacro(robot, path)
-    _refuse_repeated_names(robot, path)
-    for parent in list(robot.iter()):
-        for child in list(parent):
-            if child.tag in _DROPPED:
-                parent.remove(child)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
-    joints = {joint.name: joint for joint in spec.joints}
-    for name, inertia in _rotor_inertias(robot, path).items():
-        if name in joints:
-            joints[name].armature += inertia
-    return spec
-
-
-def _refuse_xacro(robot: ElementTree.Element, path: Path) -> None:
-    if any("xacro}" in str(element.tag) for element in robot.iter()):
-        raise RobotError(f"{path}: is a xacro template; expand it first: xacro {path.name} > robot.urdf")
-
-
-def _refuse_repeated_names(robot: ElementTree.Element, path: Path) -> None:
-    """Refuse repeated names: MuJoCo would silently drop the second one."""
-    for kind in ("joint", "link"):
-        for name, count in Counter(element.get("name") for element in robot.findall(kind)).items():
-            if count > 1:
-                raise RobotError(f"{path}: {count} {kind}s are named {name!r}; every {kind} needs a name of its own")
-
-
-def _rotor_inertias(robot: ElementTree.Element, path: Path) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for transmission in robot.findall("transmission"):
-        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
-        for actuator in transmission.findall("actuator"):
-            values = {_local(child.tag): child.get("value", child.text) for child in actuator}
-            if "rotor_inertia" not in values:
-                continue
-            if len(joints) != 1:
-                raise RobotError(f"{path}: rotor inertia in a transmission of {len(joints)} joints; it must be one")
-            inertia = _number(values, "rotor_inertia", joints[0], path, least=0.0)
-            gear = "gear_ratio" if "gear_ratio" in values else "mechanicalReduction"
-            ratio = _number(values, gear, joints[0], path) if gear in values else 1.0
-            found[joints[0]] = found.get(joints[0], 0.0) + inertia * ratio**2
-    return found
-
-
-def _local(tag: str) -> str:
-    return tag.rpartition("}")[2]
-
-
-def _number(values: dict[str, str | None], key: str, joint: str, path: Path, least: float = -math.inf) -> float:
-    try:
-        number = float(values[key] or "")
-    except ValueError:
-        number = math.nan
-    if math.isfinite(number) and number >= least:
-        return number
-    rule = "a finite number" if least < 0 else f"a finite number >= {least:g}"
-    raise RobotError(f"{path}: joint {joint!r}: {key} = {values[key]!r} in its transmission must be {rule}")
-
-
 # --- Load a robot file: read it, choose the joints, make the tree.
 
 
@@ -444,8 +397,7 @@ def movable_joints(path: str | os.PathLike[str]) -> list[str]:
     model = compiled(Path(path))
     coupled = model.eq_type[: model.neq] == mujoco.mjtEq.mjEQ_JOINT
     followers = set(model.eq_obj1id[: model.neq][coupled].tolist())
-    plain = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-    joints = [j for j in range(model.njnt) if int(model.jnt_type[j]) in plain and j not in followers]
+    joints = [j for j in range(model.njnt) if int(model.jnt_type[j]) not in _SEVERAL_AXES and j not in followers]
     return [model.joint(j).name for j in joints if model.joint(j).name]
 
 
@@ -461,90 +413,38 @@ def robot_sha256(path: str | os.PathLike[str]) -> str:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def compiled(path: Path, keep_fixed: bool = False) -> mujoco.MjModel:
-    """Compile the robot file with MuJoCo.
-
-    Args:
-        keep_fixed: keep links that are fixed to others as separate bodies; MuJoCo would merge them.
+def compiled(path: Path) -> mujoco.MjModel:
+    """Compile the robot file with MuJoCo, links that are fixed to others as bodies of their own.
 
     Raises:
-        RobotError: the file is missing or cannot be read.
+        RobotError: the file is missing or cannot be read, or none of its links has a mass.
     """
-    if not path.is_file():
-        raise RobotError(f"{path}: no such file; a robot is a URDF or MJCF file")
-    with no_mujoco_warnings():
-        return _read(path, keep_fixed)
+    return read_robot(path)[1]
 
 
-@contextmanager
-def no_mujoco_warnings() -> Iterator[None]:
-    """Suppress MuJoCo's warnings, which are printed and written to a file; relevant problems are checked separately."""
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
-
-
-@contextmanager
-def reading(path: Path, failed: str) -> Iterator[None]:
-    """Convert the readers' errors to a RobotError with the file's name; `failed` introduces the reason."""
-    try:
-        yield
-    except RecursionError as error:
-        raise RobotError(f"{path}: its elements are nested too deeply") from error
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{path}: not readable as XML: {error}") from error
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        raise RobotError(f"{path}: {failed}: {' '.join(str(error).split())}") from error
-
-
-def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
-    with reading(path, "MuJoCo cannot read it"):
-        root, joints = _root_tag(path)
-        if joints > MOST_JOINTS:
-            raise RobotError(
-                f"{path}: has {joints} joints, whose mass matrix alone needs {in_words(8.0 * joints**2)} of memory; at "
-                f"most {MOST_JOINTS} are read, of which 32 may be in use"
-            )
-        if root == "robot":
-            spec = read_urdf(path)
-        elif root == "mujoco":
-            spec = mujoco.MjSpec.from_file(str(path))
+def read_robot(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """As compiled(), with the specification that was compiled."""
+    file = read_xml(path)
+    joints = sum(element.tag in ("joint", "freejoint") for element in file.root.iter())
+    if joints > MOST_JOINTS:
+        raise RobotError(
+            f"{path}: has {joints} joints, whose mass matrix alone needs {in_words(8.0 * joints**2)} of memory; at "
+            f"most {MOST_JOINTS} are read, of which 32 may be in use"
+        )
+    with no_mujoco_warnings(), our_words(file):
+        if file.root.tag == "robot":
+            spec = urdf_spec(file)
+            model = compiled_as_given(spec)
+        elif file.root.tag == "mujoco":
+            spec, model = read_mjcf(file)
         else:
-            raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
-        _refuse_negative_mass(spec, path)
-        spec.compiler.fusestatic = spec.compiler.fusestatic and not keep_fixed
-        # MuJoCo refuses any moving body without mass; make_tree refuses one only where its joint is in use.
-        spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
-        spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return spec.compile()
-
-
-def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
-    """Refuse negative mass and inertia, which MuJoCo's lower bounds, set below, would hide."""
-    for body in spec.bodies:
-        if body.explicitinertial and not (body.mass >= 0 and (body.inertia >= 0).all()):
-            raise RobotError(
-                f"{path}: link {body.name!r}: mass = {body.mass} kg and inertia {body.inertia.tolist()} must be >= 0"
-            )
-
-
-def _root_tag(path: Path) -> tuple[str, int]:
-    """Name of the root element and number of joints, read without keeping the file in memory."""
-    root, joints = "", 0
-    with path.open("rb") as file:
-        for _, element in ElementTree.iterparse(file, events=("start",)):
-            root = root or element.tag
-            joints += element.tag in ("joint", "freejoint")
-            if (named := element.get("file")) and (beside := path.parent / named).exists() and not beside.is_file():
-                raise RobotError(f"{path}: <{element.tag} file={named!r}> names no file but a folder, pipe or device")
-            element.clear()
-    if not root:
-        raise ElementTree.ParseError("no element found")
-    return root, joints
+            raise RobotError(f"{path}: its root element is <{file.root.tag}>; a URDF has <robot>, an MJCF <mujoco>")
+    if model.njnt and (np.abs(model.body_mass[1:]) <= LEAST).all():
+        raise RobotError(
+            f"{path}: none of its links has a mass, as in a description for display; give one with masses and "
+            'inertias, or no robot file: leave --robot out, and `model = ""` in arm.toml'
+        )
+    return spec, model
 
 
 def _gravity(model: mujoco.MjModel, asked: Sequence[float] | None) -> list[float]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from tauext.errors import RobotError
+from tauext.robot.load import compiled
+from tauext.robot.xml_file import XmlFile, read_xml
 
 
 def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.ndarray:
@@ -27,13 +28,10 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
         RobotError: an effort is no number >= 0, an MJCF lacks one of the joints, or the file cannot be read.
     """
     path = Path(path)
-    try:
-        root = ElementTree.parse(path).getroot()
-        if root.tag == "robot":
-            return np.array([_effort(root, joint, path) for joint in joints])
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (OSError, ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
-        raise RobotError(f"{path}: its torque limits cannot be read: {' '.join(str(error).split())}") from error
+    file = read_xml(path)
+    if file.root.tag == "robot":
+        return np.array([_effort(file, joint) for joint in joints])
+    model = compiled(path)
     known = [model.joint(joint).name for joint in range(model.njnt)]
     for joint in joints:
         if joint not in known:
@@ -41,8 +39,8 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
     return np.array([_drive_limit(model, known.index(joint)) for joint in joints])
 
 
-def _effort(robot: ElementTree.Element, name: str, path: Path) -> float:
-    for joint in robot.findall("joint"):
+def _effort(file: XmlFile, name: str) -> float:
+    for joint in file.root.findall("joint"):
         limit = joint.find("limit")
         if joint.get("name") != name or limit is None or limit.get("effort") is None:
             continue
@@ -52,7 +50,7 @@ def _effort(robot: ElementTree.Element, name: str, path: Path) -> float:
         except ValueError:
             effort = np.nan
         if not effort >= 0:
-            raise RobotError(f"{path}: joint {name!r}: effort = {text!r} must be a number >= 0")
+            raise file.error(limit, f"joint {name!r}: effort = {text!r} must be a number >= 0")
         return effort if effort > 0 else np.inf
     return np.inf
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-import mujoco
-
 from tauext.errors import RobotError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import expect_file
-from tauext.robot.load import reading
+from tauext.robot.compile import xml_as_given
+from tauext.robot.load import read_robot
+from tauext.robot.xml_file import read_xml
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""
@@ -54,17 +54,14 @@ def write_robot(
     Raises:
         RobotError: the file cannot be read, or has no such joint or link.
     """
-    if not source.exists():
-        raise RobotError(f"{source}: no such file; a robot is a URDF or MJCF file")
-    with reading(source, "cannot be read"):
-        root = ElementTree.parse(source).getroot()
-        if root.tag == "robot":
-            if not (rotor_inertia or payload or gravity):
-                return _write(folder / "robot.urdf", source.read_bytes())
-            _change_urdf(root, source, rotor_inertia, payload, gravity)
-            ElementTree.indent(root)
-            return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
-        return _write(folder / "robot.xml", _changed_mjcf(source, rotor_inertia, payload, gravity).encode())
+    root = read_xml(source).root
+    if root.tag == "robot":
+        if not (rotor_inertia or payload or gravity):
+            return _write(folder / "robot.urdf", source.read_bytes())
+        _change_urdf(root, source, rotor_inertia, payload, gravity)
+        ElementTree.indent(root)
+        return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    return _write(folder / "robot.xml", _changed_mjcf(source, rotor_inertia, payload, gravity).encode())
 
 
 def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
@@ -110,7 +107,7 @@ def _change_urdf(
         for transmission in root.findall("transmission"):
             if [j.get("name") for j in transmission.findall("joint")] == [joint]:
                 for actuator in transmission.findall("actuator"):
-                    for old in [c for c in actuator if c.tag.rpartition("}")[2] == "rotor_inertia"]:
+                    for old in [c for c in actuator if c.tag.rpartition(":")[2] == "rotor_inertia"]:
                         actuator.remove(old)
         transmission = ElementTree.SubElement(root, "transmission", name=f"tauext_{joint}")
         ElementTree.SubElement(transmission, "joint", name=joint)
@@ -146,10 +143,9 @@ def _changed_mjcf(
     payload: Payload | None,
     gravity: Sequence[float] | None,
 ) -> str:
-    spec = mujoco.MjSpec.from_file(str(source))
-    model = spec.compile()
+    spec, model = read_robot(source)
     for body in spec.bodies[1:]:  # keep a mass that was computed from shapes
-        row = model.body(body.name).id if body.name else body.id
+        row = body.id
         body.mass, body.ipos, body.iquat = model.body_mass[row], model.body_ipos[row], model.body_iquat[row]
         body.inertia, body.fullinertia = model.body_inertia[row], [float("nan")] + [0.0] * 5
         body.explicitinertial = True
@@ -175,9 +171,7 @@ def _changed_mjcf(
         carried.explicitinertial = True
     if gravity:
         spec.option.gravity = list(gravity)
-    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-15  # a point mass has no inertia
-    spec.compile()
-    return spec.to_xml()
+    return xml_as_given(spec)
 
 
 def _require(source: Path, kind: str, name: str, there: list[str]) -> None:

@@ -393,7 +393,9 @@ def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsul
 def _placed(path: Path, model: mujoco.MjModel) -> tuple[Sequence[tuple[int, Shape]], list[str]]:
     if (file := read_xml(path)).root.tag == "robot":
         return urdf_shapes(file, [model.body(body).name for body in range(model.nbody)])
-    return list(mjcf_shapes(model)), []
+    listed = sum(len(body.findall("geom")) for body in file.root.iter("body"))
+    left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
+    return list(mjcf_shapes(model)), [left] if model.ngeom < listed else []
 
 
 def area_m2(capsule: Capsule) -> float:

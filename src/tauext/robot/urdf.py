@@ -135,9 +135,12 @@ def _tree(
             element = _child(file, joint, tag, who)
             if element is None:
                 raise file.error(joint, f"{who}: has no <{tag} link=...>; every joint needs one")
-            if (name := element.get("link")) not in links:
+            name = element.get("link")
+            if name is None:
+                raise file.error(element, f"{who}: <{tag}> has no link")
+            if name not in links:
                 raise file.error(element, f"{who}: its {tag} link {name!r} is not in the file{_near(name, links)}")
-            ends.append(str(name))
+            ends.append(name)
         parent, child = ends
         if child in above:
             raise file.error(

@@ -114,7 +114,8 @@ def test_a_robot_file_that_does_not_fit_ends_the_command(robot, error, tmp_path,
     write_placeholder(["a", "b"], tmp_path).rename(tmp_path / "other.urdf")
     rig = write_robot_file("rig", tmp_path)
     mesh = '<asset><mesh name="m" file="none.stl"/></asset>'
-    (tmp_path / "mesh.xml").write_text(rig.read_text().replace("<worldbody>", f"{mesh}<worldbody>"))
+    cup = '<body name="cup"><joint name="lid"/><geom type="mesh" mesh="m"/></body>'
+    (tmp_path / "mesh.xml").write_text(rig.read_text().replace("<worldbody>", f"{mesh}<worldbody>{cup}"))
     out = tmp_path / "cell"
     words = ["commission", "--source", "sim:rig", "--out", str(out), "--no-page", "--robot", str(tmp_path / robot)]
     assert main(words) == 2

@@ -18,7 +18,7 @@ from tauext.errors import RobotError
 from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, movable_joints
 from tauext.robot.torque_limits import torque_limits
-from tauext.robot.write import Payload, write_robot
+from tauext.robot.write import Payload, is_placeholder, write_robot
 
 pin = oracle.pin
 ARM = urdf(six_axis())
@@ -157,8 +157,10 @@ def test_a_file_is_read_in_any_encoding(tmp_path, name):
     path = tmp_path / "arm.urdf"
     path.write_bytes(BYTES[name])
     clean = load_tree(write(tmp_path, ARM, "clean.urdf"))
-    assert load_tree(path, JOINTS).links[3].inertia == clean.links[3].inertia
     assert_same_dynamics(load_tree(path, JOINTS), clean, 0.0)
+    assert not is_placeholder(path)
+    copied = load_tree(write_robot(path, tmp_path, {JOINTS[0]: (1e-4, 50.0)}), JOINTS)
+    assert copied.links[0].rotor_inertia == pytest.approx(0.25) and copied.links[1].mass == clean.links[1].mass
 
 
 def test_a_link_that_no_joint_in_use_moves_is_not_judged(tmp_path):
@@ -223,6 +225,7 @@ REFUSED = {
     "a word for a number": (
         'origin xyz="', 'origin xyz="0 0 a" other="',
         "<origin xyz='0 0 a'> must be 3 finite numbers, separated by blanks"),
+    "a decimal comma": ('mass value="', 'mass value="1,5" other="', "must be a finite number; a comma is neither a"),
     "commas": (
         'axis xyz="', 'axis xyz="0,0,1" other="',
         "<axis xyz='0,0,1'> must be 3 finite numbers, separated by blanks"),

@@ -245,6 +245,7 @@ def _numbers(
         return values
     rule = "a finite number" if count == 1 else f"{count} finite numbers, separated by blanks"
     hint = "; the file is a xacro template: expand it first" if "${" in text else ""
+    hint = "; a comma is neither a decimal point nor a separator" if "," in text else hint
     raise file.error(element, f"{who}: <{element.tag} {key}={text!r}> must be {rule}{hint}")
 
 

@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 
 from tauext.errors import RobotError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.plain_file import expect_file
 from tauext.robot.compile import xml_as_given
 from tauext.robot.load import read_robot
 from tauext.robot.xml_file import read_xml
@@ -88,9 +87,8 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
 def is_placeholder(path: Path) -> bool:
     """Whether write_placeholder() wrote this robot file, that is, there is no model; False if unreadable."""
     try:
-        expect_file(path)
-        return ElementTree.parse(path).getroot().get("name") == NO_MODEL
-    except (OSError, ElementTree.ParseError):
+        return read_xml(path).root.get("name") == NO_MODEL
+    except RobotError:
         return False
 
 

@@ -111,6 +111,8 @@ def test_rates_are_learnt_in_spite_of_gaps_and_jitter():
     assert nominal_period_ns(1e9 / 83) == round(1e9 / 83) and nominal_period_ns(1e9 / 499) == 2_000_000
     with pytest.raises(ConfigError, match="3 samples came"):
         learnt_period_ns([0, 1, 2, 1], "arm")
+    with pytest.raises(ConfigError, match="30 samples came, and their time stamps rose 0 times: their clock"):
+        learnt_period_ns([5] * 30, "arm")
 
 
 # --- Recordings.

@@ -1,5 +1,6 @@
 """Joint states over DDS, as samples: each way in which a robot's topic is not what the monitor needs."""
 
+import threading
 import time
 
 import numpy as np
@@ -137,6 +138,50 @@ def test_zero_stamps_are_replaced_by_times_of_publication(listen, robot, topic):
     assert live.notes()[0] == f"{topic}: stamps are zero: times of publication are used"
     times = [sample.t_ns for sample in samples]
     assert times == sorted(times) and before < times[0] < times[-1] < time.time_ns()
+
+
+@pytest.mark.parametrize("same", [10**6, 10], ids=["constant", "coarse"])
+def test_stamps_that_are_no_clock_are_replaced_by_times_of_publication(listen, robot, topic, same):
+    """All stamps are one, or ten messages have one stamp each."""
+    live, arm = listen(), robot()
+    arm.meets()
+    for k in range(LEARNT_FROM + 60):
+        arm.send(stamp_ns=10**18 + k // same * 10 * MS)
+        time.sleep(0.001)
+    samples = received(live)
+    repeated = "messages with new values have the stamp of the one before: times of publication are used"
+    assert f"{topic}: {repeated}" in live.notes()
+    assert [sample.q[0] for sample in samples] == list(range(LEARNT_FROM + 60))[-len(samples) :] and len(samples) > 30
+    assert (np.diff([sample.t_ns for sample in samples]) > 0).all()
+
+
+def test_a_driver_that_repeats_its_last_message_is_not_alive(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    arm.send(LEARNT_FROM)
+    (last,) = received(live)
+    frozen = {"stamp_ns": last.t_ns, "position": [1.0, 2.0], "velocity": [0.0, 0.0], "effort": [0.0, 0.0]}
+    arm.send(200, **frozen)
+    assert received(live) == [] and live.counts.refused == 200
+    assert live.notes() == [f"{topic}: two messages have the same stamp: the second is dropped"]
+
+
+def test_single_messages_without_a_field_or_of_other_joints_do_not_describe_the_arm(topic, robot):
+    """The first lack the effort, others are of a gripper, and in the last the torque of one joint is not a number."""
+    made, _ = connect(Ros2Settings(topic=topic, domain=DOMAIN))
+    arm, found = robot(joints=("a", "b")), []
+    describing = threading.Thread(target=lambda: found.append(made.describe(5.0)))
+    describing.start()
+    arm.meets()
+    nan = float("nan")
+    arm.send(5, effort=[])
+    for _ in range(30):
+        arm.send(3)
+        arm.send(name=["gripper"], position=[0.0], velocity=[0.0], effort=[0.0])
+    arm.send(effort=[nan, 1.0])
+    describing.join(10)
+    (facts,) = found
+    assert facts.settings.joints == ("a", "b")
 
 
 def test_a_clock_that_is_set_back_costs_no_sample(listen, robot, topic):

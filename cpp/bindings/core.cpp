@@ -582,6 +582,13 @@ void bind_bundle(nb::module_& m) {
           },
           "Removes the network; observer and prior remain. Raises CoreError without a reference.")
       .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Recomputes the reference after a change.")
+      .def_prop_ro(
+          "reference_q",
+          [](const Bundle& b) {
+            const std::size_t n = std::min(b.links.size(), b.reference.q.size());
+            return std::vector<double>(b.reference.q.begin(), b.reference.q.begin() + static_cast<std::ptrdiff_t>(n));
+          },
+          "Position of each joint at the reference's first sample, [rad] or [m]; empty: no reference.")
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,

@@ -10,7 +10,7 @@ namespace tauext {
 // Input of one control cycle.
 struct Sample {
   std::int64_t t_ns = 0;               // time of measurement by a monotonic clock, [ns]
-  std::span<const double> q, dq, tau;  // per joint: [rad], [rad/s], tau in the bundle's input unit
+  std::span<const double> q, dq, tau;  // per joint: [rad] without jumps of a turn, [rad/s], tau in the bundle's input unit
   // Per joint, [degC]. Empty, or NaN for a joint: unknown, the last known value remains in effect.
   std::span<const double> temperature = {};
 };

@@ -195,7 +195,15 @@ def replay_one(
     from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
     from tauext.monitor.places import PlaceFinder
     from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, Tally, replay
+    from tauext.monitor.source import settings_of
+    from tauext.monitor.turns import Turns
 
+    turns = Turns(settings_of(bundle), bundle)
+    q, _ = turns.rows(recording.t_ns, recording.q)
+    if q is not recording.q:
+        recording = replace(recording, q=q)
+    for text in turns.notes():
+        output.note(text)
     monitor = _core.Monitor(bundle, settings.own_rate)
     tally, flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
     recorder = writer = None

@@ -26,6 +26,7 @@ from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
+from tauext.monitor.turns import Turns
 from tauext.robot.capsules import SHAPES_FILE, write_shapes
 from tauext.robot.load import load_tree
 from tauext.robot.write import is_placeholder, write_placeholder, write_robot
@@ -302,7 +303,9 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     """
     settings = facts.settings
     stage = ServoStage(settings.servo) if settings.servo is not None and settings.servo.on else None
-    made = [sample if stage is None else stage.made(sample) for sample in samples]
+    turns = Turns(settings)
+    made = [turns.made(sample) for sample in samples]
+    made = made if stage is None else [stage.made(sample) for sample in made]
     if not made:
         return None, []
     names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if getattr(made[0], name) is not None)]

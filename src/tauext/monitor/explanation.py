@@ -26,7 +26,8 @@ MEANING = {
     "not finite": "a position, velocity or torque was NaN, infinite or absurdly large; look at the driver and at the "
     "conversion of its values",
     "wrong size": "the sample did not have one value for each joint; look at the code that makes the samples",
-    "late sample": "a sample was older than the one before it and was left out; look at the order in which they come",
+    "late sample": "a sample was not newer than the one before it and was left out; look at the clock that makes the "
+    "stamps, and at the order of the samples",
     "time backwards": "the time stamps went back by more than one network period; look at the clock that makes them",
     "missing sample": "the loop ran and no new sample had come; look at the connection to the arm",
     "gap": "no sample came for longer than one network period; look at the connection to the arm",

@@ -54,6 +54,7 @@ from tauext.monitor.sink import (
     Verdict,
 )
 from tauext.monitor.source import Commanded, Sample, ServoStage, Source, SourceSettings, settings_of
+from tauext.monitor.turns import Turns
 
 # --- Verdicts of a live loop in the form of a replay, for output and statistics.
 
@@ -164,6 +165,7 @@ class Loop:
         self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
         """Called in the loop's thread with every exchange of the bundle."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._turns = Turns(self._arm, bundle)
         servo = self._arm.servo
         self._servo = ServoStage(servo) if servo is not None and servo.on else None
         self._profiles, self._recorder = profiles, recorder
@@ -381,6 +383,7 @@ class Loop:
             self.note(str(error))
 
     def _sample(self, sample: Sample) -> None:
+        sample = self._turns.made(sample)
         if self._servo is not None:
             sample = self._servo.made(sample)
         if self._due_ns is not None and self._last is not None and sample.t_ns < self._last.t_ns:
@@ -475,6 +478,7 @@ class Loop:
         successor.replaced = self.monitor, self._bundle
         self._changes.exchange(successor.monitor, successor.places)
         self.monitor, self._bundle = successor.monitor, successor.bundle
+        self._turns.follow(successor.bundle)
         self._load_kg = successor.monitor.load.mass
         self._model, self._mark_ns = successor.model, None
         old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
@@ -539,7 +543,7 @@ class Loop:
         self.note(text)
 
     def _forward_notes(self) -> None:
-        for text in self._source.notes():
+        for text in (*self._source.notes(), *self._turns.notes()):
             self.note(text)
 
     # Requests.

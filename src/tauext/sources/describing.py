@@ -101,9 +101,14 @@ def learnt_period_ns(stamps_ns: Sequence[int], arm: str) -> int:
     """Period of a stream from its stamps, of which the first ones may be uneven.
 
     Raises:
-        AwayError: there are too few.
+        AwayError: there are too few, or they do not rise.
     """
     steps = [b - a for a, b in zip(stamps_ns[:-1], stamps_ns[1:], strict=True) if b > a]
+    if len(steps) < LEARNT_STEPS < len(stamps_ns):
+        raise AwayError(
+            f"{arm}: {len(stamps_ns)} samples came, and their time stamps rose {len(steps)} times: their clock stands "
+            "still or goes back; restart the driver"
+        )
     if len(steps) < LEARNT_STEPS:
         raise AwayError(
             f"{arm}: {len(steps) + bool(steps)} samples came; {LEARNT_STEPS + 1} are needed to learn the rate"

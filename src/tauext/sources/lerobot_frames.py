@@ -16,6 +16,8 @@ from tauext.data.description import NEEDS, Arm, ContactTable, TimeTable
 from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.lerobot_folder import frame_stamps
 from tauext.errors import BundleError, ConfigError, RecordingError
+from tauext.monitor.source import settings_of
+from tauext.monitor.turns import Turns
 
 # --- Labels of the frames of a LeRobot dataset.
 
@@ -103,8 +105,9 @@ class ServoFrames:
         used = {"q", "q_des", "dq", "current", "duty", "voltage"} | ({"tau"} if needed == "tau" else set())
         wanted = {name: table for name, table in arm.signals.items() if name in used or name == "tau"}
         arm = replace(arm, signals=wanted, contact=ContactTable(), time=TimeTable())
-        self.arm = arm
+        self.arm, self._bundle = arm, bundle
         self._names = tuple(names)
+        self.restart()
         blank = RawSignals("", self._names, np.zeros(1, np.int64), np.zeros((1, len(self._names))))
         raw = RawRecording(where, Path(where), "LeRobot", lambda: iter((blank,)))
         columns: Columns = find_columns(arm, raw)
@@ -112,8 +115,16 @@ class ServoFrames:
         (listed,) = columns.streams.values()
         self._places = {key: [place[listed[k]] for k in places] for key, (_, places) in columns.signals.items()}
 
-    def signals(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """q [rad] and the other measured signals, (rows, joints) each, from numbers (rows, names).
+    def restart(self) -> None:
+        """Begin another episode with the next frame."""
+        self._turns = Turns(settings_of(self._bundle), self._bundle)
+
+    def signals(self, t_ns: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """q [rad] without jumps of whole turns, and the other measured signals, (rows, joints) each.
+
+        Args:
+            t_ns: stamps, (rows,), [ns].
+            rows: numbers, (rows, names), of frames that follow those of the last call.
 
         Raises:
             RecordingError: positions are beyond any joint's range, so they are in other units.
@@ -131,7 +142,8 @@ class ServoFrames:
                 f"[signals.q_des] in {self.arm.path} to 'deg' or 'normalised' (LeRobot's -100 to 100, with its "
                 "calibration file)"
             )
-        return made
+        made["q"], goals = self._turns.rows(t_ns, made["q"], made.get("q_des"))
+        return made if goals is None else made | {"q_des": goals}
 
 
 # --- Labels of a robot's frames while they are recorded.
@@ -168,13 +180,14 @@ class FrameLabeller:
         """Begin an episode with the next frame: reset the monitor, which warms up."""
         self._input.reset()
         self._monitor.reset()
+        self._frames.restart()
         self._frame = 0
 
     def step(self, values: Mapping[str, float]) -> Labels:
         """Labels of the next frame, one row."""
         row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
-        signals = {key: rows[0] for key, rows in self._frames.signals(row).items()}
         t_ns = int(frame_stamps(np.array([self._frame]), self._fps)[0])
+        signals = {key: rows[0] for key, rows in self._frames.signals(np.array([t_ns]), row).items()}
         self._frame += 1
         q = signals.pop("q")
         dq, tau = self._input.step(t_ns, q, **signals)

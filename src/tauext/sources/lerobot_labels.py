@@ -373,7 +373,7 @@ def episode_labels(name: str, block: RawSignals, bundle: _core.Bundle, arm: Arm)
     """Label one episode's frames with a new monitor; a missing number is a fault, -1."""
     t_ns = block.t_ns
     assert t_ns is not None
-    signals = ServoFrames(bundle, arm, block.names, name).signals(block.columns)
+    signals = ServoFrames(bundle, arm, block.names, name).signals(t_ns, block.columns)
     q = signals.pop("q")
     dq, tau = velocity_and_torque(bundle.servo, t_ns, q, signals)
     estimates = _core.estimate(bundle, t_ns, q, dq, tau, os.cpu_count() or 1, None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
@@ -181,6 +182,41 @@ class SampleRate:
         self.factor = max(1, round(ratio)) if abs(round(ratio) / ratio - 1) <= TOLERANCE else 1
 
 
+# --- Stamps that are no clock.
+
+
+NO_STAMP, REPEATED_STAMPS = "stamps are zero", "messages with new values have the stamp of the one before"
+REPEATED_SHARE, OVER_MESSAGES = 0.2, 50
+"""Share of such messages, among about the last ones, above which stamps are no clock: some may be sent twice."""
+
+
+class OwnStamps:
+    """Finds stamps of a publisher that are no clock: zero, constant, or coarser than its messages.
+
+    A message that repeats stamp and values is none of these: its driver may be frozen.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Restart for another publisher."""
+        self._last_ns = 0
+        self._values: tuple[np.ndarray, ...] = ()
+        self._share = 0.0
+        self._repeat = False
+
+    def problem(self, stamp_ns: int, values: tuple[np.ndarray, ...]) -> str:
+        """Why the stamp of the next message is not used; empty: it is."""
+        if stamp_ns == 0:
+            return NO_STAMP
+        is_repeated = stamp_ns == self._last_ns and not all(map(np.array_equal, values, self._values))
+        self._last_ns, self._values = stamp_ns, values
+        self._share += (is_repeated - self._share) / OVER_MESSAGES
+        self._repeat = self._repeat or self._share > REPEATED_SHARE
+        return REPEATED_STAMPS if self._repeat else ""
+
+
 # --- Time of samples: from their stamps if these are usable, else from reception.
 
 
@@ -332,17 +368,20 @@ class Ros2Source:
         """Facts of the publisher with most joints of the arm; of several such, the one that came first."""
         settings, found = self._node.settings, []
         for messages in publishers:
-            usable, left_out = usable_joints(messages[-1], settings.names), tuple[str, ...]()
-            assert not isinstance(usable, str)
+            usable, those = usual_joints(messages, settings.names)
+            left_out = tuple[str, ...]()
             with suppress(ConfigError) if len(publishers) > 1 else nullcontext():
                 usable, left_out = (settings.names, ()) if settings.names else chosen_joints(usable, robot, self.name)
-                found.append((usable, left_out, messages))
+                found.append((usable, left_out, those))
         if not found:
             raise ConfigError(f"{self.name}: no publisher has the joints of {robot}")
         joints, notes, messages = max(found, key=lambda one: len(one[0]))
         if sum(one[0] == joints for one in found) > 1:
             notes += (f"two publishers on {settings.topic}: the first is used",)
         stamps = [one.header.stamp.ns or one.sample_info.source_timestamp for one in messages]
+        if 2 * len(set(stamps)) < len(stamps):
+            stamps = [one.sample_info.source_timestamp for one in messages]
+            notes += (f"{REPEATED_STAMPS}: times of publication are used",)
         period_ns = learnt_period_ns(stamps, self.name)
         notes += ("the effort is taken as a torque in N m until the arm's motion shows another kind",)
         arm = SourceSettings(joints, period_ns, ("N m",) * len(joints), "instant")
@@ -361,6 +400,7 @@ class Ros2Source:
         self._looked_ns = time.monotonic_ns()
         self._joints, self._rate = ArmJoints(tuple(names)), SampleRate(settings.period_ns)
         self._time, self._followed = SampleTime(), Followed()
+        self._stamps, self._no_clock = OwnStamps(), ""
         self._averaged = settings.torque_timing == "averaged"
         self._torques: list[np.ndarray] = []
         self.counts = SourceCounts()
@@ -449,10 +489,12 @@ class Ros2Source:
         if changed:
             self._begin(now_ns)
         stamp_ns, last_ns = message.header.stamp.ns, self._t_ns
-        if stamp_ns == 0:
+        was, self._no_clock = self._no_clock, self._stamps.problem(stamp_ns, picked)
+        if self._no_clock:
             stamp_ns = message.sample_info.source_timestamp
-            self._report("stamps are zero", "stamps are zero: times of publication are used", now_ns)
-        t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, not changed)
+            self._report("no clock", f"{self._no_clock}: times of publication are used", now_ns)
+        follows = not changed and was == self._no_clock
+        t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, follows)
         self._t_ns = t_ns
         self._report("stamps", wrong, now_ns)
         if last_ns is not None and t_ns <= last_ns:
@@ -485,6 +527,7 @@ class Ros2Source:
             self._report("publisher", "another publisher is used now", now_ns)
         self._lost_before += self._rate.lost
         self._rate.forget()
+        self._stamps.forget()
         self._torques.clear()
 
     def _refuse(self, key: str, text: str | None, now_ns: int) -> None:
@@ -530,3 +573,19 @@ def usable_joints(message: JointState, names: tuple[str, ...]) -> tuple[str, ...
     if missing := [name for name in names if name not in finite]:
         return f"{what} of {', '.join(missing)} among {', '.join(message.name) or '(none)'}"
     return finite or f"{what} of a joint among {', '.join(message.name) or '(none)'}"
+
+
+def usual_joints(messages: Sequence[JointState], names: tuple[str, ...]) -> tuple[tuple[str, ...], list[JointState]]:
+    """Joints of one publisher's usual messages, and these messages: the most joints that a tenth of them have.
+
+    Args:
+        messages: usable ones.
+        names: as for usable_joints().
+    """
+    by_joints: dict[tuple[str, ...], list[JointState]] = {}
+    for message in messages:
+        usable = usable_joints(message, names)
+        assert not isinstance(usable, str)
+        by_joints.setdefault(usable, []).append(message)
+    usual = {joints: those for joints, those in by_joints.items() if 10 * len(those) >= len(messages)}
+    return max((usual or by_joints).items(), key=lambda one: (len(one[0]), len(one[1])))

@@ -149,6 +149,23 @@ def test_samples_without_sense_are_left_out(samples):
     assert recording_of(samples[:1], FACTS)[0] is None
 
 
+@pytest.mark.parametrize("made, share", [(lambda t, k: 7, "100%"), (lambda t, k: t - 3600 * 10**9 * (k >= 600), "40%")])
+def test_a_clock_that_stands_still_or_is_set_back_is_the_one_fault(samples, robot, made, share):
+    some = [replace(one, t_ns=made(one.t_ns, k)) for k, one in enumerate(samples[:1000])]
+    recording, lives = recording_of(some, FACTS)
+    lives += judge([recording] if recording else [], robot, FACTS)
+    (fault,) = [live for live in lives if live.severity in ("fault", "warning")]
+    assert (fault.code, share in fault.words) == ("clock-irregular", True)
+
+
+def test_a_wrapped_stream_is_judged_as_the_continuous_one(samples, robot):
+    """The seam lies within the range of both joints."""
+    seam = np.median([one.q for one in samples], axis=0)
+    wrapped = [replace(one, q=(one.q - seam) % (2 * np.pi) + seam) for one in samples]
+    assert np.ptp([one.q for one in wrapped], axis=0).min() > 6
+    assert judged(wrapped, robot) == judged(samples, robot)
+
+
 # --- The first look.
 
 

@@ -326,6 +326,11 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
         if newest is None or made[row].t_ns > newest:
             rows.append(row)
             newest = made[row].t_ns
+    late = 1 - len(rows) / max(1, int(finite.sum()))
+    if late > 0.1:
+        words = f"the time stamps stood still or went back in {late:.0%} of the samples"
+        remedy = "let the driver stamp each sample with the time of its measurement, by a clock that nothing sets"
+        missing.append(Live("clock-irregular", "fault", None, words, remedy))
     if len(rows) < 2:
         return None, missing
     try:

@@ -159,20 +159,23 @@ class Turns:
 
 
 def trained_positions(bundle: _core.Bundle) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest position of each joint in training, (joints,) [rad]; NaN: its turn does not matter.
+    """Least and largest position of each joint in training, (joints,) [rad]; NaN: unknown, or a prismatic joint.
 
-    Only a network's inputs depend on the turn. Coverage holds the trained positions within a turn, the reference is one
-    of them.
+    Coverage holds the trained positions within a turn, the reference is one of them. Where they cover the whole turn,
+    the largest input of a network bounds them.
     """
     n = bundle.joints
     low, high = np.full(n, np.nan), np.full(n, np.nan)
-    coverage, there, factors = bundle.coverage, bundle.reference_q, bundle.input_factors
-    inputs = {column for column, _ in bundle.inputs} if bundle.has_network else set[int]()
-    for joint in range(n):
-        if joint not in inputs or not factors[joint] or bundle.links[joint].type != _core.JointType.revolute:
+    coverage, there = bundle.coverage, bundle.reference_q
+    factors = bundle.input_factors if bundle.has_network else [0.0] * n
+    for joint, link in enumerate(bundle.links):
+        if link.type != _core.JointType.revolute:
             continue
         ends = None if coverage.empty or not there else _ends(coverage.seen[joint], there[joint])
-        low[joint], high[joint] = ends or (-1 / factors[joint], 1 / factors[joint])
+        if ends is not None:
+            low[joint], high[joint] = ends
+        elif factors[joint]:
+            low[joint], high[joint] = -1 / factors[joint], 1 / factors[joint]
     return low, high
 
 

@@ -1,4 +1,7 @@
-"""Positions that wrap or lose whole turns: every live source gives the estimates of continuous ones."""
+"""Properties of live streams by source: turns that wrap or are lost, clocks, single bad samples.
+
+Each has the estimates of the clean stream, or one cause.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,17 @@ import numpy as np
 import pytest
 from made_bundles import JOINTS, damaged, pushed, watching_bundle
 from made_live import Keeper, ScriptedSource, samples_of
-from made_servos import NAMES
+from made_servos import (
+    NAMES,
+    Dynamixel,
+    Feetech,
+    MadeServoBus,
+    bus_file,
+    patient,
+    servo_settings,
+    sts3215,
+    x_series,
+)
 
 from tauext import _core
 from tauext.bundle.estimates import FAULT, OK, WARMING_UP
@@ -23,6 +36,9 @@ from tauext.monitor.source import Sample, SourceSettings, settings_of
 from tauext.monitor.turns import Turns, trained_positions
 from tauext.sources.franka import FrankaSource
 from tauext.sources.replay import ReplaySource
+from tauext.sources.servo import ServoSource
+from tauext.sources.servo_bus_file import ServoJoint
+from tauext.sources.servo_series import DYNAMIXEL, FEETECH
 from tauext.sources.ur import UrSource
 
 OFFSET = np.array([2.8, -0.5])
@@ -142,6 +158,43 @@ def test_estimates_are_those_of_continuous_positions(kind, how, bundle, request,
         assert sorted(notes) == sorted(expected)[: len(notes)] and notes
 
 
+SECOND = 10**9
+CLOCKS = {
+    "stands still": (lambda t, k: t - 1_000_000 * max(0, k - 1500), {"late sample"}),
+    "stands still for a second": (lambda t, k: t - 1_000_000 * max(0, k - 1500) * (k < 2500), {"late sample", "gap"}),
+    "set back by an hour": (lambda t, k: t - 3600 * SECOND * (k >= 1500), {"time backwards"}),
+    "set back by 5 ms": (lambda t, k: t - 5_000_000 * (k >= 1500), {"late sample"}),
+    "set ahead by an hour": (lambda t, k: t + 3600 * SECOND * (k >= 1500), {"gap"}),
+    "half the rate": (lambda t, k: t + 1_000_000 * k, {"wrong rate"}),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("kind", ["script", "franka"])
+def test_a_wrong_clock_is_reported_by_its_cause_and_what_is_right_again_is_healthy(
+    kind, clock, bundle, request, tmp_path
+):
+    change, causes = CLOCKS[clock]
+    made = swinging(4.0)
+    source, count = source_of(kind, made, request, tmp_path), [0]
+    read = source.next_sample if kind == "script" else source.read
+
+    def changed(*timeout):
+        if (sample := read(*timeout)) is None:
+            return None
+        count[0] += 1
+        return replace(sample, t_ns=change(sample.t_ns, count[0]))
+
+    setattr(source, "next_sample" if kind == "script" else "read", changed)
+    keeper = Keeper(lambda verdict: verdict.row >= 3990 and keeper.control.stop("test"))
+    Loop(bundle, source, [keeper], settings=LoopSettings(missing_after_s=60.0)).run()
+    said = [one.estimates for one in keeper.verdicts]
+    assert {name for one in said for name in _core.cause_names(int(one["causes"][0]))} == causes
+    lasting = clock in ("stands still", "half the rate")
+    assert (said[-1]["health"][0] == OK) is not lasting
+    assert said[1400]["health"][0] == OK or clock == "half the rate"
+
+
 def test_a_run_of_a_recording_takes_turns_out_as_the_loop_does(bundle, tmp_path, capsys):
     clean = swinging()
     bundle.save(str(tmp_path / "arm.tauext"))
@@ -247,8 +300,7 @@ def test_the_trained_positions_of_a_bundle_are_found_and_a_first_one_is_put_amon
         q, _ = turns.rows(clean.t_ns[k : k + 1], first)
         np.testing.assert_allclose(q, clean.q[k : k + 1] if high - low < 6 else first, atol=1e-9)
         assert len(turns.notes()) == np.count_nonzero(np.abs(q - first) > 1)
-    without = watching_bundle(network=False)
-    assert np.isnan(trained_positions(without)).all()  # physics does not depend on the turn
+    assert np.isnan(trained_positions(watching_bundle(network=False))).all()
 
 
 def test_the_velocity_and_torque_of_servos_are_made_of_unwrapped_counts():
@@ -277,6 +329,36 @@ def test_the_velocity_and_torque_of_servos_are_made_of_unwrapped_counts():
     after = 60  # the first wrap of the position
     np.testing.assert_allclose(wrapped[after:], clean[after:], atol=1e-9)
     np.testing.assert_allclose(wrapped[:, 0], clean[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
+def test_servos_whose_counts_wrap_turn_on(kind):
+    """Three servos pass the seam of their counts; the Dynamixels count turns and lose one at a reboot."""
+    pytest.importorskip({"feetech": "scservo_sdk", "dynamixel": "dynamixel_sdk"}[kind])
+    protocol, series, power_on = {
+        "feetech": (Feetech, FEETECH, sts3215),
+        "dynamixel": (Dynamixel, DYNAMIXEL, x_series),
+    }[kind]
+    bus, layout = MadeServoBus(protocol(), [1, 2, 3]), {"feetech": ("H", 56), "dynamixel": ("i", 132)}[kind]
+    for id_ in (1, 2, 3):
+        power_on(bus, id_)
+
+    def move(reading: int) -> None:
+        counts = 1800 + 15 * reading
+        for id_ in (1, 2, 3):
+            bus.put(id_, *layout, counts % 4096 if kind == "feetech" else counts - 4096 * (reading > 30))
+
+    bus.moves = move
+    joints = (ServoJoint(NAMES[k], k + 1, 0.0, multi_turn=kind == "dynamixel") for k in range(3))
+    source = patient(ServoSource(series, bus.port, bus_file(*joints)))
+    try:
+        keeper = Keeper(lambda verdict: verdict.row >= 60 and keeper.control.stop("test"))
+        Loop(None, source, [keeper], settings=LoopSettings(missing_after_s=60.0), arm=servo_settings(3)).run()
+    finally:
+        bus.close()
+    counts = np.array([one.sample.q for one in keeper.verdicts]) * 4096 / TURN
+    steps = np.diff(counts, axis=0)
+    assert np.abs(steps / 15 - np.round(steps / 15)).max() < 1e-6 and steps.max() < 300 and np.ptp(counts) >= 60 * 15
 
 
 def test_ros2_positions_are_unwrapped(bundle):

@@ -233,6 +233,16 @@ SAME_CSV = {
     "exponents of Fortran": lines(rows=[[cell + "D+00" * ("e" not in cell) for cell in row] for row in ROWS]),
     "plus signs": lines(rows=[["+" * (cell[0] != "-") + cell for cell in row] for row in ROWS]),
     "zeros after a crash": lines() + "\0" * 200,
+    "several tabs between cells": lines(separator="\t\t"),
+    "uneven tabs and blanks": lines(
+        rows=[[" " * (k % 3) + row[0], *row[1:]] for k, row in enumerate(ROWS)], separator="\t "
+    ),
+    "another decimal mark in a column": lines([*HEADER, "temperature"], more("20.5", rows=commas()), ";"),
+    "a first row without values": lines(rows=[["nan"] * 5, *ROWS]),
+    "a text with a comma in some rows": lines(
+        [*HEADER, "event"], [[*row, "stop, go" if k == 7 else "go"] for k, row in enumerate(ROWS)]
+    ),
+    "an index of dates": lines(HEADER, [[f"2024-05-{k % 28 + 1:02d}", *row] for k, row in enumerate(ROWS)], "  "),
 }
 
 
@@ -270,6 +280,12 @@ def test_names_of_csv_columns(tmp_path):
         (",t,q\n0,0.0,1\n1,0.1,2\n", ["column1", "t", "q"]),
         ("t,q,q,tau\n0,1,2,3\n1,2,3,4\n", ["t", "q[0]", "q[1]", "tau"]),
         ('t,q\n0,"[0.1, 0.2]"\n1,"[0.3, 0.4]"\n', ["t", "q[0]", "q[1]"]),
+        ("time,1,2\n0.0,0.5,1\n0.1,0.5,2\n", ["time", "1", "2"]),
+        ("time [s] q1 [deg]\n0.0 0.5\n0.1 0.6\n", ["time [s]", "q1 [deg]"]),
+        ("Time stamp   Joint 1\n0.0   0.5\n0.1   0.6\n", ["Time stamp", "Joint 1"]),
+        ("t;q;name\n0;(0.1, 0.2);['b', 'a']\n1;(0.3, 0.4);['b', 'a']\n", ["t", "q[b]", "q[a]"]),
+        ("t;q\n0;array('d', [0.1, 0.2])\n1;array('d', [0.3, 0.4])\n", ["t", "q[0]", "q[1]"]),
+        ("header.stamp.secs,header.stamp.nsecs,q\n5,6,1\n5,7,1\n", ["header.stamp.secs", "header.stamp.nsecs", "q"]),
         ("t,mode\n0.0,idle\n0.1,move\n", ["t"]),
     ):
         path.write_text(text)
@@ -371,6 +387,12 @@ def test_rates_before_the_names_of_a_csv_are_reported(tmp_path):
 
 REFUSED_CSV = {
     "too few names": ("time;q0\n0.0,1,2\n0.1,1,2\n", r"line 1 has 2 names between ';', line 2 has 3 cells between ','"),
+    "a name is missing": (
+        "t,q0,q1\n0.00,1.5,2.5,3\n0.01,1.5,2.5,3\n", "line 1 has 3 names between ',', line 2 has 4 cells between ','"
+    ),
+    "a name is missing between blanks": (
+        "t q0 q1\n0.00 1.5 2.5 3\n0.01 1.5 2.5 3\n", "line 1 has 3 names between ' ', line 2 has 4 cells between ' '"
+    ),
     "thousands": ('t,q\n"1,000.5",1\n"1,001.5",2\n', "column 't' has separators between thousands, such as '1,000.5'"),
     "thousands alone": ('t,q\n"1,000",1\n"1,001",2\n', "column 't' has separators between thousands"),
     "thousands far on": (
@@ -520,6 +542,15 @@ def test_rows_of_parquet_without_a_stamp_or_with_another_length_of_a_list(tmp_pa
     assert source.notes[-1] == "columns without numbers left out: points (lists of changing length)"
     (block,) = source.blocks()
     assert source.place(block.rows[7]) == "row 9"
+
+
+def test_arrays_of_a_joint_state_have_its_names(tmp_path):
+    path = tmp_path / "run.parquet"
+    names, stamps = pa.array([["elbow", "wrist"]] * 50), pa.array([{"sec": 7, "nanosec": k} for k in range(50)])
+    pq.write_table(pa.table({"name": names, "position": pa.array(pairs("q").tolist()), "stamp": stamps}), path)
+    t_ns, columns = read(path)[1][""]
+    np.testing.assert_array_equal(columns["position[wrist]"], table()["q1"])
+    np.testing.assert_array_equal(t_ns, 7 * 10**9 + np.arange(50))
 
 
 def test_parquet_without_rows_or_numbers_is_refused(tmp_path):
@@ -754,6 +785,23 @@ def test_matlab_objects_are_named_with_the_way_on(tmp_path):
     source, streams = read(path)
     np.testing.assert_array_equal(streams[""][1]["t"], table()["time"])
     assert source.notes == ["MATLAB objects left out: log (timeseries)"]
+
+
+def test_hdf5_files_that_are_being_written(tmp_path):
+    path, copied = tmp_path / "run.h5", tmp_path / "copied.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["q"] = table()["q0"]
+        file.flush()
+        shutil.copy(path, copied)
+        with pytest.raises(
+            RecordingError, match="copied.h5: the program that writes it has not closed it; close it there"
+        ):
+            open_raw(copied)
+        file.swmr_mode = True
+        file.flush()
+        shutil.copy(path, copied)
+    for one in (path, copied):
+        np.testing.assert_array_equal(read(one)[1][""][1]["q"], table()["q0"])
 
 
 def test_a_missing_filter_of_hdf5_is_named(tmp_path):

@@ -56,10 +56,18 @@ def has_thousands(cell: str, decimal: str) -> bool:
 
 def list_cells(cell: str) -> list[str]:
     """Numbers of a list in one cell, `[0.1, 0.2]`; empty where the cell is none."""
+    cell = re.sub(r"^array\('\w', ?(.*)\)$", r"\1", cell)
     if cell[:1] not in ("[", "(") or cell[-1:] not in ("]", ")"):
         return []
     cells = [one for one in re.split(r"[,;\s]+", cell[1:-1]) if one]
     return cells if all(is_number(one) or is_missing(one) for one in cells) else []
+
+
+def list_words(cell: str) -> tuple[str, ...]:
+    """Words of a list in one cell, `['shoulder', 'elbow']`; empty where the cell is none."""
+    if not re.fullmatch(r"[\[(].*[A-Za-z].*[\])]", cell):
+        return ()
+    return tuple(re.findall(r"[^\s'\",;\[\]()]+", cell))
 
 
 def is_missing(cell: str) -> bool:
@@ -108,7 +116,7 @@ def flags_of(column: Any) -> np.ndarray:
 
 def lists_of(column: Any, count: int) -> np.ndarray:
     """Numbers of a column of lists in text, (samples, count); NaN where a list has another length."""
-    text = pc.replace_substring_regex(column.cast(pa.string()), r"^\s*[\[(]\s*|\s*[\])]\s*$", "")
+    text = pc.replace_substring_regex(column.cast(pa.string()), r"^\s*(?:array\('\w', ?)?[\[(]\s*|\s*[\])]+\s*$", "")
     lists = pc.split_pattern_regex(text, r"\s*[,;]\s*|\s+")
     if isinstance(lists, pa.ChunkedArray):
         lists = lists.combine_chunks()
@@ -219,6 +227,19 @@ def clock_notes(candidates: Mapping[str, int], clock: str) -> list[str]:
     others = [name for name in candidates if name != clock]
     notes = [f"stamps from column '{clock}', which has dates or times"]
     return notes + [f"further columns of dates or times left out: {', '.join(others)}"] * bool(others)
+
+
+def paired_stamps(names: Sequence[str], columns: np.ndarray) -> np.ndarray | None:
+    """Stamps [ns] of columns such as `sec` and `nanosec`, `stamp.secs` and `stamp.nsecs`; None: there are none."""
+    for whole, name in enumerate(names):
+        if not (match := re.fullmatch(r"(|.*[\W_])secs?", name)):
+            continue
+        for part in ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"):
+            if f"{match[1]}{part}" in names:
+                at = [whole, names.index(f"{match[1]}{part}")]
+                seconds, rest = np.nan_to_num(columns[:, at]).astype(np.int64).T
+                return seconds * 10**9 + rest
+    return None
 
 
 # --- Rates and sample times that a file states beside its rows.

@@ -6,7 +6,7 @@ import codecs
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +26,10 @@ from tauext.data.importers.cells import (
     is_stamp,
     kind_of,
     list_cells,
+    list_words,
     lists_of,
     numbers_of,
+    paired_stamps,
     stated_hz,
 )
 from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
@@ -63,9 +65,9 @@ class Dialect:
     names: tuple[str, ...] = ()
     """A name for every cell of a row."""
     kinds: tuple[str, ...] = ()
-    """Kind of every column: number, flag, stamp, list, text, or blank."""
-    wide: tuple[tuple[str, int], ...] = ()
-    """Columns of lists, with their length."""
+    """Kind of every column: number, other (with the other decimal mark), flag, stamp, list, text, or blank."""
+    wide: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Columns of lists, with the names of their elements."""
     first_line: int = 0
     """Number of lines before the first row."""
     header: bytes = b""
@@ -246,26 +248,52 @@ def _dialect(path: Path, lines: list[str], middle: list[str]) -> tuple[Dialect, 
 
     first = _first_row(lines, row_of)
     above = [k for k in range(first) if lines[k].strip() and not (declared and k == 0)]
-    counted = [*map(str, range(count))]
-    if not above and row_of(lines[first]) in (counted, ["", *counted[:-1]]) and count > 1 and len(sample) > 1:
-        above, first = [first], first + 1  # pandas numbers columns without names
+    if not above and first + 1 < len(lines) and _are_names(row_of(lines[first]), row_of(lines[first + 1])):
+        above, first = [first], first + 1
     rows = [row for line in [*lines[first : first + SAMPLE_ROWS], *middle] if (row := row_of(line))]
     if not rows:
         raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
     dialect = _named(path, replace(dialect, first_line=first), lines, above, rows)
     columns = dict(zip(dialect.names, zip(*rows, strict=True), strict=True))
-    kinds = {name: kind_of(values, decimal) for name, values in columns.items()}
-    for name in (name for name, kind in kinds.items() if kind == "text"):
-        known = [value for value in columns[name] if not is_missing(value)]
-        odd = next((value for value in known if has_thousands(value, decimal)), "")
-        if odd and all(is_number(value, decimal) or has_thousands(value, decimal) for value in known):
-            raise RecordingError(f"{path}: column '{name}' {THOUSANDS_REFUSED.format('such as', odd)}")
+    kinds = {name: _kind(path, name, values, dialect) for name, values in columns.items()}
     dialect = _without_blank(replace(dialect, kinds=tuple(kinds.values())), rows)
-    wide = {name: Counter(len(list_cells(v)) for v in columns[name] if v) for name in dialect.of_kind("list")}
-    dialect = replace(dialect, wide=tuple((name, held.most_common(1)[0][0]) for name, held in wide.items()))
-    if not dialect.of_kind("number", "list"):
+    dialect = replace(dialect, wide=tuple((name, _labels(name, columns)) for name in dialect.of_kind("list")))
+    if not dialect.of_kind("number", "list", "other"):
         raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
     return _by_joint(dialect, rows[0]), rows
+
+
+def _are_names(line: list[str], row: list[str]) -> bool:
+    """Whether a line with numbers has names: words over numbers, or numbers from 0 on as pandas numbers columns."""
+    counted = [*map(str, range(len(line)))]
+    if len(line) > 1 and line in (counted, ["", *counted[:-1]]):
+        return True
+    over = zip(line, row, strict=False)
+    words = [cell[:1].isalpha() and not is_missing(cell) and is_number(below) for cell, below in over]
+    return any(words) and all(cell.isdigit() for cell in line if is_number(cell))
+
+
+def _kind(path: Path, name: str, values: Sequence[str], dialect: Dialect) -> str:
+    """Kind of a column by its values; thousands separators are refused."""
+    decimal, other = dialect.decimal, "." if dialect.decimal == "," else ","
+    kind = kind_of(values, decimal)
+    if kind != "text":
+        return kind
+    known = [value for value in values if not is_missing(value)]
+    odd = next((value for value in known if has_thousands(value, decimal)), "")
+    if odd and all(is_number(value, decimal) or has_thousands(value, decimal) for value in known):
+        raise RecordingError(f"{path}: column '{name}' {THOUSANDS_REFUSED.format('such as', odd)}")
+    return "other" if dialect.separator != "," and kind_of(values, other) == "number" else kind
+
+
+def _labels(name: str, columns: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Names of the elements of a column of lists: those of a list of words that is the same in every row."""
+    count = Counter(len(list_cells(value)) for value in columns[name] if value).most_common(1)[0][0]
+    for values in columns.values():
+        words = list_words(values[0]) if len(set(values)) == 1 else ()
+        if len(words) == len(set(words)) == count > 1:
+            return words
+    return tuple(map(str, range(count)))
 
 
 def _is_value(cell: str, decimal: str) -> bool:
@@ -324,10 +352,10 @@ def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], row
     trailing = all(not row[-1] for row in rows)
     fitting: list[tuple[int, list[str]]] = []
     for k in reversed(above):
-        cells = _header_cells(lines[k], dialect.separator, count, trailing)
+        cells = _header_cells(lines[k], dialect.separator, rows)
         if cells and not RULE.fullmatch(lines[k]):
             fitting.append((k, cells))
-            if not all(UNIT.fullmatch(cell) for cell in cells):
+            if not all(UNIT.fullmatch(cell) or is_missing(cell) for cell in cells):
                 break
         elif not fitting and not COMMENT.match(lines[k]) and not RULE.fullmatch(lines[k]):
             _expect_title(path, dialect, lines, k, count)
@@ -348,26 +376,38 @@ def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], row
     return replace(dialect, names=tuple(names), header=header, notes=tuple(filter(None, notes)))
 
 
-def _header_cells(line: str, separator: str, count: int, trailing: bool) -> list[str]:
-    """Names in a line, as many as a row has cells or one less; empty where the line does not fit."""
+def _header_cells(line: str, separator: str, rows: list[list[str]]) -> list[str]:
+    """Names in a line, one a cell of a row, or one less; empty where the line does not fit."""
+    count = len(rows[0])
     text = COMMENT.sub("", line, count=1) if COMMENT.match(line) else line.strip("\ufeff")
-    for one in (separator, *(s for s in SEPARATORS if s != separator)):
-        cells = _cells(text.strip("\r\n") if one == "\t" else text.strip(), one)
+    splits = [_cells(text if one == "\t" else text.strip(), one) for one in SEPARATORS]
+    splits.append(re.split(r"\s{2,}", text.strip()))
+    splits.append(re.split(r"\s+(?![\[(])", text.strip()))  # units in brackets belong to the name before
+    for cells in (_cells(text if separator == "\t" else text.strip(), separator), *splits):
         if len(cells) > count and not any(cells[count:]):
             cells = cells[:count]
-        if any(is_number(cell) for cell in cells) and not all(cell.isdigit() or not cell for cell in cells):
+        if any(is_number(cell) and not cell.isdigit() for cell in cells):
             continue
-        if len(cells) == count or (len(cells) == count - 1 > 0 and (one == separator or trailing)):
+        if len(cells) == count or (len(cells) == count - 1 > 0 and (_is_index(rows) or not any(r[-1] for r in rows))):
             return cells
     return []
 
 
+def _is_index(rows: list[list[str]]) -> bool:
+    """Whether the first column may lack a name: it counts the rows, or has dates."""
+    cells = [row[0] for row in rows[:DIALECT_LINES]]
+    if all(cell.isdigit() for cell in cells):
+        return all(int(b) - int(a) == 1 for a, b in zip(cells, cells[1:], strict=False))
+    return all(is_stamp(cell) or is_stamp(f"{cell} 00:00:00") for cell in cells)
+
+
 def _expect_title(path: Path, dialect: Dialect, lines: list[str], k: int, count: int) -> None:
     """Refuse a line above the rows that has names, but not one for every cell."""
-    by_separator = {s: _cells(lines[k].strip(), s) for s in SEPARATORS[:-1]}
+    by_separator = {s: _cells(lines[k].strip(), s) for s in SEPARATORS if s != " " or dialect.separator == " "}
     separator = max(by_separator, key=lambda s: len(by_separator[s]))
     cells = by_separator[separator]
-    if len(cells) < 2 or ":" in lines[k] or "=" in lines[k] or any(map(is_number, cells)):
+    prose = separator == " " and len(cells) < count - 2
+    if len(cells) < 2 or prose or ":" in lines[k] or "=" in lines[k] or any(map(is_number, cells)):
         return
     row = lines[dialect.first_line].strip()[:60]
     raise RecordingError(
@@ -437,7 +477,7 @@ class _Reader:
     @property
     def kept(self) -> tuple[str, ...]:
         """Columns that are read, without the clock."""
-        return self.dialect.of_kind("number", "flag", "list")
+        return self.dialect.of_kind("number", "other", "flag", "list")
 
     @property
     def row_word(self) -> tuple[str, int]:
@@ -482,10 +522,10 @@ class _Reader:
         if not len(place):
             return RawSignals("", names, None, columns, rows=place)
         for name in self.kept:
-            count = wide.get(name, 1)
+            count = len(wide.get(name, "1"))
             columns[:, k : k + count] = self._values(name, table.column(name), place, count)
             k += count
-        t_ns = _stamps_ns(names, columns)
+        t_ns = paired_stamps(names, columns)
         if self.clock:
             t_ns, known = stamps.stamps(table.column(self.clock))
             if not known.all():
@@ -507,6 +547,8 @@ class _Reader:
             return flags_of(column)[:, None]
         if kind == "list":
             return lists_of(column, count)
+        if kind == "other":
+            return numbers_of(column, "." if self.dialect.decimal == "," else ",")[:, None]
         values = numbers_of(column, self.dialect.decimal)
         for k in np.flatnonzero(np.isnan(values)):
             cell = str(column[int(k)].as_py() or "").strip()
@@ -541,7 +583,7 @@ class _Reader:
         from pyarrow import csv as arrow_csv
 
         wanted = [*self.kept, *([self.clock] if self.clock else [])]
-        text = {*self.dialect.of_kind("flag", "list"), self.clock}
+        text = {*self.dialect.of_kind("other", "flag", "list"), self.clock}
         types = {name: pa.string() if name in text else numbers for name in wanted}
         return arrow_csv.read_csv(
             pa.BufferReader(chunk),
@@ -571,6 +613,8 @@ class _Reader:
                 cells = len(_cells(_decoded(text), self.dialect.separator)) if text.count(b'"') % 2 == 0 else -1
             else:
                 cells = text.count(separator) + 1
+                if cells > count and self.dialect.kinds[-1] == "text":  # the text has the separator too
+                    cells, text = count, separator.join(text.split(separator)[:count])
             if cells == count and b"\0" not in text:
                 good.append(text)
                 at.append(k)
@@ -589,13 +633,5 @@ def _single_blanks(chunk: bytes) -> bytes:
     return chunk.removeprefix(b" ").replace(b"\n ", b"\n").replace(b" \r", b"\r").replace(b" \n", b"\n").rstrip(b" ")
 
 
-def _elements(name: str, count: int | None) -> list[str]:
-    return [name] if count is None else [f"{name}[{k}]" for k in range(count)]
-
-
-def _stamps_ns(names: tuple[str, ...], columns: np.ndarray) -> np.ndarray | None:
-    """Stamps of a JointState's columns `sec` and `nanosec`, [ns]; None where the file has none."""
-    if not {"sec", "nanosec"} <= set(names):
-        return None
-    whole, part = (np.nan_to_num(columns[:, names.index(name)]).astype(np.int64) for name in ("sec", "nanosec"))
-    return whole * 10**9 + part
+def _elements(name: str, labels: tuple[str, ...] | None) -> list[str]:
+    return [name] if labels is None else [f"{name}[{label}]" for label in labels]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.cells import USUAL_CLOCK, stated_hz
+from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
 from tauext.data.importers.damaged import whole
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
@@ -270,7 +270,8 @@ def _blocks(
         for first in range(0, samples, BLOCK_ROWS):
             rows = slice(first, min(first + BLOCK_ROWS, samples))
             parts = [_rows(array_of(one.held), rows, samples) for one in used]
-            yield RawSignals("", tuple(names), None, np.column_stack(parts).astype(np.float64, copy=False))
+            numbers = np.column_stack(parts).astype(np.float64, copy=False)
+            yield RawSignals("", tuple(names), paired_stamps(names, numbers), numbers)
 
 
 def _rows(array: Any, rows: slice, samples: int) -> np.ndarray:
@@ -299,18 +300,34 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
     Raises:
         RecordingError: on opening or reading: damaged, or without signals.
     """
-    import h5py
 
     @contextmanager
     def opened() -> Iterator[Callable[[Any], Any]]:
-        with h5py.File(path) as file:
+        with _open(path) as file:
             yield partial(_dataset, file)
 
-    with whole(path, kind, BROKEN), h5py.File(path) as file:
+    with whole(path, kind, BROKEN), _open(path) as file:
         content = _hdf5_content(file, kind != "HDF5")
         for one in content.arrays:
             _expect_filters(path, file[one.held[0]])
     return recordings(path, kind, separator, content, opened)
+
+
+def _open(path: Path) -> Any:
+    """The file, also while another program writes it, where that allows readers."""
+    import h5py
+
+    try:
+        return h5py.File(path)
+    except OSError as error:
+        if "already open" not in str(error):
+            raise
+    try:
+        return h5py.File(path, swmr=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: the program that writes it has not closed it; close it there, and copy it again"
+        ) from error
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from tauext.data.importers.cells import (
     flags_of,
     kind_of,
     numbers_of,
+    paired_stamps,
 )
 from tauext.data.importers.damaged import whole
 from tauext.data.importers.raw import BLOCK_ROWS, Lost, RawRecording, RawSignals, short_list
@@ -74,13 +75,16 @@ class Leaf:
     """number, flag, stamp, list, or number in text: "digits"."""
     count: int = 1
     """Elements of a list."""
+    labels: tuple[str, ...] = ()
+    """Names of the elements; empty: they are numbered."""
     different: int = 0
     """Different stamps in the first rows."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its signals."""
-        return tuple(f"{self.name}[{k}]" for k in range(self.count)) if self.kind == "list" else (self.name,)
+        labels = self.labels or tuple(map(str, range(self.count)))
+        return tuple(f"{self.name}[{label}]" for label in labels) if self.kind == "list" else (self.name,)
 
 
 @dataclass(frozen=True)
@@ -112,14 +116,18 @@ class _Table:
         if first is None:
             raise RecordingError(f"{self.path}: it has no rows")
         leaves, others = [], []
+        words: dict[int, tuple[str, ...]] = {}
         for column, values in zip(first.schema.names, first.columns, strict=True):
             for name, leaf in _flat(column, values):
+                named = _words(leaf)
+                words |= {len(named): named} if named else {}
                 kind, count = _kind(name, leaf)
                 if kind in ("text", "long"):
                     others.append(f"{name} (lists of changing length)" if kind == "long" else name)
                     continue
                 different = len(leaf.unique()) if kind == "stamp" else 0
-                leaves.append(Leaf(name, column, kind, count, different))
+                leaves.append(Leaf(name, column, kind, count, different=different))
+        leaves = [replace(one, labels=words.get(one.count, ())) for one in leaves]
         return leaves, others + [name for name in self._names() if name not in first.schema.names]
 
     def _names(self) -> list[str]:
@@ -150,7 +158,7 @@ class _Table:
             for batch in self.batches(columns):
                 held = dict(one for name in columns for one in _flat(name, batch.column(name)))
                 numbers = np.column_stack([_numbers(leaf, held[leaf.name], raw.counts) for leaf in signals])
-                t_ns, rows = None, None
+                t_ns, rows = paired_stamps(names, numbers), None
                 for leaf in (leaf for leaf in leaves if leaf.kind == "stamp"):
                     t_ns, known = _stamps_ns(held[leaf.name], stamps)
                     if not known.all():
@@ -214,6 +222,15 @@ def _kind(name: str, column: Any) -> tuple[str, int]:
         count, share = usual_length(counts)
         return ("list", count) if share >= 0.5 and count <= MOST_ELEMENTS else ("long", 1)
     return ("number" if _is_numeric(kind) else "text"), 1
+
+
+def _words(column: Any) -> tuple[str, ...]:
+    """Names in a column of lists of text that are the same in every row, as those of a JointState; else empty."""
+    if not is_list(column.type) or not pa.types.is_string(column.type.value_type):
+        return ()
+    different = {tuple(row or ()) for row in column.to_pylist()}
+    names = next(iter(different)) if len(different) == 1 else ()
+    return names if len(names) == len(set(names)) > 1 else ()
 
 
 def _elements(column: Any) -> tuple[Any, np.ndarray]:

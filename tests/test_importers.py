@@ -253,10 +253,11 @@ def test_a_csv_of_each_dialect_gives_the_same_numbers(tmp_path, variation):
     assert_table(path)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
-def test_a_csv_of_each_encoding_gives_the_same_numbers(tmp_path, encoding):
+def test_a_csv_of_each_encoding_gives_the_same_numbers(tmp_path, encoding, end):
     path = tmp_path / "run.csv"
-    text = lines([*HEADER, "Kraft_ä"], more("1.5"))
+    text = lines([*HEADER, "Kraft_ä"], more("1.5"), end=end)
     path.write_bytes(b"\xfe\xff" * (encoding == "utf-16-be") + text.encode(encoding))
     assert (assert_table(path)[1]["Kraft_ä"] == 1.5).all()
 

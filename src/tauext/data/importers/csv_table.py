@@ -195,11 +195,17 @@ class _Text:
             return [_decoded(line) for line in file.read(1 << 16).split(b"\n")[1:-1]][:DIALECT_LINES]
 
 
-def _converter(begin: bytes) -> Any:
+def _converter(begin: bytes) -> Callable[[bytes], bytes]:
     """Function that converts blocks of a file, of which this is the first, to UTF-8 with line feeds."""
     if begin.startswith(UTF16_MAGIC):
         decoder = codecs.getincrementaldecoder("utf-16")(errors="replace")
-        return lambda data: decoder.decode(data).encode("utf-8", "replace")
+        returns = "\n" not in begin.decode("utf-16", "replace")
+
+        def decoded(data: bytes) -> bytes:
+            text = decoder.decode(data)
+            return (text.replace("\r", "\n") if returns else text).encode("utf-8", "replace")
+
+        return decoded
     if b"\r" in begin and b"\n" not in begin:
         return lambda data: data.replace(b"\r", b"\n")
     return lambda data: data
@@ -576,7 +582,14 @@ class _Reader:
         try:
             table = self._parsed(chunk, pa.float64())
         except pa.ArrowException:
-            table = self._parsed(chunk.decode("utf-8", "replace").encode(), pa.string())
+            try:
+                table = self._parsed(chunk.decode("utf-8", "replace").encode(), pa.string())
+            except pa.ArrowException as error:
+                begin, end = (self._place(line + int(k)) for k in (at[0], at[-1]))
+                raise RecordingError(
+                    f"{self.text.path}: {begin} to {end}: cannot be split into {len(self.dialect.names)} cells between "
+                    f"{self.dialect.separator!r}; write one separator, and quotes in pairs"
+                ) from error
         return table, None if len(at) == count else at
 
     def _parsed(self, chunk: bytes, numbers: pa.DataType) -> Any:
@@ -613,8 +626,9 @@ class _Reader:
                 cells = len(_cells(_decoded(text), self.dialect.separator)) if text.count(b'"') % 2 == 0 else -1
             else:
                 cells = text.count(separator) + 1
-                if cells > count and self.dialect.kinds[-1] == "text":  # the text has the separator too
-                    cells, text = count, separator.join(text.split(separator)[:count])
+                surplus = text.split(separator)[count - 1 :] if cells > count else []
+                if self.dialect.kinds[-1] == "text" and surplus and not any(map(_has_digit, surplus)):
+                    cells, text = count, separator.join(text.split(separator)[:count])  # the text has the separator too
             if cells == count and b"\0" not in text:
                 good.append(text)
                 at.append(k)
@@ -623,6 +637,10 @@ class _Reader:
         if broken:
             lost.add(WRONG_CELLS, len(broken), self._place(line + broken[0]))
         return b"\n".join(good) + b"\n", np.array(at, dtype=np.int64)
+
+
+def _has_digit(cell: bytes) -> bool:
+    return any(48 <= byte <= 57 for byte in cell)
 
 
 def _single_blanks(chunk: bytes) -> bytes:

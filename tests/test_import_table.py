@@ -31,6 +31,7 @@ ORDER = {
 ALSO = {
     "robot/capsules": {"scipy"},
     "data/importers/ros": {"rosbags", "ruamel"},
+    "data/importers/ros1_bag": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
     "sources/ur": {"rtde_receive"},

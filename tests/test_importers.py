@@ -143,16 +143,9 @@ def test_a_bag_without_message_definitions_is_read_by_the_standard_ones(tmp_path
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_empty_and_truncated_bags_are_refused_by_name(tmp_path, kind):
-    whole = write_bag(tmp_path / "run", kind, {"/joint_states": joint_rows()})
-    file = whole if kind == "ros1" else next(p for p in whole.iterdir() if p.suffix in (".db3", ".mcap"))
-    cut = tmp_path / f"cut{file.suffix}"
-    cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(RecordingError, match=f"{cut.name}: cannot be read as a ROS {1 if kind == 'ros1' else 2} bag"):
-        read(cut)
-    empty = write_bag(tmp_path / "empty", kind, {})
+def test_an_empty_bag_is_refused(tmp_path, kind):
     with pytest.raises(RecordingError, match="empty"):
-        read(empty)
+        read(write_bag(tmp_path / "empty", kind, {}))
 
 
 def table(samples: int = 50) -> dict[str, np.ndarray]:

@@ -30,7 +30,7 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
     if path.is_dir():
         if (path / lerobot_folder.INFO).is_file():
             return lerobot_folder.open_lerobot(path)
-        return ros.open_ros2(path, topics)
+        return ros.open_bag(path, topics)
     try:
         expect_file(path)
         with path.open("rb") as file:
@@ -41,10 +41,8 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
     if not begin:
         raise RecordingError(f"{path}: the file is empty; copy or record it again")
-    if begin.startswith(ros.MAGIC):
-        return ros.open_ros1(path, topics)
-    if begin.startswith((ros.SQLITE_MAGIC, ros.MCAP_MAGIC)):
-        return ros.open_ros2(path, topics)
+    if begin.startswith(ros.MAGICS):
+        return ros.open_bag(path, topics)
     if begin.startswith((parquet.MAGIC, parquet.ARROW_MAGIC)):
         return parquet.open_parquet(path)
     if begin.startswith((hdf5.MAGIC_5, hdf5.MAGIC_73)):

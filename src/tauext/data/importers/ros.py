@@ -1,27 +1,35 @@
-"""ROS 1 and ROS 2 bags."""
+"""ROS 1 and ROS 2 bags, and MCAP files of other recorders."""
 
 from __future__ import annotations
 
+import json
 import re
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable
+from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
+from tauext.data.importers.bag import ZSTD_MAGIC, BagFile, Channel, decompressed
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
-# --- ROS messages to columns: JointState in bulk if all have one layout, other types field by field.
+# --- Messages to columns: JointState in bulk where messages have one layout, all others field by field.
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ARRAYS = ("position", "velocity", "effort")
+NAMES = ("name", "names", "joint_names", "joint_name")
+"""Fields with the names of joints, whose values are the arrays of the same length beside them."""
 Deserialize = Callable[[bytes], Any]
 
 
@@ -64,69 +72,112 @@ def layout_of(raw: bytes, cdr: bool) -> Layout | None:
             begin = at = at + 8 * count
     except (struct.error, UnicodeDecodeError):
         return None
-    return Layout(tuple(names), stamp, tuple(fixed), arrays) if at == len(raw) else None
+    sound = at == len(raw) and all(names) and len(set(names)) == len(names)
+    return Layout(tuple(names), stamp, tuple(fixed), arrays) if sound else None
 
 
-def joint_states(
-    topic: str, raw: Sequence[bytes], cdr: bool, deserialize: Deserialize
-) -> Iterator[tuple[np.ndarray, RawSignals]]:
-    """Convert JointState messages to columns `position[joint]`, `velocity[joint]`, `effort[joint]`, with rows in `raw`.
+class Messages:
+    """Converts the messages of one channel to blocks of columns, and counts those that cannot be read.
 
-    Messages of one layout are decoded together from one view of their bytes, others one by one. Messages with different
-    joints (an arm and its gripper on one topic) give separate blocks. Times are the headers'.
-
-    Raises:
-        RecordingError: an array is neither empty nor as long as the names.
+    A block has the messages of one layout: an arm and its gripper on one topic give separate blocks. Times are the
+    headers', 0 without one.
     """
-    layout = layout_of(raw[0], cdr)
-    if layout is not None and all(len(message) == len(raw[0]) for message in raw):
-        rows = np.frombuffer(b"".join(raw), np.uint8).reshape(len(raw), -1)
-        if all((rows[:, part] == rows[0, part]).all() for part in layout.fixed):
-            yield np.arange(len(raw)), _in_bulk(topic, rows, layout)
-            return
-    by_names: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
-    messages = [deserialize(message) for message in raw]
-    for row, message in enumerate(messages):
-        held = tuple(array for array in ARRAYS if len(getattr(message, array)))
-        for array in held:
-            if len(getattr(message, array)) != len(message.name):
-                raise RecordingError(
-                    f"topic {topic}: a message has {len(message.name)} names and {len(getattr(message, array))} values "
-                    f"of {array}; they must be as many, or none"
-                )
-        by_names.setdefault((tuple(message.name), held), []).append(row)
-    for (names, held), group in by_names.items():
-        values = np.array([np.concatenate([[], *(getattr(messages[k], a) for a in held)]) for k in group])
-        t_ns = np.array([stamp_ns(messages[k]) for k in group], np.int64)
-        columns = tuple(f"{array}[{name}]" for array in held for name in names)
-        yield np.array(group), RawSignals(topic, columns, t_ns, values.reshape(len(group), len(columns)))
 
+    def __init__(self, channel: Channel, recording: RawRecording):
+        self._channel, self._recording = channel, recording
+        self._deserialize = deserializer(channel)
+        self._bulk = channel.msgtype == JOINT_STATE and channel.encoding in ("cdr", "ros1")
+        self.read = 0
+        """Messages that became a row, so far."""
 
-def any_messages(topic: str, raw: Sequence[bytes], deserialize: Deserialize) -> RawSignals:
-    """Convert messages of any type: each number is a column `field.field` or `field.field[index]`; text is left out.
+    def blocks(self, raw: Sequence[bytes], first: int) -> Iterator[tuple[np.ndarray, RawSignals]]:
+        """Yield the blocks of these messages, with their places in `raw`.
 
-    Times are the headers', 0 without one.
+        Args:
+            first: number of the first of the messages in its topic, from 0.
+        """
+        one_by_one = list(range(len(raw)))
+        if self._bulk:
+            by_length: dict[int, list[int]] = {}
+            for k, message in enumerate(raw):
+                by_length.setdefault(len(message), []).append(k)
+            one_by_one = []
+            for group in by_length.values():
+                layout = layout_of(raw[group[0]], self._channel.encoding == "cdr")
+                if layout is None or (layout.names and not layout.arrays):
+                    one_by_one += group
+                    continue
+                rows = np.frombuffer(b"".join([raw[k] for k in group]), np.uint8).reshape(len(group), -1)
+                same = np.ones(len(group), bool)
+                for part in layout.fixed:
+                    same &= (rows[:, part] == rows[0, part]).all(axis=1)
+                places = np.array(group)
+                one_by_one += places[~same].tolist()
+                self.read += int(same.sum())
+                yield places[same], _in_bulk(self._channel.topic, rows if same.all() else rows[same], layout)
+        if one_by_one:
+            yield from self._one_by_one(raw, sorted(one_by_one), first)
 
-    Raises:
-        RecordingError: the messages do not all have the same columns.
-    """
-    rows: list[list[float]] = []
-    names: tuple[str, ...] = ()
-    t_ns = []
-    for message in map(deserialize, raw):
-        numbers = dict(_numbers(message, ""))
-        if rows and tuple(numbers) != names:
-            raise RecordingError(f"topic {topic}: its messages have arrays of changing length; they must stay the same")
-        names = tuple(numbers)
-        rows.append(list(numbers.values()))
-        t_ns.append(stamp_ns(message))
-    return RawSignals(topic, names, np.array(t_ns, np.int64), np.array(rows, np.float64).reshape(len(raw), len(names)))
+    def _one_by_one(
+        self, raw: Sequence[bytes], places: Sequence[int], first: int
+    ) -> Iterator[tuple[np.ndarray, RawSignals]]:
+        topic, recording = self._channel.topic, self._recording
+        by_names: dict[tuple[str, ...], tuple[list[int], list[list[float]], list[int]]] = {}
+        for k in places:
+            at = f"{recording.place(first + k)} of {topic}"
+            try:
+                message = self._deserialize(raw[k])
+                numbers = self._columns(message, at)
+                t_ns = stamp_ns(message)
+            except Exception:  # rosbags raises many types on damaged bytes
+                recording.lost.add(f"cannot be decoded as {self._channel.msgtype or self._channel.encoding}", 1, at)
+                continue
+            if numbers or not getattr(message, "name", True):  # an empty JointState is of no joint
+                rows, values, stamps = by_names.setdefault(tuple(numbers), ([], [], []))
+                rows.append(k)
+                values.append(list(numbers.values()))
+                stamps.append(t_ns)
+            else:
+                recording.lost.add("without numbers", 1, at)
+        for names, (rows, values, stamps) in by_names.items():
+            self.read += len(rows)
+            yield np.array(rows), RawSignals(topic, names, np.array(stamps, np.int64), np.array(values, np.float64))
+
+    def _columns(self, message: Any, at: str) -> dict[str, float]:
+        """Numbers of one message by column: `array[joint]` where joints are named, else `field.field[index]`."""
+        left_out: list[str] = []
+        found: dict[str, float] = {}
+        if self._channel.msgtype == JOINT_STATE:
+            names = list(getattr(message, "name", ()))
+            for array in ARRAYS:
+                values = getattr(message, array, ())
+                if names and len(values) not in (0, len(names)):
+                    left_out.append(f"{array} has {len(values)} values for {len(names)} joints")
+                    continue
+                found |= _by_joint(array, names or list(map(str, range(len(values)))), values)
+            odd = [name for name in dict.fromkeys(names) if not name or names.count(name) > 1]
+            for name in odd:
+                found = {column: value for column, value in found.items() if not column.endswith(f"[{name}]")}
+                left_out.append(f"joint '{name}' is named {names.count(name)} times" if name else "a joint has no name")
+        else:
+            found = dict(_numbers(message, ""))
+        for what in left_out:
+            note = f"{self._channel.topic}: {what} in some messages, left out there"
+            if not any(one.startswith(note) for one in self._recording.notes):
+                self._recording.notes.append(f"{note}, first {at.removesuffix(f' of {self._channel.topic}')}")
+        return found
 
 
 def stamp_ns(message: Any) -> int:
-    """Stamp of the message's header, [ns]; 0 without one."""
+    """Stamp of the message's header, [ns]; 0 without one. JSON messages may have it as `timestamp` or `stamp`."""
     header = getattr(message, "header", None)
-    return 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+    stamp = getattr(header, "stamp", None)
+    if stamp is None and isinstance(message, SimpleNamespace):
+        stamp = getattr(message, "timestamp", getattr(message, "stamp", None))
+    for sec, nanosec in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")):
+        if hasattr(stamp, nanosec):
+            return int(getattr(stamp, sec)) * 10**9 + int(getattr(stamp, nanosec))
+    return 0
 
 
 class Clock:
@@ -134,42 +185,54 @@ class Clock:
 
     def __init__(self, raw: RawRecording):
         self._raw = raw
-        self._by_log: bool | None = None
+        self._by_log = ""
+        self._decided = False
         self._messages = 0
 
-    def stamped(self, block: RawSignals, log_ns: np.ndarray, rows: np.ndarray) -> RawSignals:
-        """Return the block with this clock's times; messages without a stamp among stamped ones are left out.
+    def stamped(self, blocks: Sequence[tuple[np.ndarray, RawSignals]], log_ns: np.ndarray) -> Iterator[RawSignals]:
+        """Yield the blocks with this clock's times; messages without a stamp among stamped ones are left out.
 
-        A stamp of zero that leads the block is kept: recordings of simulated time begin there.
+        A first stamp of zero is kept where the next ones are near: simulated time begins there.
 
         Args:
+            blocks: blocks of messages that follow those before, with the place of each message in them.
             log_ns: log time of each message, [ns].
-            rows: place of each message in its group of messages of the topic.
         """
-        assert block.t_ns is not None
-        rows = rows + self._messages
-        if self._by_log is None:
+        held = [block.t_ns for _, block in blocks if block.t_ns is not None]
+        stamps = np.concatenate(held) if held else np.zeros(0, np.int64)
+        if not self._decided and len(stamps):
+            self._decided = True
             # A single message may have the valid stamp 0.
-            none = not block.t_ns.any() and (len(log_ns) > 1 or log_ns[0] > 0)
-            self._by_log = none or (len(log_ns) > 1 and bool((block.t_ns == block.t_ns[0]).all()))
-        if self._by_log:
-            why = "a stamp of zero" if not block.t_ns.any() else "one and the same stamp"
-            self._raw.counts[f"{block.stream}: messages with {why}, timed by the bag's log"] += len(log_ns)
-            return replace(block, t_ns=log_ns, rows=rows)
-        stamped = block.t_ns != 0
-        stamped[0] = True
-        if not stamped.all():
-            first = self._raw.place(int(rows[np.argmin(stamped)]))
-            self._raw.lost.add(
-                "without a stamp among stamped ones", int((~stamped).sum()), f"{first} of {block.stream}"
-            )
-        return RawSignals(
-            block.stream, block.names, block.t_ns[stamped], block.columns[stamped], log_ns[stamped], rows[stamped]
+            if len(stamps) > 1 and (stamps == stamps[0]).all():
+                self._by_log = "one and the same stamp"
+            if not stamps.any() and (len(stamps) > 1 or log_ns[0] > 0):
+                self._by_log = "a stamp of zero"
+        begins_at_zero = self._messages == 0 and (
+            not stamps.any() or stamps[stamps != 0].min(initial=NEAR_ZERO_NS) < NEAR_ZERO_NS
         )
+        for places, block in blocks:
+            assert block.t_ns is not None
+            rows = places + self._messages
+            if self._by_log:
+                self._raw.counts[f"{block.stream}: messages with {self._by_log}, timed by the bag's log"] += len(rows)
+                yield replace(block, t_ns=log_ns[places], rows=rows)
+                continue
+            stamped = (block.t_ns != 0) | ((rows == 0) & begins_at_zero)
+            if not stamped.all():
+                first = self._raw.place(int(rows[np.argmin(stamped)]))
+                self._raw.lost.add(
+                    "without a stamp among stamped ones", int((~stamped).sum()), f"{first} of {block.stream}"
+                )
+                places, rows = places[stamped], rows[stamped]
+                block = replace(block, t_ns=block.t_ns[stamped], columns=block.columns[stamped])
+            if len(rows):
+                yield replace(block, other_ns=log_ns[places], rows=rows)
+        self._messages += len(log_ns)
 
-    def passed(self, messages: int) -> None:
-        """Count the messages of a group once all of its blocks are stamped."""
-        self._messages += messages
+    @property
+    def messages(self) -> int:
+        """Number of messages so far."""
+        return self._messages
 
 
 def _in_bulk(topic: str, rows: np.ndarray, layout: Layout) -> RawSignals:
@@ -194,36 +257,78 @@ def _text(raw: bytes, at: int, cdr: bool) -> tuple[str, int]:
     return raw[at : at + length].rstrip(b"\0" if cdr else b"").decode(), at + length
 
 
-def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
-    if isinstance(value, bool | int | float | np.number):
+def _numbers(value: Any, name: str, joints: Sequence[str] = ()) -> Iterator[tuple[str, float]]:
+    """Numbers of a field and of those within it, each with its column; texts are left out.
+
+    Args:
+        joints: names of joints beside the field; arrays of as many elements are theirs.
+    """
+    if value is None:
+        yield name, np.nan  # JSON has no other missing number
+    elif isinstance(value, bool | int | float | np.number):
         yield name, float(value)
-    elif isinstance(value, np.ndarray):
-        yield from ((f"{name}[{k}]", float(number)) for k, number in enumerate(value.ravel()))
-    elif isinstance(value, list):
-        for k, element in enumerate(value):
-            yield from _numbers(element, f"{name}[{k}]")
-    elif hasattr(value, "__dataclass_fields__"):
-        for field in value.__dataclass_fields__:
-            if field not in ("__msgtype__", "header"):
-                yield from _numbers(getattr(value, field), f"{name}.{field}" if name else field)
+    elif isinstance(value, np.ndarray | list):
+        elements = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        labels = joints if joints and len(elements) == len(joints) else range(len(elements))
+        for element, label in zip(elements, labels, strict=True):
+            if isinstance(element, bool | int | float):
+                yield f"{name}[{label}]", float(element)
+                continue
+            held = _held(element)
+            joint = label if joints and isinstance(label, str) else held.get("name")
+            if held and isinstance(joint, str) and joint:  # values of one joint: each is an array's element
+                kinds, values = held.get("interface_names", ()), held.get("values", ())
+                pairs = zip(kinds, values, strict=True) if kinds and len(kinds) == len(values) else held.items()
+                for kind, number in pairs:
+                    yield from ((f"{part}[{joint}]", one) for part, one in _numbers(number, str(kind)))
+            else:
+                yield from _numbers(element, f"{name}[{label}]", joints)
+    else:
+        held = _held(value)
+        for names in (held[key] for key in NAMES if key in held):
+            if isinstance(names, list) and names and all(isinstance(one, str) and one for one in names):
+                joints = names if len(set(names)) == len(names) else ()
+        for field, inner in held.items():
+            yield from _numbers(inner, f"{name}.{field}" if name else field, joints)
+
+
+def _held(value: Any) -> dict[str, Any]:
+    """Fields of a message within a message; empty: it is none."""
+    if isinstance(value, SimpleNamespace):
+        fields: Iterable[str] = vars(value)
+    else:
+        fields = getattr(value, "__dataclass_fields__", ())
+    left_out = ("__msgtype__", "header") if not isinstance(value, SimpleNamespace) else ("header", *STAMPS)
+    return {field: getattr(value, field) for field in fields if field not in left_out}
+
+
+def _by_joint(array: str, joints: Sequence[str], values: Any) -> dict[str, float]:
+    return dict(zip((f"{array}[{joint}]" for joint in joints), np.array(values, np.float64).tolist(), strict=False))
+
+
+# --- Choice of topics, and messages as blocks of columns.
 
 
 CLOCKS = ("header", "log")
 MESSAGE = ("message", 1)
+STAMPS = ("timestamp", "stamp")
+NEAR_ZERO_NS = 10**10
+"""Stamps before this are of a clock that began at zero, [ns]."""
+JOINTS = ("JointState", "DynamicJointState", "JointStates", "FrankaRobotState", "FrankaState")
+"""Types with the measured state of an arm's joints, without the package; the first one in the file is read."""
+ENCODINGS = ("cdr", "ros1", "json")
 
-# --- Common to ROS 1 and ROS 2 bags: choice of topics, and messages as blocks of columns.
 
-
-def chosen_topics(path: Path, connections: Iterable[Any], topics: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics named, or the only one of type JointState with messages.
+def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]) -> tuple[str, ...]:
+    """Return the topics named, else the only one of type JointState with messages, or of another type in JOINTS.
 
     Raises:
         RecordingError: a topic is missing, or none or several have that type; the message lists the topics.
     """
     there: dict[str, tuple[str, int]] = {}
-    for connection in connections:
-        count = there.get(connection.topic, ("", 0))[1]
-        there[connection.topic] = (connection.msgtype, count + connection.msgcount)
+    for channel in channels:
+        count = there.get(channel.topic, ("", 0))[1]
+        there[channel.topic] = (channel.msgtype or channel.encoding, count + channel.count)
     if not there or not any(count for _, count in there.values()):
         raise RecordingError(f"{path}: the bag is empty: it has no messages")
     listed = ", ".join(f"{t} ({kind.replace('/msg/', '/')}, messages: {n})" for t, (kind, n) in sorted(there.items()))
@@ -234,134 +339,166 @@ def chosen_topics(path: Path, connections: Iterable[Any], topics: Sequence[str])
             raise RecordingError(f"{path}: topic '{topic}' has no messages; the bag has {listed}")
     if topics:
         return tuple(topics)
-    found = [topic for topic, (kind, count) in there.items() if kind == JOINT_STATE and count]
-    if not found:
+    by_type: dict[str, list[str]] = {}
+    for topic, (kind, count) in there.items():
+        if count:
+            by_type.setdefault(re.split(r"[/.:]+", kind)[-1], []).append(topic)
+    kind = next((kind for kind in JOINTS if kind in by_type), "")
+    plain = [topic for topic, (_, count) in there.items() if count]
+    if not kind and len(plain) == 1 and all(channel.encoding == "json" for channel in channels):
+        return tuple(plain)  # JSON's types have any name
+    if not kind:
         raise RecordingError(
             f"{path}: no topic of type sensor_msgs/JointState with messages; it has {listed}. A trajectory is "
             "planned motion, not measured; another topic with measured signals can be named in arm.toml (topic = ...)"
         )
+    found = by_type[kind]
     if len(found) > 1:
         raise RecordingError(
-            f"{path}: {len(found)} topics are of type sensor_msgs/JointState: {', '.join(sorted(found))}; "
-            "name the one of each signal in arm.toml (topic = ...)"
+            f"{path}: {len(found)} topics are of type {there[found[0]][0].replace('/msg/', '/')}: "
+            f"{', '.join(sorted(found))}; name the one of each signal in arm.toml (topic = ...)"
         )
     return tuple(found)
 
 
-def blocks_of(
-    messages: Iterator[tuple[Any, int, bytes]],
-    cdr: bool,
-    deserializer: Callable[[Any], Callable[[bytes], Any]],
-    recording: RawRecording,
-) -> Iterator[RawSignals]:
+def expect_encodings(path: Path, channels: Iterable[Channel]) -> None:
+    """Refuse topics whose messages cannot be read.
+
+    Raises:
+        RecordingError: names topic, encoding, schema and profile.
+    """
+    for one in channels:
+        if one.encoding not in ENCODINGS:
+            raise RecordingError(
+                f"{path}: topic {one.topic} has messages of encoding '{one.encoding}' (schema '{one.schema}', type "
+                f"'{one.msgtype}', profile '{one.profile}'); {short_list(ENCODINGS)} are read: record the topic in one "
+                "of these, or write its numbers to a CSV or Parquet file"
+            )
+
+
+def blocks_of(messages: Iterator[tuple[Channel, int, bytes]], recording: RawRecording) -> Iterator[RawSignals]:
     """Yield blocks of each topic's messages, in the order of the bag.
 
     Args:
-        messages: connection, log time [ns] and bytes of each message.
-        deserializer: returns a connection's function from bytes to a message.
+        messages: channel, log time [ns] and bytes of each message.
         recording: keeps the counts.
+
+    Raises:
+        RecordingError: no message of a topic can be read.
     """
     clocks: dict[str, Clock] = {}
+    readers: dict[Channel, Messages] = {}
     while taken := list(islice(messages, BLOCK_ROWS)):
-        by_connection: dict[int, list[int]] = {}
-        connections = {}
-        for k, (connection, _, _) in enumerate(taken):
-            by_connection.setdefault(id(connection), []).append(k)
-            connections[id(connection)] = connection
-        for key, rows in by_connection.items():
-            connection = connections[key]
-            raw = [bytes(taken[k][2]) for k in rows]
+        by_channel: dict[Channel, list[int]] = {}
+        for k, (channel, _, _) in enumerate(taken):
+            by_channel.setdefault(channel, []).append(k)
+        for channel, rows in by_channel.items():
+            if channel not in readers:
+                readers[channel] = Messages(channel, recording)
+            clock = clocks.setdefault(channel.topic, Clock(recording))
             log_ns = np.array([taken[k][1] for k in rows], np.int64)
-            clock = clocks.setdefault(connection.topic, Clock(recording))
-            deserialize = deserializer(connection)
-            if connection.msgtype == JOINT_STATE:
-                for group, block in joint_states(connection.topic, raw, cdr, deserialize):
-                    yield clock.stamped(block, log_ns[group], group)
-            else:
-                block = any_messages(connection.topic, raw, deserialize)
-                yield clock.stamped(block, log_ns, np.arange(len(rows)))
-            clock.passed(len(rows))
+            found = list(readers[channel].blocks([taken[k][2] for k in rows], clock.messages))
+            yield from clock.stamped(found, log_ns)
+    for topic in dict.fromkeys(channel.topic for channel in readers):
+        if not sum(reader.read for channel, reader in readers.items() if channel.topic == topic):
+            raise RecordingError(
+                f"topic {topic}: none of its {clocks[topic].messages} messages can be read; "
+                f"{'; '.join(recording.lost.sentences())}. Record it again, or name another topic in arm.toml"
+            )
 
 
-# --- ROS 1 bags.
-
-
-MAGIC = b"#ROSBAG V"
-BAG = ("a ROS 1 bag", (Exception,), "a bag that was not closed can be repaired: rosbag reindex")
-"""rosbags raises many types on damaged bytes: struct, assertion, decompressor, its own."""
-
-
-def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
-    """Open a ROS 1 bag as one raw recording, one stream a topic.
+def deserializer(channel: Channel) -> Deserialize:
+    """Function from a message's bytes to its fields, by the definition in the file; by the standard one for JointState
+    of ROS 2 and for types without a definition.
 
     Raises:
-        RecordingError: now or while it is read: damaged, empty, or without the requested topics.
+        RecordingError: the type has no definition, or one that cannot be used.
     """
-    from rosbags.rosbag1 import Reader
+    if channel.encoding == "json":
+        return lambda raw: json.loads(raw, object_hook=lambda held: SimpleNamespace(**held))
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    with readable(path, *BAG), Reader(path) as reader:
-        wanted = chosen_topics(path, reader.connections, topics)
-
-    def blocks() -> Iterator[RawSignals]:
-        with readable(path, *BAG), Reader(path) as reader:
-            connections = [c for c in reader.connections if c.topic in wanted]
-            yield from blocks_of(reader.messages(connections), False, _ros1_deserializer, recording)
-
-    recording = RawRecording(path.stem, path, "ROS 1 bag", blocks, clocks=CLOCKS, row_word=MESSAGE)
-    return [recording]
-
-
-def _ros1_deserializer(connection: Any) -> Callable[[bytes], Any]:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-    return lambda raw: store.deserialize_ros1(raw, connection.msgtype)
-
-
-# --- ROS 2 bags: sqlite3 and MCAP files, alone or in the folder of a bag.
+    kind, definition, ros1 = channel.msgtype, channel.definition, channel.encoding == "ros1"
+    store = _standard_types(ros1)
+    if definition and (ros1 or kind != JOINT_STATE):
+        own = get_typestore(Stores.EMPTY)
+        by_idl = "idl" in channel.schema
+        try:
+            own.register(get_types_from_idl(definition) if by_idl else get_types_from_msg(definition, kind))
+            store = own
+        except Exception as error:  # rosbags' parser raises many types
+            if kind not in store.fielddefs:
+                raise RecordingError(
+                    f"topic {channel.topic}: the definition of its type {kind} ({channel.schema}) cannot be read"
+                ) from error
+    if kind not in store.fielddefs:
+        raise RecordingError(f"topic {channel.topic}: its type {kind} has no definition, in the bag or in ROS itself")
+    return (lambda raw: store.deserialize_ros1(raw, kind)) if ros1 else (lambda raw: store.deserialize_cdr(raw, kind))
 
 
-SQLITE_MAGIC, MCAP_MAGIC = b"SQLite format 3\0", b"\x89MCAP0\r\n"
-SUFFIXES = (".db3", ".mcap")
-REPAIR = "a file that was not closed can be repaired: `mcap recover`, or for sqlite3 `.recover`"
+@cache
+def _standard_types(ros1: bool) -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
-def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
-    """Open a ROS 2 bag (folder or storage file) as one raw recording, one stream a topic.
+# --- Files: one, or those in the folder of a ROS 2 bag.
+
+
+MAGIC = ros1_bag.MAGIC
+MAGICS = (ros1_bag.MAGIC, sqlite_bag.MAGIC, mcap_file.MAGIC, ZSTD_MAGIC)
+SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+
+
+def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
+    """Open a bag (file, or folder of ROS 2) as one raw recording, one stream a topic.
 
     Storage files are read directly if metadata.yaml is missing or names missing files. Messages without a definition in
-    the bag use the standard one of their type.
+    the bag use the standard one of their type. What is damaged is left out, with a note.
 
     Raises:
-        RecordingError: now or while it is read: damaged, empty, or without the requested topics.
+        RecordingError: now or while it is read: empty, without the requested topics, or nothing of it can be read.
     """
     files, notes = _storage_files(path)
-    connections = []
+    damage_from = len(notes)
+    channels: list[Channel] = []
+    formats = set()
     for file in files:
-        with _opened(file) as storage:
-            connections += storage.connections
-    wanted = chosen_topics(path, connections, topics)
-    if any(c.topic in wanted and not c.msgdef.data for c in connections):
+        with _opened(file, notes) as storage:
+            channels += storage.channels
+            formats.add("ROS 1 bag" if isinstance(storage, ros1_bag.Ros1Bag) else "ROS 2 bag")
+    try:
+        wanted = chosen_topics(path, channels, topics)
+    except RecordingError as error:
+        raise RecordingError("; ".join([str(error), *notes[damage_from:]])) from error
+    expect_encodings(path, [one for one in channels if one.topic in wanted])
+    if any(one.topic in wanted and not one.definition and one.encoding != "json" for one in channels):
         notes.append("no message definitions in the bag: read by the standard ones")
 
-    def messages() -> Iterator[tuple[Any, int, bytes]]:
+    def messages() -> Iterator[tuple[Channel, int, bytes]]:
         for file in files:
-            with _opened(file) as storage:
-                yield from storage.messages([c for c in storage.connections if c.topic in wanted])
+            with _opened(file, notes) as storage:
+                mine = [channel for channel in storage.channels if channel.topic in wanted]
+                for channel, log_ns, raw in storage.messages(mine, recording.lost.add):
+                    yield channel, log_ns, decompressed(raw, "zstd")[0] if raw[:4] == ZSTD_MAGIC else raw
+                notes.extend(note for note in storage.notes if note not in notes)
 
     def blocks() -> Iterator[RawSignals]:
-        yield from blocks_of(messages(), True, _ros2_deserializer, recording)
+        try:
+            yield from blocks_of(messages(), recording)
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
     name = path.stem if path.is_file() else path.name
-    recording = RawRecording(name, path, "ROS 2 bag", blocks, notes, clocks=CLOCKS, row_word=MESSAGE)
+    recording = RawRecording(name, path, formats.pop(), blocks, notes, clocks=CLOCKS, row_word=MESSAGE)
     return [recording]
 
 
-def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
+def _storage_files(path: Path) -> tuple[list[Path], list[str]]:
     if path.is_file():
         return [path], []
-    found = sorted((p for p in path.iterdir() if p.suffix in SUFFIXES), key=_by_number)
+    found = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_by_number)
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         if not found:
@@ -375,22 +512,12 @@ def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
         return found, [f"metadata.yaml cannot be read: read {', '.join(p.name for p in found)}"]
     missing = [name for name in named if not (path / name).is_file()]
     if not missing:
-        return [_Folder(path)], []
+        return [path / name for name in named], []
     if not found:
         raise RecordingError(
             f"{path}: its metadata.yaml names {', '.join(missing)}, and no .db3 or .mcap file is there"
         )
     return found, [f"metadata.yaml names {', '.join(missing)}, not there: read {', '.join(p.name for p in found)}"]
-
-
-class _Folder:
-    """A bag's folder with valid metadata.yaml; rosbags reads it whole, including compressed files."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __str__(self) -> str:
-        return str(self.path)
 
 
 def _by_number(path: Path) -> tuple:
@@ -410,45 +537,42 @@ def _named_files(metadata: Path) -> list[str]:
 
 
 @contextmanager
-def _opened(file: Path | _Folder) -> Iterator[Any]:
-    """Open the storage; the reader's errors become RecordingError."""
-    from rosbags.rosbag2.reader import DirectoryReader
-    from rosbags.rosbag2.storage_mcap import McapReader
-    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+def _opened(file: Path, notes: list[str]) -> Iterator[BagFile]:
+    """Open a file by its first bytes; its notes are added.
 
-    with readable(file, "a ROS 2 bag", (Exception,), REPAIR):
-        if isinstance(file, _Folder):
-            storage: Any = DirectoryReader(file.path)
-        else:
-            # rosbags decides by the suffix; use the first bytes instead.
+    Raises:
+        RecordingError: it is none of the kinds, or nothing of it can be read.
+    """
+    with ExitStack() as stack:
+        with file.open("rb") as raw:
+            begin = raw.read(len(sqlite_bag.MAGIC))
+        if begin.startswith(ZSTD_MAGIC):
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+            file, whole = _unpacked(file, folder)
+            if not whole:
+                notes.append(f"{file.name}.zstd is cut off or damaged: read up to there")
             with file.open("rb") as raw:
-                begin = raw.read(len(SQLITE_MAGIC))
-            storage = McapReader(file) if begin.startswith(MCAP_MAGIC) else Sqlite3Reader(file)
-        storage.open()
-        with closing(storage):
-            yield storage
+                begin = raw.read(len(sqlite_bag.MAGIC))
+        kinds: Mapping[bytes, Callable[[Path], BagFile]] = {
+            ros1_bag.MAGIC: ros1_bag.Ros1Bag,
+            mcap_file.MAGIC: mcap_file.McapFile,
+            sqlite_bag.MAGIC: sqlite_bag.SqliteBag,
+        }
+        kind = next((kind for magic, kind in kinds.items() if begin.startswith(magic)), None)
+        if kind is None:
+            raise RecordingError(f"{file}: its first bytes are of no bag; copy it again from where it was recorded")
+        storage = stack.enter_context(closing(kind(file)))
+        notes.extend(note for note in storage.notes if note not in notes)
+        yield storage
 
 
-@cache
-def _standard_types() -> Any:
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS2_HUMBLE)
-
-
-def _ros2_deserializer(connection: Any) -> Callable[[bytes], Any]:
-    """Deserializer from the bag's definition; the standard one for JointState and types without a definition."""
-    from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-
-    kind, definition = connection.msgtype, connection.msgdef
-    store = _standard_types()
-    if kind != JOINT_STATE and definition.data:
-        store = get_typestore(Stores.EMPTY)
-        by_idl = definition.format == MessageDefinitionFormat.IDL
-        store.register(get_types_from_idl(definition.data) if by_idl else get_types_from_msg(definition.data, kind))
-    if kind not in store.fielddefs:
-        raise RecordingError(
-            f"topic {connection.topic}: its type {kind} has no definition, in the bag or in ROS itself"
-        )
-    return lambda raw: store.deserialize_cdr(raw, kind)
+def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
+    """Decompress a file into the folder; also returns whether all of it is whole."""
+    path = folder / file.name.removesuffix(".zstd")
+    with file.open("rb") as packed, path.open("wb") as out, pa.CompressedInputStream(packed, "zstd") as stream:
+        try:
+            while part := stream.read(1 << 20):
+                out.write(part)
+        except OSError:
+            return path, False
+    return path, True

@@ -11,6 +11,7 @@ import struct
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from zlib import crc32
 
@@ -19,7 +20,7 @@ import pyarrow as pa
 from tauext.data.importers.bag import Channel, Lost, decompressed, ros_type
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 1, 2, 3, 4, 5, 6, 8, 11, 15
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
 RECORD = struct.Struct("<BQ")
 """Operation and length of a record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -54,10 +55,8 @@ class McapFile:
         self._counts: Counter[int] = Counter()
         self._chunks: list[tuple[int, int, frozenset[int]]] = []
         """First log time, place of the record's content, and channels; empty: unknown."""
-        for operation, begin, _ in _records(self._data, len(MAGIC), len(self._data)):
-            if operation == HEADER:
-                self._profile = _text(self._data, begin)[0]
-            break
+        with suppress(struct.error, UnicodeDecodeError):
+            self._profile = _text(self._data, len(MAGIC) + RECORD.size)[0]
 
     def _channel(self, number: int) -> Channel:
         schema, topic, encoding = self._channels[number]
@@ -82,6 +81,8 @@ class McapFile:
                     self._define(data, operation, begin)
                 elif operation == CHUNK_INDEX:
                     first_ns, _, at, _, size = struct.unpack_from("<QQQQI", data, begin)
+                    if at >= start or data[at] != CHUNK:
+                        return False
                     held = struct.iter_unpack("<HQ", data[begin + 36 : begin + 36 + size])
                     self._chunks.append((first_ns, at + RECORD.size, frozenset(number for number, _ in held)))
                 elif operation == STATISTICS:

@@ -314,6 +314,8 @@ MESSAGE = ("message", 1)
 STAMPS = ("timestamp", "stamp")
 NEAR_ZERO_NS = 10**10
 """Stamps before this are of a clock that began at zero, [ns]."""
+NO_TIME = 1 << 63
+"""Beyond all times, [ns]."""
 JOINTS = ("JointState", "DynamicJointState", "JointStates", "FrankaRobotState", "FrankaState")
 """Types with the measured state of an arm's joints, without the package; the first one in the file is read."""
 ENCODINGS = ("cdr", "ros1", "json")
@@ -481,6 +483,9 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
             with _opened(file, notes) as storage:
                 mine = [channel for channel in storage.channels if channel.topic in wanted]
                 for channel, log_ns, raw in storage.messages(mine, recording.lost.add):
+                    if not 0 <= log_ns < NO_TIME:
+                        recording.lost.add("with a log time that is none", 1, f"on {channel.topic}")
+                        continue
                     yield channel, log_ns, decompressed(raw, "zstd")[0] if raw[:4] == ZSTD_MAGIC else raw
                 notes.extend(note for note in storage.notes if note not in notes)
 

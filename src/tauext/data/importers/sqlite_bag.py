@@ -93,15 +93,21 @@ class SqliteBag:
         """Yield channel, log time [ns] and bytes of each message, by log time; of a damaged file as they lie."""
         del lost
         channels = {number: channel for number, channel in self._by_id.items() if channel in wanted}
-        if self._damaged:
-            rows: Iterator[tuple[int, int, bytes]] = self._readable()
-        else:
+        last_ns = -1
+        if not self._damaged:
             query = (
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(channels))})"
             )
-            rows = iter(self._database.execute(f"{query} ORDER BY timestamp", tuple(channels)))
-        for number, log_ns, raw in rows:
-            if number in channels and isinstance(raw, bytes) and isinstance(log_ns, int):
+            try:
+                for number, log_ns, raw in self._database.execute(f"{query} ORDER BY timestamp", tuple(channels)):
+                    if isinstance(raw, bytes):
+                        yield channels[number], log_ns, raw
+                        last_ns = log_ns
+                return
+            except sqlite3.DatabaseError:  # of the index of times
+                self.notes.append("the file is damaged: its readable messages are read")
+        for number, log_ns, raw in self._readable():
+            if number in channels and isinstance(raw, bytes) and isinstance(log_ns, int) and log_ns > last_ns:
                 yield channels[number], log_ns, raw
 
     def _readable(self) -> Iterator[tuple[int, int, bytes]]:
@@ -111,8 +117,10 @@ class SqliteBag:
         while step < FARTHEST_STEP:
             try:
                 for row, number, log_ns, raw in self._database.execute(query, (last,)):
-                    yield number, log_ns, raw
+                    if row <= last:  # damaged pages may lead in a circle
+                        raise sqlite3.DatabaseError
                     last, step = row, 1
+                    yield number, log_ns, raw
                 return
             except sqlite3.DatabaseError:
                 last += step

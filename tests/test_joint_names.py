@@ -27,7 +27,7 @@ PANDA = tuple(f"panda_joint{k}" for k in range(1, 8))
         (("joint_1_s", "joint_2_l", "joint_3_u", "joint_4_r", "joint_5_b", "joint_6_t"), J6),
         (tuple("slurbt"), J6),
         (("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw"), LEROBOT),
-        (("leftArmJoint01", "leftArmJoint02", "leftArmJoint10"), ("left_arm_joint_1", "left_arm_joint_2", "left_arm_joint_10")),
+        (("leftJoint01", "leftJoint02", "leftJoint10"), ("left_joint_1", "left_joint_2", "left_joint_10")),
     ],
 )  # fmt: skip
 def test_one_rule_matches_all_joints_in_any_order(robot, logged):

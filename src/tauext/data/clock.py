@@ -50,27 +50,39 @@ class Runs:
 
     def split(self, table: Table | None) -> Iterator[tuple[int, Table]]:
         """Yield the rows with the number of their run; the last row waits for the next block, or for None."""
-        held = [one for one in (self._held, table) if one is not None]
-        if not held:
+        parts = [one for one in (self._held, table) if one is not None]
+        if not parts:
             return
-        t_ns, values = (np.concatenate([one[k] for one in held]) for k in (0, 1))
+        t_ns = np.concatenate([one[0] for one in parts])
         end = len(t_ns) - (table is not None)
-        self._held = (t_ns[end:], values[end:]) if table is not None else None
         if not self._period and len(t_ns) > 2:
             steps = np.diff(t_ns)
             self._period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         keep, begin = np.ones(len(t_ns), bool), 0
         while begin < end:
             stop = self._run_end(t_ns, begin, end, keep)
-            chosen = np.flatnonzero(keep[begin:stop]) + begin
-            if len(chosen):
-                yield self.number, (t_ns[chosen], values[chosen])
+            yield from self._kept(parts, begin, stop, keep)
             if stop < end:
                 self.number += 1
                 self._first = self._newest = NO_STAMP
                 self._recent = self._recent[:0]
             begin = stop
         self._before += end
+        self._held = None if table is None else (table[0][-1:], table[1][-1:])
+
+    def _kept(self, parts: list[Table], begin: int, stop: int, keep: np.ndarray) -> Iterator[tuple[int, Table]]:
+        """Rows begin to stop of the parts together, without those left out; nothing is copied where all stay."""
+        before = 0
+        for t_ns, values in parts:
+            rows = slice(max(begin - before, 0), max(stop - before, 0))
+            kept = keep[before : before + len(t_ns)][rows]
+            before += len(t_ns)
+            if kept.all():
+                part = t_ns[rows], values[rows]
+            else:
+                part = t_ns[rows][kept], values[rows][kept]
+            if len(part[0]):
+                yield self.number, part
 
     def _run_end(self, t_ns: np.ndarray, begin: int, end: int, keep: np.ndarray) -> int:
         """Index of the row that begins the next run, or `end`; clears `keep` of rows that are left out."""

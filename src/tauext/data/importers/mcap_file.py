@@ -104,8 +104,9 @@ class McapFile:
             if operation == CHUNK:
                 found = Counter[int]()
                 chunk = self._chunk(begin)
-                for inner, at, _ in _records(chunk, 0, len(chunk)):
-                    self._count(chunk, inner, at, found)
+                for inner, at, stop in _records(chunk, 0, len(chunk)):
+                    if stop <= len(chunk):
+                        self._count(chunk, inner, at, found)
                 try:
                     (first_ns,) = struct.unpack_from("<Q", self._data, begin)
                 except struct.error:

@@ -98,10 +98,12 @@ class McapFile:
         """Read all records for the channels and the number of their messages."""
         closed = False
         for operation, begin, end in _records(self._data, len(MAGIC), len(self._data)):
-            if operation in (FOOTER, DATA_END):
+            if operation == DATA_END:
+                closed = True  # definitions may follow once more, which helps where the first ones are damaged
+            elif operation == FOOTER:
                 closed = True
                 break
-            if operation == CHUNK:
+            elif operation == CHUNK:
                 found = Counter[int]()
                 chunk = self._chunk(begin)
                 for inner, at, stop in _records(chunk, 0, len(chunk)):

@@ -470,10 +470,12 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
         with _opened(file, notes) as storage:
             channels += storage.channels
             formats.add("ROS 1 bag" if isinstance(storage, ros1_bag.Ros1Bag) else "ROS 2 bag")
-    try:
-        wanted = chosen_topics(path, channels, topics)
-    except RecordingError as error:
-        raise RecordingError("; ".join([str(error), *notes[damage_from:]])) from error
+    damage = notes[damage_from:]
+    if damage and not any(channel.count for channel in channels):
+        raise RecordingError(
+            f"{path}: no message of it can be read: {'; '.join(damage[:3])}; copy it again from where it was recorded"
+        )
+    wanted = chosen_topics(path, channels, topics)
     expect_encodings(path, [one for one in channels if one.topic in wanted])
     if any(one.topic in wanted and not one.definition and one.encoding != "json" for one in channels):
         notes.append("no message definitions in the bag: read by the standard ones")

@@ -360,6 +360,15 @@ def test_a_cell_without_a_number_is_missing_wherever_it_lies(tmp_path, word):
         assert not source.lost.count
 
 
+def test_a_stamp_of_damaged_bytes_costs_one_row(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"2024-05-01 12:00:0{k}.5,{k}" for k in range(5)]
+    path.write_bytes("\n".join(["stamp,q", *rows]).encode().replace(b":03.5", b":0\xff.5"))
+    source, streams = read(path)
+    np.testing.assert_array_equal(streams[""][1]["q"], [0, 1, 2, 4])
+    assert source.lost.sentences() == ["1 row left out: 'stamp', its time, is missing, first line 5"]
+
+
 def test_flags_are_numbers_and_a_column_without_values_is_kept(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(

@@ -28,6 +28,8 @@ from tauext.files.plain_file import json_of, read_text
 INFO = "meta/info.json"
 MOST_ELEMENTS = 10_000
 """Most elements of a feature; no robot's state has more."""
+MOST_FRAMES, MOST_S = 1e9, 9e9
+"""Largest number of a frame, and time [s] that an int64 of nanoseconds holds."""
 VERSIONS = ("v3.0", "v2.1", "v2.0")
 NUMERIC = ("float", "int", "uint", "bool")
 FRAME, TIMESTAMP, OWN_STAMPS = "frame_index", "timestamp", "t_ns"
@@ -283,7 +285,12 @@ def raw_episode(folder: LerobotFolder, number: int, files: list[Path] | None = N
             if OWN_STAMPS in rows.column_names:
                 t_ns = rows.column(OWN_STAMPS).to_numpy().astype(np.int64)
             else:
-                t_ns = frame_stamps(columns.get(FRAME, np.arange(len(rows))), folder.fps)
+                frames = columns.get(FRAME, np.arange(len(rows)))
+                if not (np.abs(frames) < MOST_FRAMES).all():
+                    raise RecordingError(
+                        f"{folder.path}: episode {number} has frames without a valid {FRAME}; copy it again"
+                    )
+                t_ns = frame_stamps(frames, folder.fps)
                 other_ns = _second_clock(columns.get(TIMESTAMP, columns.get(f"{TIMESTAMP}[0]")))
             signals = RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())), other_ns)
         yield signals
@@ -297,7 +304,7 @@ def raw_episode(folder: LerobotFolder, number: int, files: list[Path] | None = N
 
 def _second_clock(timestamps: np.ndarray | None) -> np.ndarray | None:
     """Stamps [ns] of timestamps [s]; None where they are missing or stand still."""
-    if timestamps is None or not np.isfinite(timestamps).all() or np.ptp(timestamps) <= 0:
+    if timestamps is None or not (np.abs(timestamps) < MOST_S).all() or np.ptp(timestamps) <= 0:
         return None
     return np.round((timestamps - timestamps[0]) * 1e9).astype(np.int64) + round(float(timestamps[0]) * 1e9)
 

@@ -608,7 +608,6 @@ class _Reader:
                 decimal_point=self.dialect.decimal,
                 null_values=_MISSING_WORDS,
                 strings_can_be_null=True,
-                check_utf8=False,
             ),
         )
 

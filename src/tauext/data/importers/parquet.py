@@ -107,6 +107,7 @@ class _Table:
             for k in range(file.num_record_batches):
                 batch = file.get_batch(k)
                 batch = batch if columns is None else batch.select(columns)
+                batch.validate(full=True)  # wrong offsets of a damaged file would end the process
                 for first in range(0, len(batch), BLOCK_ROWS):
                     yield batch.slice(first, BLOCK_ROWS)
 

@@ -440,7 +440,7 @@ def _hdf5_content(file: Any, matlab: bool) -> Content:
             if item.size == 1:
                 number(path, item[()])
             content.add(path, item.shape, (item.name,))
-        elif item.dtype.kind in "SO" and item.ndim == 1 and item.size <= MOST_WIDE:
+        elif item.dtype.kind in "SO" and item.ndim == 1 and item.size <= MOST_WIDE and JOINT_NAMES.fullmatch(path[-1]):
             content.words[path] = tuple(_word(one) for one in item[()])
 
     def references(path: tuple[str, ...], item: Any, cell: bool) -> None:

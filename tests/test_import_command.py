@@ -153,14 +153,14 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     for words in (
         "out: 1 fault, which `tauext train` refuses",
-        "effort-external (joints shoulder, elbow)",
+        "robot-file-other: the robot file seems to be of another arm",
         "tauext check",
     ):
         assert words in err
     bundle = workplace / "prior.tauext"
     train = ["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]
     assert main(train) == 2 and not bundle.exists()
-    assert main([*train, "--accept", "effort-external"]) == 0
+    assert main([*train, "--accept", "robot-file-other"]) == 0
     assert bundle.exists()
 
 
@@ -189,7 +189,7 @@ def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every
     report = ["report", "--results", str(results), "--data", str(out), "--out", str(workplace / "report")]
     assert main(report) == 0
     # The made torques know nothing of that model.
-    accept = ["--accept", "effort-external"]
+    accept = ["--accept", "robot-file-other"]
     with_robot = [*train, "--robot", str(workplace / "arm.urdf"), "--case", "mass", *accept]
     assert main(with_robot) == 0  # a model given beside the dataset is one
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext.check.finding import Finding, Severity
 from tauext.check.motion import LEAST_CORRELATION, Stretch, repeated_rows
-from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_of
+from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_of, unwrapped
 
 # --- Time stamps and rows: gaps, irregular steps, rows that repeat the one before.
 
@@ -21,6 +21,8 @@ IRREGULAR = 0.25
 """Spread of the steps, 1 to 99 %, as a share of the period: a clock on a busy computer stays below a tenth."""
 IRREGULAR_BADLY = GAP_STEPS - 1
 """Above this share, jitter cannot be distinguished from lost samples; below it, training and monitor accept jitter."""
+LOST = 0.01
+"""Share of the rows, left out or sorted by an import, that is reported."""
 REPEATED = 0.005
 """Share of repeated rows that is reported: measured rows of several joints hardly ever agree in every bit."""
 REPEATED_BADLY = 0.05
@@ -31,8 +33,23 @@ def clock_findings(recordings: Sequence[Recording]) -> list[Finding]:
     steps = [np.diff(r.t_ns) * 1e-6 for r in recordings if r.samples > 2]
     if not steps:
         return []
-    found = _gaps(recordings) + _spread(recordings)
+    found = _lost(recordings) + _gaps(recordings) + _spread(recordings)
     return found + _repeats(recordings)
+
+
+def _lost(recordings: Sequence[Recording]) -> list[Finding]:
+    """Rows that an import left out or sorted."""
+    found = []
+    for recording in recordings:
+        facts = recording.provenance
+        left_out, late = (float(facts.get(key, 0)) for key in ("dropped_share", "sorted_share"))
+        if max(left_out, late) <= LOST:
+            continue
+        evidence = f"'{recording.name}': {left_out:.1%} of the rows were left out, {late:.1%} sorted by their stamps"
+        evidence += "".join(f"; {sentence}" for sentence in facts.get("dropped", []))
+        advice = "look at the places named; the motion around them is cut, and limits miss what happened there"
+        found.append(Finding("rows-dropped", "warning", None, evidence, advice, recording.name))
+    return found
 
 
 def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
@@ -216,6 +233,28 @@ def _corrected(recording: Recording, unit: TimeUnit) -> Recording:
         return recording
     dq = recording.dq * unit.factor if unit.velocity_derived else recording.dq
     return replace(recording, t_ns=t_ns, dq=dq, rate_hz=recording.rate_hz * unit.factor)
+
+
+# --- Jumps of whole turns, which an import takes out.
+
+
+def wrap_findings(recordings: Sequence[Recording]) -> tuple[list[Finding], list[Recording]]:
+    """Findings of joints whose position jumps by whole turns, in rad or degrees, and the recordings without jumps."""
+    jumps: dict[str, list[str]] = {}
+    continuous = []
+    for recording in recordings:
+        q, counts = unwrapped(recording.q)
+        if not counts.any():
+            turned, counts = unwrapped(np.radians(recording.q))
+            q = np.where(counts, np.degrees(turned), recording.q)
+        for j in np.flatnonzero(counts):
+            jumps.setdefault(recording.joints[j], []).append(f"{counts[j]} times in '{recording.name}'")
+        continuous.append(replace(recording, q=q) if counts.any() else recording)
+    advice = "import again: `tauext import` takes such jumps out"
+    return [
+        Finding("position-wraps", "fault", joint, f"the position jumps by whole turns {', '.join(places[:3])}", advice)
+        for joint, places in jumps.items()
+    ], continuous
 
 
 # --- Degrees taken for radians, found from positions and their derivative alone, or against the robot file's limits.

@@ -199,7 +199,8 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
             evidence += f", {inertial:.3g} ± {inertial_error:.1g} times its inertial torque"
         advice = (
             f"a current or another unit: multiply by {1 / factor:.3g} (for a current, this is its torque constant in "
-            "Nm/A); or a payload that is not in the model, where factors grow towards the tip"
+            "Nm/A); or a payload that is not in the model, where factors grow towards the tip; or another arm's robot "
+            "file, where they differ without order"
         )
         found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     return found

@@ -18,7 +18,8 @@ from tauext.check.arrangement import (
     rearranged,
     with_model,
 )
-from tauext.check.clock import clock_findings, degree_findings, time_findings
+from tauext.check.causes import causes_only, other_robot_findings
+from tauext.check.clock import clock_findings, degree_findings, time_findings, wrap_findings
 from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
 from tauext.check.effort import (
     SEARCH_S,
@@ -241,8 +242,9 @@ def _examine(
     found = [*(file.findings if file else []), *contact_findings(recordings, called_free)]
     found += changed_findings(recordings, robot) if robot is not None else []
     timed, recordings = time_findings(recordings)
+    wraps, recordings = wrap_findings(recordings)
     recordings, odd = _alike(recordings, odd_rates(recordings))
-    found += odd
+    found += wraps + odd
     recorded, efforts = recordings, efforts_of(recordings)
     found += servo_findings(joints, efforts) + coarse_findings(recordings)
     recordings, unsigned = with_sign(recordings, efforts)
@@ -281,13 +283,15 @@ def _examine(
             rows, motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
         )
         torque_found = without_scale(torque_found, joints, efforts)
+        if rows is not None and rows.has_model and file is not None and not any(map(is_drive, efforts)):
+            torque_found += other_robot_findings(rows, joints, fits, torque_found, file.position_limits_rad)
         unknown = in_amperes(recordings)
         found += _of_currents(torque_found, unknown) if unknown or from_amperes(recordings) else torque_found
     elif tree is not None:
         found += pose_findings(recordings, tree, joints)
     plays = [play_of(recordings, j) for j in range(len(joints))]
     found += play_findings(joints, plays)
-    found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
+    found = causes_only(found)
     facts = facts_of(recorded, efforts, plays, velocities, rows, fits, lags)
     return Diagnosis(
         joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays, torque_unit(recorded)
@@ -613,6 +617,8 @@ def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> l
         torque_limits_nm: (joints,), infinite where the robot file has none; None: no robot file.
     """
     found, (corrected,) = time_findings([recording])
+    wraps, (corrected,) = wrap_findings([corrected])
+    found += wraps
     efforts = efforts_of([corrected])
     found += [f for f in servo_findings(corrected.joints, efforts) if f.severity == "fault"]
     (corrected,), _ = with_sign([corrected], efforts)

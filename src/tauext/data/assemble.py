@@ -129,7 +129,7 @@ def _resolved(
         raise ConfigError(
             f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {short_list(held, 16)}; "
             f'[robot] names (or joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
-            '[{index}]"'
+            f'[{{index}}]"{"".join(f"; {note}" for note in raw.notes)}'
         )
     if len(arm.names) == 1 and one in there:
         return (one,)

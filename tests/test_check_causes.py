@@ -1,0 +1,82 @@
+"""Causes before symptoms: turns, lost rows and another arm's robot file are named, and nothing that follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_arms import _serial, six_axis_tree, urdf
+from made_recordings import made_motion
+
+from tauext.check.causes import EXPLAINED, causes_only
+from tauext.check.examine import examine, quick_checks
+from tauext.check.finding import CODES, Finding
+from tauext.robot.load import load_tree
+
+
+def codes(recordings, robot) -> set[str]:
+    return {finding.code for finding in examine(recordings, robot).findings}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    tree = six_axis_tree(folder)
+    return folder / "arm.urdf", tree, made_motion(tree, 1.5, pieces=3).recordings
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / np.pi], ids=["rad", "degrees"])
+def test_turns_are_the_only_finding_of_a_position_that_wraps(arm, unit):
+    robot, tree, _ = arm
+    half = np.pi * unit
+    far = made_motion(tree, 1.5, pieces=2, ranges=np.array([4.5, 1.5, 1.5, 1.5, 1.5, 4.5])).recordings
+    wraps = [replace(one, q=(one.q * unit + half) % (2 * half) - half, dq=one.dq * unit) for one in far]
+    found = [finding for finding in examine(wraps, robot).findings if finding.severity == "fault"]
+    turns = [finding for finding in found if finding.code == "position-wraps"]
+    assert [f.joint for f in turns] == ["joint1", "joint6"] and "jumps by whole turns" in turns[0].evidence
+    assert {f.code for f in found} <= {"position-wraps"} | ({"degrees"} if unit != 1 else set()), found
+    assert found[0].code == "position-wraps" and "position-wraps" in {f.code for f in quick_checks(wraps[0], None)}
+
+
+def test_rows_that_an_import_left_out_are_a_finding_above_one_percent(arm):
+    robot, _, recordings = arm
+    sentence = "40 rows left out: 'tau_3' is missing or no finite number, first line 701"
+    facts = {"dropped": [sentence], "dropped_share": 0.02, "sorted_share": 0.0}
+    few = recordings[0].provenance | facts | {"dropped_share": 0.009}
+    many = recordings[0].provenance | facts
+    assert "rows-dropped" not in codes([replace(recordings[0], provenance=few)], robot)
+    (found,) = [
+        f for f in examine([replace(recordings[0], provenance=many)], robot).findings if f.code == "rows-dropped"
+    ]
+    assert found.severity == "warning" and sentence in found.evidence and "2.0% of the rows" in found.evidence
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13, 14])
+def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
+    """Arms of random axes: the torque has gravity, but not this file's."""
+    _, _, recordings = arm
+    other = tmp_path / "other.urdf"
+    other.write_text(urdf(_serial(6, seed=seed, heaviest_kg=28.0)))
+    names = tuple(link.joint_name for link in load_tree(other).links)
+    diagnosis = examine([replace(one, joints=names) for one in recordings], other)
+    faults = [finding.code for finding in diagnosis.findings if finding.severity == "fault"]
+    # Some arms resemble each other in a joint; what must not come is advice on a torque that is right.
+    assert not {"effort-gravity-compensated", "effort-external", "effort-sign"} & set(faults), diagnosis.findings
+
+
+def test_a_driver_that_subtracts_gravity_is_still_named(arm):
+    robot, tree, recordings = arm
+    made = [replace(one, tau=one.tau - tree.momentum(one.q, 0 * one.q)[1]) for one in recordings]
+    found = codes(made, robot)
+    assert "effort-gravity-compensated" in found and "robot-file-other" not in found
+
+
+def test_the_table_of_causes_hides_what_they_explain():
+    assert set(EXPLAINED) <= set(CODES) and {code for of in EXPLAINED.values() for code in of} <= set(CODES)
+    found = [Finding(code, "fault", "a", "", "") for code in ("effort-sign", "effort-scale", "stuck")]
+    assert causes_only(found) == found
+    order = Finding("joint-order", "fault", "a", "", "")
+    assert [f.code for f in causes_only([*found, order])] == ["joint-order", "stuck"]
+    only_warned = replace(order, severity="warning")
+    assert len(causes_only([*found, only_warned])) == 4

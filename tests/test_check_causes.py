@@ -1,4 +1,4 @@
-"""Causes before symptoms: turns, lost rows and another arm's robot file are named, and nothing that follows from them."""
+"""Causes first: turns, lost rows and another arm's robot file are named, and nothing that follows from them."""
 
 from __future__ import annotations
 

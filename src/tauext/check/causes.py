@@ -115,7 +115,7 @@ def pose_share(rows: Rows, joint: int) -> float:
             left = tau[test] - tau[train].mean() - (features[test] - mean) / size @ weights
             errors[k] += float(left @ left)
     spread = float(np.sum((tau - tau.mean()) ** 2))
-    return (errors[0] - errors[1]) / spread if spread > 0 else 0.0
+    return (min(float(errors[0]), spread) - float(errors[1])) / spread if spread > 0 else 0.0
 
 
 def _pose_features(q: np.ndarray) -> np.ndarray:

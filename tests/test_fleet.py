@@ -56,7 +56,7 @@ def place(tmp_path, data, whole_bag):
     (tmp_path / "arm.toml").write_text(PLANAR_RIG + JOINT_STATES)
     raw = whole_bag.read_bytes()
     (tmp_path / "whole.bag").write_bytes(raw)
-    (tmp_path / "broken.bag").write_bytes(raw[: len(raw) // 2])
+    (tmp_path / "broken.bag").write_bytes(raw[:200])  # before the first message
     return tmp_path
 
 

@@ -53,6 +53,8 @@ FITS = 0.8
 """Share of a torque's variance from which the model explains it."""
 BEYOND_RAD, BEYOND_SHARE = 0.3, 0.05
 """Positions this far beyond the limits, in this share of the samples, are widely beyond."""
+LEAST_S = 20.0
+"""Least motion, [s]: on less, the pose explains anything."""
 BLOCK_S = 5.0
 """Motion is left out in blocks of this length, [s]."""
 RIDGE = 1e-3
@@ -69,6 +71,8 @@ def other_robot_findings(
         found: findings of the torque, of which those without gravity are doubted.
         limits_rad: (joints, 2) position limits of the robot file, infinite where it has none.
     """
+    if len(np.unique(rows.time_s // 1.0)) < LEAST_S:
+        return []
     doubted = ("effort-external", "effort-gravity-compensated")
     suspected = any(finding.code in doubted for finding in found)
     low, high = limits_rad[:, 0] - BEYOND_RAD, limits_rad[:, 1] + BEYOND_RAD

@@ -121,6 +121,7 @@ CASES = [
     Case("the clock begins again", two_runs, STAMPED, runs=HALVES, clock=False),
     Case("the clock is set back", set_back, STAMPED, runs=HALVES, clock=False),
     Case("late rows", late, STAMPED, said="2 samples out of order, sorted"),
+    Case("falling stamps", lambda log: log.rows(slice(None, None, -1)), TABLE_LIKE, refused="rows are out of order"),
     Case(
         "all stamps are equal",
         every(t_ns=lambda log: 0 * log.t_ns + 5 * 10**9),

@@ -56,7 +56,7 @@ class Runs:
         t_ns = np.concatenate([one[0] for one in parts])
         end = len(t_ns) - (table is not None)
         if not self._period and len(t_ns) > 2:
-            steps = np.diff(t_ns)
+            steps = np.abs(np.diff(t_ns))  # rows may come in falling order
             self._period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         keep, begin = np.ones(len(t_ns), bool), 0
         while begin < end:

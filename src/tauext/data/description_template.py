@@ -113,34 +113,78 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
 
 def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, float]) -> None:
     column = guessed.columns.get("time", "")
+    rate_hz = _rate_of_velocity(guessed, block)
+    hints = [f"the file states {name} = {hz:g} Hz" for name, hz in stated_hz.items()]
+    hints += [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
     if not column or column not in block.names:
         if block.t_ns is None:
-            stated = "".join(f"; the file states {name} = {hz:g} Hz" for name, hz in stated_hz.items())
-            guessed.why[RATE] = f"no column of times was found: name it in column, or give the rate{stated}"
+            guessed.why[RATE] = "; ".join(
+                ["no column of times: name it in column, or give the rate of the rows", *hints]
+            )
         return
     times = block.columns[:, block.names.index(column)]
-    times = times[np.isfinite(times)]
-    steps = np.diff(times)
-    ahead = steps[steps > 0]
+    steps = np.diff(times[np.isfinite(times)])
+    ahead, unit = steps[steps > 0], time_unit(times)
+    if not len(steps) or (steps < 0).mean() > 0.5:
+        return  # the import names the order of the rows
     why = ""
-    if len(steps) and not len(ahead):
+    if not len(ahead):
         why = f"'{column}' is constant"
-    elif (steps == 0).mean() > SHARED_STAMPS if len(steps) else False:
+    elif (steps == 0).mean() > SHARED_STAMPS:
         why = (
             f"{len(steps) / len(ahead):.3g} rows share each stamp of '{column}', which resolves {np.median(ahead):.4g}"
         )
-    unit = time_unit(times)
-    if not why and len(ahead) and (ahead == 1).all() and not unit:
+    elif (ahead == 1).all() and (not unit or _contradicts(rate_hz, 1e9 / TIME_UNITS[unit])):
         why = f"'{column}' grows by exactly 1 a row: it counts rows"
     if why:
         guessed.columns["time"] = ""
-        guessed.why[RATE] = f"{why}: it is no clock, so give the rate of the rows"
-    elif unit:
-        guessed.values["time.unit"] = unit
-        guessed.why["time.unit"] = f"the steps of '{column}' are {np.median(ahead):.4g}"
-    elif len(ahead):
-        guessed.values["time.unit"] = f"{GUESSED}s"
-        guessed.why["time.unit"] = f"the steps of '{column}' are {np.median(ahead):.4g}, of no usual rate in any unit"
+        guessed.why[RATE] = "; ".join([f"{why}, so it is no clock: give the rate of the rows", *hints])
+        return
+    step = float(np.median(ahead))
+    guessed.why["time.unit"] = "; ".join([f"the steps of '{column}' are {step:.4g}", *hints])
+    sure = bool(unit) and not _contradicts(rate_hz, 1e9 / (step * TIME_UNITS[unit]))
+    guessed.values["time.unit"] = unit if sure else GUESSED + (unit or "s")
+
+
+FIT = 1.2
+"""Rates of the stamps and of positions with velocities that differ by a larger factor contradict each other ..."""
+ANGLE = 180 / np.pi
+"""... unless they differ by that of degrees, which check names."""
+
+
+def _contradicts(one_hz: float, other_hz: float) -> bool:
+    """Whether a rate, 0 where it is unknown, differs from another one by more than units of angle explain."""
+    if not one_hz:
+        return False
+    ratio = one_hz / other_hz
+    return all(max(ratio / factor, factor / ratio) > FIT for factor in (1, ANGLE, 1 / ANGLE))
+
+
+def _rate_of_velocity(guessed: Guess, block: RawSignals) -> float:
+    """Rows a second at which the velocity is the derivative of the position, [Hz]; 0: not to be found."""
+    q, dq = (block.columns[:, _places(guessed, block, signal)] for signal in ("q", "dq"))
+    if q.shape[1] == 0 or q.shape != dq.shape or len(q) < 100:
+        return 0.0
+    moved, mean = np.diff(q, axis=0), (dq[1:] + dq[:-1]) / 2
+    usable = np.isfinite(moved).all(axis=1) & np.isfinite(mean).all(axis=1)
+    moved, mean = moved[usable], mean[usable]
+    rates = []
+    for a, b in zip(moved.T, mean.T, strict=True):
+        keep = np.abs(a) <= np.percentile(np.abs(a), 99) if len(a) else np.zeros(0, bool)  # jumps of turns
+        size = float(np.linalg.norm(a[keep]) * np.linalg.norm(b[keep]))
+        if size > 0 and float(a[keep] @ b[keep]) > 0.8 * size:
+            rates.append(float(np.linalg.norm(b[keep]) / np.linalg.norm(a[keep])))
+    return float(np.median(rates)) if rates else 0.0
+
+
+def _places(guessed: Guess, block: RawSignals, signal: str) -> list[int]:
+    """Columns of the block that the guessed pattern of a signal covers."""
+    pattern = guessed.columns.get(signal, "")
+    names = {"{joint}": "|".join(map(re.escape, guessed.joint_names)) or ".+", "{index}": r"\d+", "{number}": r"\d+"}
+    spelled = re.escape(pattern)
+    for key, words in names.items():
+        spelled = spelled.replace(re.escape(key), f"({words})")
+    return [k for k, name in enumerate(block.names) if pattern and re.fullmatch(rf"{spelled}(\[.*\])?", name)]
 
 
 def time_unit(times: np.ndarray) -> str:
@@ -158,17 +202,17 @@ def time_unit(times: np.ndarray) -> str:
 
 
 def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
-    pattern = guessed.columns.get("q", "")
-    if not pattern or "deg" in pattern:
-        return
-    spelled = re.sub(r"\\\{\w+\\\}", ".+", re.escape(pattern))
-    places = [k for k, name in enumerate(block.names) if re.fullmatch(rf"{spelled}(\[.*\])?", name)]
-    if not places:
+    places = _places(guessed, block, "q")
+    if not places or "deg" in guessed.columns["q"]:
         return
     largest = np.nanmax(np.abs(np.nan_to_num(block.columns[:, places])), axis=0)
-    if (largest > WIDE_RAD).sum() >= min(2, len(places)):
-        guessed.values["signals.q.unit"] = f"{GUESSED}deg"
-        guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}; the velocity may be in deg/s too"
+    if (largest > WIDE_RAD).sum() < min(2, len(places)):
+        return
+    guessed.values["signals.q.unit"] = f"{GUESSED}deg"
+    guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}"
+    if "dq" in guessed.columns:
+        guessed.values["signals.dq.unit"] = f"{GUESSED}deg/s"
+        guessed.why["signals.dq.unit"] = "the unit of the positions, if they are in degrees; rad/s is the other choice"
 
 
 WIDTH = 120

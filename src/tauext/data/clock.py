@@ -97,6 +97,8 @@ class Runs:
             if now > front:
                 if following > front + pause_ns:
                     return int(k)
+            elif following < now:
+                continue  # rows in falling order
             elif following <= front:
                 seen = np.r_[self._recent, t_ns[begin:k]]
                 repeats = now <= self._first or now < front - late_ns

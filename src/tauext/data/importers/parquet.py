@@ -262,8 +262,10 @@ def _numbers(leaf: Leaf, column: Any, counts: Counter[str]) -> np.ndarray:
 
 def usual_length(lengths: np.ndarray) -> tuple[int, float]:
     """The most common length of lists that are not empty, and its share among them; (0, 0): all are empty."""
-    known = Counter(lengths[lengths > 0].tolist())
-    return (known.most_common(1)[0][0], known.most_common(1)[0][1] / known.total()) if known else (0, 0.0)
+    known, counts = np.unique(lengths[lengths > 0], return_counts=True)
+    if not len(known):
+        return 0, 0.0
+    return int(known[counts.argmax()]), float(counts.max() / counts.sum())
 
 
 def rows_of_lists(column: Any, count: int = 0) -> tuple[np.ndarray, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,8 @@ from tauext.data.recording import Recording
 
 SHOWN_S = 600.0
 """Time of the recordings that is looked at, [s]."""
+ROWS = 20_000
+"""Rows for the correlations, spread evenly."""
 LEAST_SPREAD_NM = 1e-6
 """A torque of gravity that varies by less is constant, and no correlation exists."""
 
@@ -46,16 +48,20 @@ def joint_motions(recordings: Sequence[Recording], tree: Tree | None) -> list[Jo
         seconds += recording.duration_s
         if seconds > SHOWN_S:
             break
-    q, dq, tau = (np.concatenate([getattr(one, name) for one in shown]) for name in ("q", "dq", "tau"))
-    slopes = np.concatenate([_slopes(one) for one in shown])
+    rows = [_rows(one, ROWS // len(shown)) for one in shown]
+    q, dq, tau, slopes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     gravity = np.zeros_like(q) if tree is None else tree.momentum(q, np.zeros_like(q))[1]
+
+    def extreme(signal: str, of: Callable[[np.ndarray], float], j: int) -> list[float]:
+        return [of(getattr(one, signal)[:, j]) for one in shown]
+
     return [
         JointMotion(
             joint,
-            float(q[:, j].min()),
-            float(q[:, j].max()),
-            float(np.abs(dq[:, j]).max()),
-            float(np.abs(tau[:, j]).max()),
+            float(min(extreme("q", np.min, j))),
+            float(max(extreme("q", np.max, j))),
+            float(max(extreme("dq", _largest, j))),
+            float(max(extreme("tau", _largest, j))),
             _correlation(dq[:, j], slopes[:, j]),
             _correlation(tau[:, j], gravity[:, j]),
         )
@@ -63,14 +69,21 @@ def joint_motions(recordings: Sequence[Recording], tree: Tree | None) -> list[Jo
     ]
 
 
-def _slopes(recording: Recording) -> np.ndarray:
-    """Derivative of the position, (samples, joints), [rad/s]."""
-    if recording.samples < 2:
-        return np.zeros_like(recording.q)
-    return np.gradient(recording.q, recording.time_s, axis=0)
+def _largest(values: np.ndarray) -> float:
+    return float(np.abs(values).max())
+
+
+def _rows(recording: Recording, most: int) -> tuple[np.ndarray, ...]:
+    """q, dq, tau and the derivative of q in at most so many rows, (rows, joints) each; none of fewer than three."""
+    at = np.arange(1, recording.samples - 1, max(1, recording.samples // max(1, most)))
+    steps_s = (recording.t_ns[at + 1] - recording.t_ns[at - 1])[:, None] * 1e-9
+    slopes = (recording.q[at + 1] - recording.q[at - 1]) / steps_s
+    return recording.q[at], recording.dq[at], recording.tau[at], slopes
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    if not len(a):
+        return float("nan")
     a, b = a - a.mean(), b - b.mean()
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / size if b.std() > LEAST_SPREAD_NM and size > 0 else float("nan")

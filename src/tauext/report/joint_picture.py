@@ -14,6 +14,8 @@ from tauext.report.style import RC, WIDTH_IN, save_png
 
 SHOWN_S = 60.0
 """Length of motion drawn, from its start, [s]."""
+POINTS = 1500
+"""Most points of a line: more than the picture resolves."""
 MEASURED, EXPECTED = "#000000", "#0072b2"
 
 
@@ -24,7 +26,8 @@ def draw_joints(recording: Recording, tree: Tree | None, torque_unit: str, path:
         tree: model of the same joints; None: torque alone.
         torque_unit: of the recording, as the axis names it.
     """
-    shown = slice(0, int(np.searchsorted(recording.time_s, SHOWN_S)) + 1)
+    end = int(np.searchsorted(recording.time_s, SHOWN_S)) + 1
+    shown = slice(0, end, max(1, end // POINTS))
     time_s, q, dq, tau = (getattr(recording, name)[shown] for name in ("time_s", "q", "dq", "tau"))
     slopes = np.gradient(q, time_s, axis=0) if len(q) > 1 else np.zeros_like(q)
     gravity = None if tree is None else tree.momentum(q, np.zeros_like(q))[1]

@@ -154,6 +154,20 @@ CASES = [
         put("tau", slice(None), 2, np.nan),
         refused="600 of 600 rows are left out; tau of wrist .*take wrist out of",
     ),
+    Case(
+        "no torque of a joint that is left out",
+        joints((*JOINTS, "hand"), lambda a: np.c_[a, np.full(600, np.nan)]),
+        NAMED,
+        arm={"robot": 'model = "arm.urdf"\nlocked = ["hand"]\nignored = ["hand"]'},
+        robot=HAND,
+        said="joints not in use: hand of the robot file; hand of the recording",
+    ),
+    Case(
+        "a locked joint that is unknown",
+        arm={"robot": 'model = "arm.urdf"\nlocked = ["hnad"]'},
+        robot=HAND,
+        refused=r'locked = \["hnad"\]: the robot file',
+    ),
     Case("no velocity of a joint", put("dq", slice(None), 0, np.nan), refused=r'dq of shoulder .*columns = ""'),
     Case(
         "a quarter of the rows lacks a value",

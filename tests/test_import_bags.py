@@ -469,7 +469,7 @@ def test_dynamic_joint_states_give_the_columns_of_joint_states(tmp_path):
             content = types.types[kind](header=held.header, joint_names=list(JOINTS), interface_values=values)
             writer.write(connection, int(T_NS[k]), types.serialize_cdr(content, kind))
     expect_rows(tmp_path / "run", slice(None))
-    found = guess(open_raw(tmp_path / "run")[0].streams())
+    found = guess(open_raw(tmp_path / "run")[0].streams)
     assert (found.columns["q"], found.columns["dq"], found.columns["tau"]) == ("position", "velocity", "effort")
     assert found.joint_names == JOINTS
 
@@ -488,7 +488,7 @@ def test_the_state_of_a_franka_arm_is_read_and_guessed(tmp_path):
     times, columns = read(tmp_path / "run.bag")[1]["/state"]
     np.testing.assert_array_equal(times, t_ns)
     np.testing.assert_array_equal(columns["tau_J[6]"], tau[:, 6])
-    found = guess(open_raw(tmp_path / "run.bag")[0].streams())
+    found = guess(open_raw(tmp_path / "run.bag")[0].streams)
     assert (found.columns["q"], found.columns["dq"], found.columns["tau"]) == ("q", "dq", "tau_J")
 
 

@@ -675,7 +675,7 @@ def test_groups_of_runs_are_recordings_of_their_own(tmp_path, pattern, lengths, 
     assert all(source.stated_hz == {"rate_hz": 100.0} for source in sources)
     if not runs:
         (source,) = sources
-        assert f"{pattern.format(10)}/obs/q[1]" in source.streams()[""]
+        assert f"{pattern.format(10)}/obs/q[1]" in source.streams[""]
         return
     assert [source.name for source in sources] == [f"run-{pattern.format(k + 9).split('/')[-1]}" for k in range(3)]
     for k, source in enumerate(sources):

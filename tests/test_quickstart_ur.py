@@ -268,7 +268,7 @@ def test_the_unit_of_time_is_found_by_its_steps(step, unit):
 
 def raw_names(path: Path) -> tuple[str, ...]:
     (raw,) = open_raw(path)
-    return raw.streams()[""]
+    return raw.streams[""]
 
 
 def test_an_echoed_joint_state_has_names_of_joints_and_stamps(tmp_path):

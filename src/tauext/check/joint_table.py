@@ -89,26 +89,19 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b) / size if b.std() > LEAST_SPREAD_NM and size > 0 else float("nan")
 
 
-def as_lines(motions: Sequence[JointMotion], torque_unit: str) -> list[str]:
-    """The table for a terminal."""
+def cells(motions: Sequence[JointMotion], torque_unit: str) -> list[list[str]]:
+    """The table as text, its heading first."""
     head = ["joint", "range rad", "speed rad/s", f"torque {torque_unit}", "dq ~ dq/dt", "tau ~ gravity"]
-    rows = [
+    return [head] + [
         [
             one.name,
             f"{one.low_rad:.2f} to {one.high_rad:.2f}",
             f"{one.speed_rad_s:.2f}",
             f"{one.torque:.3g}",
             *(
-                "-" if np.isnan(value) else f"{value:.2f}"
-                for value in (one.velocity_correlation, one.gravity_correlation)
+                "-" if np.isnan(share) else f"{share:.2f}"
+                for share in (one.velocity_correlation, one.gravity_correlation)
             ),
         ]
         for one in motions
-    ]
-    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-    return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        )
-        for row in [head, *rows]
     ]

@@ -5,18 +5,23 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tauext.cli.place_argument import JsonArg, PlaceArg, print_replaced
-from tauext.cli.progress import ProgressBar, Terminal
+from tauext.cli.progress import ProgressBar, Terminal, aligned
 from tauext.config import require, require_seed
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.copies import local_file, local_folder, local_robot, staged
 from tauext.files.places import is_stored
 from tauext.files.preflight import expect_folder, expect_new_file
+
+if TYPE_CHECKING:
+    from tauext.data.dataset import Dataset
+    from tauext.data.recording import Recording
 
 # --- `tauext import`: recordings of a real arm, in any format, to a dataset folder; or a template of its description.
 
@@ -65,8 +70,7 @@ def import_data(
     with staged(out, fresh=True) as folder:
         import_dataset([local_folder(one) for one in source], arm, folder, format, print)
         if format == "tauext":
-            print_joints(folder)
-            print_findings(folder)
+            print_joints_and_findings(folder)
     print(out)
 
 
@@ -89,7 +93,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         model = Path(os.path.relpath(robot, path.parent)).as_posix()
     if sources:
         (first, *_) = open_raw(sources[0])
-        streams = first.streams()
+        streams = first.streams
         guessed = guess(streams, joints)
         guess_values(guessed, first)
     text = template(guessed, model, joints, list(streams))
@@ -102,41 +106,46 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         Terminal().say(f"to fill in: [time] rate_hz: {guessed.why[RATE]}")
 
 
-def print_joints(out: Path) -> None:
-    """Print what each joint of a dataset did, and draw the first recording: a swap shows at a glance."""
-    from tauext.check.joint_table import as_lines, joint_motions
+def print_joints_and_findings(out: Path) -> None:
+    """Print what each joint of an imported dataset did, draw it, and report what `tauext train` would say of it."""
     from tauext.data.dataset import load_dataset
+
+    dataset = load_dataset(out)
+    training = dataset.training() if dataset.split.train else []
+    shown = training or dataset.recordings("collisions")
+    if shown:
+        print_joints(dataset, shown, out / "joints.png")
+    if training:
+        print_findings(dataset, training)
+
+
+def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Path) -> None:
+    """Print what each joint did, and draw the first recording: a swap shows at a glance."""
+    from tauext.check.joint_table import cells, joint_motions
     from tauext.data.servo import torque_unit
     from tauext.report.joint_picture import draw_joints
     from tauext.robot.load import load_tree
     from tauext.robot.write import is_placeholder
 
-    dataset = load_dataset(out)
-    recordings = [*dataset.training(), *dataset.recordings("collisions")][:10]
-    if not recordings:
-        return
     robot, unit = dataset.robot_file(None), torque_unit(recordings)
     tree = None if is_placeholder(robot) else load_tree(robot, joints=recordings[0].joints)
-    print("\n".join(as_lines(joint_motions(recordings, tree), unit)))
-    draw_joints(recordings[0], tree, unit, out / "joints.png")
+    print("\n".join(aligned(cells(joint_motions(recordings, tree), unit))))
+    draw_joints(recordings[0], tree, unit, picture)
 
 
-def print_findings(out: Path) -> None:
+def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
     from tauext.check.preflight import by_code, entries, finding_lines, sentence
     from tauext.config import PAPER_CASES, TrainConfig
-    from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
     from tauext.train.preflight import check_results
     from tauext.train.preparation import Given
 
-    dataset, terminal = load_dataset(out), Terminal()
-    if not dataset.split.train:
-        return
+    out, terminal = dataset.folder, Terminal()
     robot = dataset.robot_file(None)
     case = PAPER_CASES[chosen_case(None, robot)[0]]
-    training, validation = dataset.training(), dataset.recordings("validation")
-    results = check_results(dataset, Given(robot, case, training, validation), TrainConfig(), terminal)
+    given = Given(robot, case, training, dataset.recordings("validation"))
+    results = check_results(dataset, given, TrainConfig(), terminal)
     findings = [finding for result in results.values() for finding in result.findings]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")

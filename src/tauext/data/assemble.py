@@ -42,7 +42,7 @@ def find_columns(arm: Arm, raw: RawRecording) -> Columns:
     Raises:
         ConfigError: a column or topic is missing; the message lists similar names.
     """
-    there = raw.streams()
+    there = raw.streams
     wanted: dict[str, dict[str, None]] = {}
     found: dict[str, tuple[str, tuple[str, ...]]] = {}
     for name, signal in arm.signals.items():
@@ -69,7 +69,7 @@ def logged_joints(arm: Arm, raw: RawRecording) -> tuple[str, ...]:
     Raises:
         ConfigError: a topic is missing.
     """
-    there = raw.streams()
+    there = raw.streams
     named: list[dict[str, None]] = []
     for key in ("q", "tau"):
         signal = arm.signals[key]
@@ -337,7 +337,7 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
                 start_ns = int(recording.t_ns[0])
                 reader.expect_rates(recording.t_ns)
             name = raw.name if piece.last and not number else f"{raw.name}-{number:02d}"
-            yield reader.told(replace(recording, name=name, robot_sha256=robot_sha256), counts)
+            yield reader.with_losses(replace(recording, name=name, robot_sha256=robot_sha256), counts)
             end_ns, rate_hz = int(recording.t_ns[-1]), recording.rate_hz
             number += 1
         reader.expect_enough()

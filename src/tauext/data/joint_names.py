@@ -101,8 +101,13 @@ def expect_all_placed(
         locked, ignored: joints that the description leaves out.
 
     Raises:
-        ConfigError: names the joints, the pair that is left, and the entries to add.
+        ConfigError: names the joints, the pair that is left, and the entries to add; or a locked joint is unknown.
     """
+    unknown = [name for name in locked if robot and name not in robot]
+    if unknown:
+        raise ConfigError(
+            f"{path}: [robot] locked = {json.dumps(unknown)}: the robot file's joints are {', '.join(robot)}"
+        )
     left = [name for name in robot if name not in placed], [name for name in logged if name not in placed.values()]
     still, unused = (
         [name for name in names if name not in listed and not GRIPPER.search(name)]

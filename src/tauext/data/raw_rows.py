@@ -9,7 +9,16 @@ from functools import partial
 
 import numpy as np
 
-from tauext.data.clock import SHARED_STAMPS, SHORT_RUN, Runs, Table, TwoClocks, expect_no_counter, expect_same_rate
+from tauext.data.clock import (
+    LATE_S,
+    SHARED_STAMPS,
+    SHORT_RUN,
+    Runs,
+    Table,
+    TwoClocks,
+    expect_no_counter,
+    expect_same_rate,
+)
 from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.data.recording import REPEATED, SORTED, Recording
@@ -19,10 +28,6 @@ PIECE_S = 600.0
 """A longer raw recording becomes several recordings of about this length, [s] ..."""
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
-LATE_S = 1.0
-"""Rows of the newest second wait: packets may come so late."""
-FINDING_SHARE = 0.01
-"""Share of the rows, left out or sorted, above which it is a finding."""
 MOST_SHARE = 0.2
 """Share above which the file is refused: it is not what the description says."""
 LEAST_REFUSED = 10
@@ -30,7 +35,7 @@ LEAST_REFUSED = 10
 THROUGHOUT = 0.9
 """Share of the rows without a value from which a signal is missing throughout."""
 
-_LOCK = "take {joints} out of [robot] joints and list it in [robot] locked, or record it"
+_LOCK = "take {joints} out of [robot] joints, and list it in locked and ignored there; or record it"
 WAYS_ON = {
     "q": _LOCK,
     "dq": 'columns = "" in [signals.dq] derives the velocity from the position',
@@ -254,7 +259,7 @@ class RowReader:
             remedy = f"where the stamps are right, give their rate ([time] rate_hz); else {self.remedy}"
             expect_same_rate(f"the file's {name}", hz, t_ns, remedy)
 
-    def told(self, recording: Recording, counts: Counter[str]) -> Recording:
+    def with_losses(self, recording: Recording, counts: Counter[str]) -> Recording:
         """The recording with what was left out or sorted since the one before, in its provenance.
 
         Args:

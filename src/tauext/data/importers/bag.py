@@ -29,7 +29,7 @@ class Channel:
     """Of an MCAP file."""
 
 
-Lost = Callable[[str, int, str], None]
+CountLost = Callable[[str, int, str], None]
 """Counts messages left out: reason, number, place of the first."""
 
 
@@ -40,7 +40,7 @@ class BagFile(Protocol):
     notes: list[str]
     """On damage; more may come while the messages are read."""
 
-    def messages(self, wanted: Sequence[Channel], lost: Lost) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, wanted: Sequence[Channel], lost: CountLost) -> Iterator[tuple[Channel, int, bytes]]:
         """Yield channel, log time [ns] and bytes of each message."""
 
     def close(self) -> None:

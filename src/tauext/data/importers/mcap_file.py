@@ -17,7 +17,7 @@ from zlib import crc32
 
 import pyarrow as pa
 
-from tauext.data.importers.bag import Channel, Lost, decompressed, ros_type
+from tauext.data.importers.bag import Channel, CountLost, decompressed, ros_type
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
@@ -149,7 +149,7 @@ class McapFile:
 
     # --- Messages.
 
-    def messages(self, wanted: Sequence[Channel], lost: Lost) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, wanted: Sequence[Channel], lost: CountLost) -> Iterator[tuple[Channel, int, bytes]]:
         """Yield channel, log time [ns] and bytes of each message, in order of log time; without chunks, of the file."""
         channels = {number: one for number, one in zip(self._channels, self.channels, strict=True) if one in wanted}
         missing = sum(self._counts[number] for number in channels)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-
-from tauext.errors import RecordingError
 
 BLOCK_ROWS = 8192
 """Samples in a block: enough for NumPy's speed, few enough for memory."""
@@ -21,23 +19,6 @@ def short_list(names: Iterable[str], most: int = 8) -> str:
     names = list(names)
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
-
-
-@contextmanager
-def readable(
-    path: object,
-    kind: str,
-    broken: tuple[type[Exception], ...],
-    advice: str = "it is truncated or damaged: copy it again",
-) -> Iterator[None]:
-    """Convert a library's exceptions on damaged files to RecordingError."""
-    try:
-        yield
-    except RecordingError:
-        raise
-    except broken as error:
-        cause = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{path}: cannot be read as {kind} ({cause}); {advice}") from error
 
 
 @dataclass
@@ -107,8 +88,9 @@ class RawRecording:
         word, first = self.row_word
         return f"{word} {row + first}"
 
+    @cached_property
     def streams(self) -> dict[str, tuple[str, ...]]:
-        """Column names of every stream, found by reading each stream's first block.
+        """Column names of every stream, found once, by reading each stream's first block.
 
         A stream that begins much later than the others may not be found.
         """

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tauext.data.importers.bag import Channel, Lost, decompressed, ros_type
+from tauext.data.importers.bag import Channel, CountLost, decompressed, ros_type
 
 MAGIC = b"#ROSBAG V"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
@@ -55,7 +55,7 @@ class Ros1Bag:
         self._data.close()
         self._file.close()
 
-    def messages(self, wanted: Sequence[Channel], lost: Lost) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, wanted: Sequence[Channel], lost: CountLost) -> Iterator[tuple[Channel, int, bytes]]:
         """Yield channel, log time [ns] and bytes of each message, in order of log time; without index, of the file."""
         channels = {number: channel for number, channel in self._connections.items() if channel in wanted}
         missing = sum(channel.count for channel in channels.values())

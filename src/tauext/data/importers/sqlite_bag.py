@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
-from tauext.data.importers.bag import Channel, Lost, ros_type
+from tauext.data.importers.bag import Channel, CountLost, ros_type
 from tauext.errors import RecordingError
 
 MAGIC = b"SQLite format 3\0"
@@ -89,7 +89,7 @@ class SqliteBag:
         self.notes.append(f"the file is damaged or cut off: the {sum(counts.values())} readable messages are read")
         return counts
 
-    def messages(self, wanted: Sequence[Channel], lost: Lost) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, wanted: Sequence[Channel], lost: CountLost) -> Iterator[tuple[Channel, int, bytes]]:
         """Yield channel, log time [ns] and bytes of each message, by log time; of a damaged file as they lie."""
         del lost
         channels = {number: channel for number, channel in self._by_id.items() if channel in wanted}

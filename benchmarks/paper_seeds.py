@@ -73,7 +73,7 @@ def kept(new: Measures) -> Measures:
     file = PAGE.with_suffix(".json")
     listed = json.loads(file.read_text()) if file.is_file() else []
     found = {(one.pop("case"), one.pop("seed")): {key: np.array(value) for key, value in one.items()} for one in listed}
-    found |= {key: {name: np.round(value, 3) for name, value in one.items()} for key, one in new.items()}
+    found |= {key: {name: np.round(value.astype(float), 3) for name, value in one.items()} for key, one in new.items()}
     found = {key: found[key] for key in sorted(found, key=lambda key: (list(PAPER_CASES).index(key[0]), key[1]))}
     entries = [
         {"case": case, "seed": seed} | {name: value.tolist() for name, value in one.items()}

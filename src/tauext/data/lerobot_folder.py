@@ -177,7 +177,7 @@ def frames_of(folder: LerobotFolder) -> Frames:
         except (pa.ArrowException, OSError, LookupError):
             broken.append(path)
             continue
-        held = Counter(numbers.tolist())
+        held = dict(zip(*(part.tolist() for part in np.unique(numbers, return_counts=True)), strict=True))
         counts.update(held)
         for number in held:
             files.setdefault(number, []).append(path)

@@ -16,7 +16,6 @@ from tauext.fit.tail import (
     is_consistent,
     is_kept,
     rate_interval,
-    split,
     upper_rate,
 )
 
@@ -27,13 +26,6 @@ def test_a_budget_is_a_rate_and_says_itself_in_words():
     assert FalseAlarmBudget(2, 8).rate_per_hour == 0.25
     assert str(ONE_IN_EIGHT) == "1 in 8 h"
     assert str(FalseAlarmBudget(1, 0.1)) == "1 in 6 minutes"
-
-
-def test_shares_are_equal_and_sum_to_the_whole():
-    shares = split(ONE_IN_EIGHT, joints=7, regions=2)
-    assert shares.shape == (7, 2)
-    assert (shares == shares[0, 0]).all()
-    assert shares.sum() == pytest.approx(ONE_IN_EIGHT.rate_per_hour, rel=1e-12)
 
 
 @pytest.mark.parametrize("events", [0, 1, 3, 40, 1000])
@@ -77,7 +69,7 @@ def test_three_times_the_hours_of_one_alarm_are_needed():
 
 
 def test_twenty_minutes_refuse_to_promise_eight_hours_and_say_how_much_more_to_record():
-    promise = Promise(ONE_IN_EIGHT, hours=1 / 3, streams=4)
+    promise = Promise(ONE_IN_EIGHT, hours=1 / 3)
     assert not promise.is_supported
     assert promise.supported.hours * 60 == pytest.approx(6.68, abs=0.005)
     assert promise.sentence() == (
@@ -86,12 +78,7 @@ def test_twenty_minutes_refuse_to_promise_eight_hours_and_say_how_much_more_to_r
     )
 
 
-def test_enough_hours_support_the_budget_and_say_how_far_the_tails_are_stretched():
-    assert Promise(ONE_IN_EIGHT, hours=24.0, streams=14).sentence() == (
-        "At most 1 false alarm in 8 h: supported by 24 h of calibration (at 95 % confidence). Each of 14 limits has an "
-        "equal share, 1 in 112 h, 4.7 times the recorded time."
-    )
-    assert Promise(ONE_IN_EIGHT, hours=240.0, streams=14).sentence().endswith("within the recorded time.")
+def test_enough_hours_support_the_budget():
     assert Promise(FalseAlarmBudget(2, 8), hours=24.0).sentence() == (
         "At most 2 false alarms in 8 h: supported by 24 h of calibration (at 95 % confidence)."
     )
@@ -112,13 +99,12 @@ def test_what_is_advised_is_enough(hours):
 
 
 def test_the_summary_is_json_and_holds_the_sentence():
-    promise = Promise(ONE_IN_EIGHT, hours=1 / 3, streams=14)
+    promise = Promise(ONE_IN_EIGHT, hours=1 / 3)
     read = json.loads(json.dumps(promise.summary()))
     assert read["sentence"] == promise.sentence()
     assert read["asked"] == {"alarms": 1, "hours": 8, "rate_per_hour": 0.125, "text": "1 in 8 h"}
     assert read["supported"] is False
     assert read["missing_hours"] == pytest.approx(23.63, abs=0.005)
-    assert read["extrapolation"] == pytest.approx(112 * 3)
 
 
 @pytest.mark.parametrize(
@@ -141,15 +127,12 @@ def test_durations_in_words(hours, nearest, up, down):
     [
         (lambda: FalseAlarmBudget(0, 8), "false alarm budget: alarms = 0 must be > 0"),
         (lambda: FalseAlarmBudget(1, math.nan), "false alarm budget: hours = nan must be > 0"),
-        (lambda: split(ONE_IN_EIGHT, 0, 2), "false alarm budget: joints = 0 must be >= 1"),
-        (lambda: split(ONE_IN_EIGHT, 2, 0), "false alarm budget: regions = 0 must be >= 1"),
         (lambda: rate_interval(-1, 8), "events = -1 must be a whole number >= 0"),
         (lambda: is_consistent(1.5, 8, 0.1), "events = 1.5 must be a whole number >= 0"),
         (lambda: is_kept(1, 0, 0.1), "hours = 0 must be > 0"),
         (lambda: upper_rate(1, 8, 1.0), "confidence = 1.0 must lie between 0 and 1"),
         (lambda: hours_to_support(ONE_IN_EIGHT, 0), "confidence = 0 must lie between 0 and 1"),
         (lambda: Promise(ONE_IN_EIGHT, -1.0), "hours = -1.0 must be > 0"),
-        (lambda: Promise(ONE_IN_EIGHT, 1.0, streams=0), "promise: streams = 0 must be >= 1"),
     ],
 )
 def test_bad_input_is_named(make, message):

@@ -13,11 +13,11 @@ from made_bundles import SEVEN_AXIS, seven_axis_bundle
 from scipy.stats import chi2
 
 from tauext import _core
-from tauext.evaluate.noticed_force import noticed_force, points
+from tauext.evaluate.noticed_force import noticed_force
 from tauext.fit.torque_constants import with_constants
 from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
-from tauext.train.wrench import correlation, factor
+from tauext.train.wrench import correlation, factor, points
 
 GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 BASE, FRAME = _core.WrenchAxes.base, _core.WrenchAxes.frame

@@ -47,7 +47,8 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         ConfigError: there is no such frame or recording.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.evaluate.noticed_force import noticed_in_usual_motion, points
+    from tauext.evaluate.noticed_force import noticed_in_usual_motion
+    from tauext.train.wrench import points
 
     bundle = load_bundle(file)
     points(bundle, frames)  # refuses before hours of recordings are read

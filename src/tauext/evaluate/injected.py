@@ -18,8 +18,9 @@ from tauext.bundle.units import left_out, of_all
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision, judge_latched
-from tauext.evaluate.noticed_force import Point, noticed_force, points
+from tauext.evaluate.noticed_force import noticed_force
 from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin
+from tauext.train.wrench import Point, points
 
 # --- Run bundles on recordings by the same chain as the monitor's.
 

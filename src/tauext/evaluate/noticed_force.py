@@ -5,65 +5,22 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from tauext import _core
 from tauext.bundle.units import left_out, situations
-from tauext.errors import BundleError, ConfigError
+from tauext.errors import BundleError
 from tauext.evaluate.results import EveryWay, NoticedAt, NoticedForce, OverPoses
+from tauext.train.wrench import Point, even_ways, points
 
 MOST_N = 1000.0
 """Directions that need a larger force are called blind: no touch that an arm survives is far beyond it
 (WrenchModel::kLargestForce_n), and a lever behind such a number is a rounding of none."""
-WAYS = 100
-"""Directions on half a sphere; the other half is the same by symmetry. Each represents a cone of 8 degrees."""
 NINE_OF_TEN = 0.9
 LEAST_LIMIT_NM = 1e-9
 """A limit of 0 is over at the first torque."""
-
-
-@dataclass(frozen=True)
-class Point:
-    """Where a force acts: a point of a frame of the bundle, [m] along the frame's own axes."""
-
-    name: str
-    frame: str
-    point_m: tuple[float, ...] = (0.0, 0.0, 0.0)
-
-
-def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
-    """The end of each link, the load's frame, and the requested frames.
-
-    The end of a link is the origin of the joint that it carries, of several the farthest; that of a last link is the
-    load's frame if it is fixed there, else the link's own origin.
-
-    Raises:
-        BundleError: the bundle cannot estimate forces.
-        ConfigError: there is no such frame.
-    """
-    model = _core.WrenchModel(bundle)
-    if model.refused:
-        raise BundleError(f"{bundle.name}: what force is noticed is not known: {model.refused}")
-    known = [frame.name for frame in model.frames]
-    for name in frames:
-        if name not in known:
-            raise ConfigError(f"frame = '{name}' must be one of {', '.join(known)}")
-    load = bundle.load_settings
-    links, found = bundle.links, []
-    for k, link in enumerate(links):
-        ends = [other for other in links if other.parent == k]
-        if ends:
-            end = max(ends, key=lambda other: sum(x * x for x in other.translation))
-            name = f"link of {link.joint_name}, at {end.joint_name}"
-            found.append(Point(name, link.joint_name, tuple(end.translation)))
-        elif load.link != k:
-            found.append(Point(f"link of {link.joint_name}, at its origin", link.joint_name))
-    if load.link >= 0:
-        found.append(Point(f"load's frame {load.frame}", links[load.link].joint_name, tuple(load.translation)))
-    return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
 
 
 def noticed_force(
@@ -146,14 +103,6 @@ def worst_force(per_limit: np.ndarray) -> np.ndarray:
 def or_blind(force_n: np.ndarray) -> np.ndarray:
     blind: np.ndarray = np.where(force_n > MOST_N, np.inf, force_n)
     return blind
-
-
-def even_ways() -> np.ndarray:
-    """WAYS unit vectors, even on half a sphere: a Fibonacci lattice, (WAYS, 3)."""
-    k = np.arange(WAYS) + 0.5
-    z, turn = k / WAYS, np.pi * (1 + np.sqrt(5)) * k
-    flat = np.sqrt(1 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def noticed(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
@@ -39,6 +39,28 @@ FEWEST = 30
 SHAPES = (-0.9, 1.0)
 """Bounds of the shape. Below -1 the likelihood has no maximum [Grimshaw1993]_. From 1 on the mean excess is infinite,
 which is impossible for torque errors."""
+USUAL_SHAPE, SHAPE_SPREAD = 0.1, 0.3
+"""Prior of the shape: flat up to the first, beyond it a normal distribution's upper half. A few dozen peaks do not tell
+a tail of 0.1 from one of 0.5, whose limits are several times as high, and one large peak moves the fit from one to the
+other. Hydrology bounds the shape for the same reason ([Martins2000]_, within 0.5)."""
+DRAWS = 256
+"""Draws of a tail's rates, even in probability."""
+UNDER, BEYOND = 24, 72
+"""Levels that are looked at, below and above the threshold."""
+NEAREST, FARTHEST = 0.01, 60.0
+"""They reach from this share of the largest peak's excess over the threshold to this multiple of it."""
+LEAST_RATE = 1e-30
+"""Rates below are as good as none, [1/h]."""
+STEP, LEAST_SLOPE = 1.5, 1e-3
+ROUNDS = 40
+SHARPNESS = 12.0
+"""Of a hit's size, in its logarithm, how sharply the joint with the smallest one decides: within 8 % joints share."""
+EQUAL_SHARE = 0.2
+"""Share of the budget that is split equally: which joints decide is known from hits at the ends of links alone."""
+FEWEST_HITS = 500
+"""Fewer are repeated, so that each meets its joints in all regions."""
+FARTHEST_FACTOR = 7.0
+"""Bound of the logarithm of what the confidence costs in rate."""
 SMALLEST_P = 0.1
 """A threshold is skipped if a fit as bad as its own is less probable than this ..."""
 WIDEST_STEP = 2.58
@@ -102,62 +124,42 @@ class Tail:
         """Whether the distribution describes the data, so that levels beyond the data are credible."""
         return self.goodness_p >= MISFIT_P
 
-    def level(self, rate_per_hour: float) -> float:
-        """Most likely level that peaks exceed at this rate, [N m], without reserve.
+    def seen(self, rate_per_hour: float, confidence: float) -> float:
+        """Largest peak that so low a rate does not explain, [N m]; the largest one at least.
 
-        A limit at this level is exceeded more often on average, since the rate grows faster below the level than it
-        falls above: twice as often where the recorded time is a third of 1/rate, ten times at a thirtieth (Gaussian
-        noise).
-
-        At rates up to lambda_u, it is x_rho of the fit; at higher ones, below the threshold, it follows from the peaks.
-        It is never less than a level that was exceeded more often than the rate allows.
-
-        Raises:
-            ConfigError: rate not > 0.
+        k peaks or more exceed the level of this rate with probability gammainc(k, rate hours) [Garwood1936]_.
         """
-        if not (math.isfinite(rate_per_hour) and rate_per_hour > 0):
-            raise ConfigError(f"rate_per_hour = {rate_per_hour} must be > 0")
-        allowed = math.floor(rate_per_hour * self.hours * (1 + 1e-9))
-        seen = float(self.peaks_nm[min(allowed, len(self.peaks_nm) - 1)])
-        rarer = math.log(self.rate_per_hour / rate_per_hour)
-        if rarer <= 0:
-            return seen
-        growth = rarer if abs(self.shape) < 1e-9 else math.expm1(self.shape * rarer) / self.shape
-        return max(seen, self.threshold_nm + self.scale_nm * growth)
-
-    def upper_level(self, rate_per_hour: float, confidence: float = 0.95) -> float:
-        r"""Level that peaks exceed at most at this rate, with this confidence, [N m]; never below `level`.
-
-        Beyond the threshold it is the quantile of x_rho's posterior distribution under the prior
-        :math:`\lambda_u^{-1/2}\,\sigma^{-1}`, flat in the shape between its bounds:
-
-        .. math:: P(x_\rho < x) = \int P\big(\lambda_u < \rho\,(1 + \xi (x - u)/\sigma)^{1/\xi}\big)\,p(\xi, \sigma)\,
-                  d\xi\,d\sigma, \quad \lambda_u \sim \Gamma(n + 1/2, T)
-
-        Not the profile likelihood of [Coles2001]_ 4.3.3: for 30 to 200 exceedances, shapes of -0.3 to 0.4 and rates 30
-        to 1000 times below lambda_u, its bound of 95 % held in 86 to 95 of 100 samples, and this one in 94 to 100. With
-        200 exceedances it is about 10 % higher. A bootstrap would need random numbers and hundreds of fits; this is a
-        sum on a grid. For peaks of Gaussian noise, a generalised Pareto tail only in the limit, it held in 91 to 98.
-
-        Recordings of 3/rate hours (for 95 %) bound the rate without a distribution: the peak that must lie above x_rho
-        [Garwood1936]_ is then a further bound, and the only one below the threshold. If they are shorter, the level is
-        at least the largest peak.
-
-        Raises:
-            ConfigError: rate is not > 0, or confidence not from 0.5 to below 1.
-        """
-        if not 0.5 <= confidence < 1:
-            raise ConfigError(f"confidence = {confidence} must be at least 0.5 and less than 1")
-        level = self.level(rate_per_hour)
-        # k peaks or more exceed x_rho with probability gammainc(k, rate hours); the k-th largest then does.
         counts = np.arange(1, len(self.peaks_nm) + 1)
         allowed = int((gammainc(counts, rate_per_hour * self.hours) >= confidence).sum())
-        reach = max(level, float(self.peaks_nm[max(allowed, 1) - 1]))
-        rarer = math.log(self.rate_per_hour / rate_per_hour)
-        if rarer > 0:
-            excess = self.peaks_nm[: self.exceedances] - self.threshold_nm
-            reach = max(reach, self.threshold_nm + _posterior_quantile(excess, rarer, confidence))
-        return reach
+        return float(self.peaks_nm[max(allowed, 1) - 1])
+
+    def rates(self, levels_nm: np.ndarray, order: np.random.Generator) -> np.ndarray:
+        r"""Rates of peaks over each level, drawn from their posterior distribution, (DRAWS, levels), [1/h].
+
+        .. math:: \lambda(x) = \lambda_u \left(1 + \xi \frac{x - u}{\sigma}\right)^{-1/\xi}, \quad
+                  p(\xi, \sigma) \propto L(\xi, \sigma)\,\sigma^{-1}\,e^{-\max(\xi - \xi_0, 0)^2 / 2 s^2}, \quad
+                  \lambda_u \sim \Gamma(n + 1/2, T)
+
+        xi_0 and s are USUAL_SHAPE and SHAPE_SPREAD. At and below the threshold the peaks themselves take the place of
+        the distribution: k of them above a level count as k of the n above the threshold.
+
+        Draws are even in probability instead of random, so that few suffice; `order` pairs those of one tail
+        independently with those of another.
+
+        Args:
+            levels_nm: (levels,), [N m].
+        """
+        n, levels = self.exceedances, np.asarray(levels_nm, dtype=float)
+        shape, scale, weight = _posterior(self.peaks_nm[:n] - self.threshold_nm)
+        even = (np.arange(DRAWS) + 0.5) / DRAWS
+        drawn = order.permutation(np.searchsorted(np.cumsum(weight) / weight.sum(), even))
+        above = order.permutation(gammaincinv(n + 0.5, even)) / self.hours
+        y, xi = np.maximum(levels - self.threshold_nm, 0) / scale[drawn, None], shape[drawn, None]
+        exponential = np.abs(xi) < 1e-9
+        bounded = np.log1p(np.maximum(xi * y, np.nextafter(-1, 0))) / np.where(exponential, 1, xi)
+        below = np.searchsorted(-self.peaks_nm, -levels, side="left") / n
+        rates: np.ndarray = above[:, None] * np.exp(-np.where(exponential, y, bounded)) * np.maximum(below, 1)
+        return rates
 
     def summary(self) -> dict:
         """All values for JSON; of the peaks only the largest."""
@@ -266,8 +268,8 @@ def _likelihood(n: int, c: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> n
     return -n * (np.log(scale) + c * mean + mean / scale)
 
 
-def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> float:
-    """Upper bound of x_rho above the threshold, see `Tail.upper_level`; rarer = ln(n/(rho T)) > 0."""
+def _posterior(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shapes and scales of the excesses over a threshold, with their posterior weights, see `Tail.rates`."""
     n = len(excess)
     grid = np.linspace(*GRID, 371)
     profile = _likelihood(n, *_best_scales(excess, grid))
@@ -278,22 +280,104 @@ def _posterior_quantile(excess: np.ndarray, rarer: float, confidence: float) -> 
     shape = c * scale
     # Prior 1/sigma; d shape d sigma = sigma dc d sigma, dc ~ e^grid d grid, d sigma = sigma d ln sigma.
     weight = _likelihood(n, c, mean, scale) + np.log(scale) + grid[:, None]
+    weight -= (np.maximum(shape - USUAL_SHAPE, 0) / SHAPE_SPREAD) ** 2 / 2
     weight = np.where((shape > SHAPES[0]) & (shape < SHAPES[1]), np.exp(weight - weight.max()), 0)
     kept = weight > 1e-8 * weight.max()
-    shape, scale, weight = shape[kept], scale[kept], weight[kept] / weight[kept].sum()
-    exponential = np.abs(shape) < 1e-9
-    shape = np.where(exponential, 1, shape)
+    return shape[kept], scale[kept], weight[kept]
 
-    def missing(reach: float) -> float:
-        y = reach / scale
-        # Log of the rarity of the reach against the threshold; a tail that ends before the reach has none.
-        logs = np.where(exponential, y, np.log1p(np.maximum(shape * y, np.nextafter(-1, 0))) / shape)
-        return confidence - float(weight @ gammainc(n + 0.5, n * np.exp(np.minimum(logs - rarer, 50))))
 
-    high = float(scale.max()) * rarer
-    while missing(high) > 0:
-        high *= 2
-    return brentq(missing, 0, high, rtol=1e-5)
+# --- Limits chosen together: the rates of all tails sum to the arm's, which a budget bounds.
+#
+# Limits x_s of the joints' regions s are those by which the arm detects most, at a sum of rates within the budget B:
+#
+# .. math:: \min_x \sum_h \ln F_h, \quad F_h = \min_j \frac{x_j}{|\tau_{hj}|}, \quad
+#           P\Big(\sum_s \lambda_s(x_s) \le B\Big) \ge c
+#
+# tau_h is a hit's torque of unit size and F_h the size from which a limit is exceeded: sizes are spread evenly over
+# their logarithm. Each tail is allowed a mean rate. At the best of them, a little more rate lowers ln F equally
+# wherever it is spent, so a tail's rate is proportional to the share of hits that it decides, times d ln x / d ln rate.
+# Confidence is asked of the sum: what one tail has too much of, others have too little of.
+
+
+class TailCurve:
+    """Level of a tail by its mean rate, and draws of the rate over each level."""
+
+    def __init__(self, tail: Tail, number: int):
+        """Number: of the tail among those of an arm, so that draws of two tails are independent."""
+        spread = tail.peaks_nm[0] - tail.threshold_nm
+        below = np.unique(tail.peaks_nm[tail.exceedances :])
+        below = below[np.unique(np.linspace(0, len(below) - 1, UNDER).round().astype(int))]
+        self._levels = np.r_[below, tail.threshold_nm + spread * np.geomspace(NEAREST, FARTHEST, BEYOND)]
+        with np.errstate(divide="ignore"):
+            rates = np.maximum(tail.rates(self._levels, np.random.default_rng(number)), LEAST_RATE)
+        self._logs = np.log(rates)
+        self._mean = np.log(rates.mean(axis=0))
+
+    def level(self, rate: float) -> float:
+        """Level with this mean rate, [N m]; the largest that is looked at if the tail reaches further."""
+        return float(np.interp(-math.log(rate), -self._mean, self._levels))
+
+    def slope(self, rate: float) -> float:
+        """- d ln level / d ln rate."""
+        near = [math.log(max(self.level(rate * factor), 1e-300)) for factor in (STEP, 1 / STEP)]
+        return max((near[1] - near[0]) / (2 * math.log(STEP)), LEAST_SLOPE)
+
+    def draws(self, level: float) -> np.ndarray:
+        """Rates over the level, (DRAWS,), [1/h]."""
+        k = int(np.clip(np.searchsorted(self._levels, level) - 1, 0, len(self._levels) - 2))
+        share = np.clip((level - self._levels[k]) / (self._levels[k + 1] - self._levels[k]), 0, 1)
+        drawn: np.ndarray = np.exp((1 - share) * self._logs[:, k] + share * self._logs[:, k + 1])
+        return drawn
+
+
+def rates_together(
+    tails: Sequence[Sequence[Tail]],
+    budget: FalseAlarmBudget,
+    confidence: float,
+    hits_nm: np.ndarray,
+    region_hours: np.ndarray,
+) -> np.ndarray:
+    """Mean rate that each tail is allowed, (joints, regions), [1/h], for the limits that detect most together.
+
+    Args:
+        tails: of each joint's regions.
+        confidence: that all of them together stay within the budget.
+        hits_nm: torques of hits of unit size, (hits, joints), of any sign; equally many for equal weights.
+        region_hours: hours of each joint in each region, (joints, regions): a hit finds it there as often.
+    """
+    shape = len(tails), len(tails[0])
+    curves = [TailCurve(tail, number) for number, tail in enumerate(tail for of_joint in tails for tail in of_joint)]
+    often = region_hours / np.maximum(region_hours.sum(axis=1, keepdims=True), 1e-300)
+    hits_nm = np.tile(hits_nm, (-(-FEWEST_HITS // len(hits_nm)), 1))
+    order = np.random.default_rng(0).random(hits_nm.shape)
+    region = np.minimum((order[:, :, None] > often.cumsum(axis=1)).sum(axis=2), shape[1] - 1)
+    # Of every hit and joint: number of the tail that it meets.
+    met = np.arange(shape[0]) * shape[1] + region
+    with np.errstate(divide="ignore"):
+        lever = np.log(np.abs(hits_nm))
+    share = np.full(len(curves), 1 / len(curves))
+    for _ in range(ROUNDS):
+        levels = np.log(
+            [max(curve.level(budget.rate_per_hour * one), 1e-300) for curve, one in zip(curves, share, strict=True)]
+        )
+        force = levels[met] - lever
+        decides = np.exp(-SHARPNESS * (force - force.min(axis=1, keepdims=True)))
+        decides /= decides.sum(axis=1, keepdims=True)
+        worth = np.bincount(met.ravel(), decides.ravel(), len(curves))
+        worth *= np.array([curve.slope(budget.rate_per_hour * one) for curve, one in zip(curves, share, strict=True)])
+        share = np.sqrt(share * ((1 - EQUAL_SHARE) * worth / worth.sum() + EQUAL_SHARE / len(curves)))
+        share /= share.sum()
+
+    def over(log_factor: float) -> float:
+        rates = math.exp(log_factor) * budget.rate_per_hour * share
+        levels = [curve.level(rate) for curve, rate in zip(curves, rates, strict=True)]
+        drawn = np.sum([curve.draws(level) for curve, level in zip(curves, levels, strict=True)], axis=0)
+        return math.log(float(np.quantile(drawn, confidence)) / budget.rate_per_hour)
+
+    low, high = -FARTHEST_FACTOR, FARTHEST_FACTOR
+    factor = low if over(low) > 0 else high if over(high) < 0 else brentq(over, low, high, xtol=1e-3)
+    allowed: np.ndarray = (math.exp(factor) * budget.rate_per_hour * share).reshape(shape)
+    return allowed
 
 
 # --- Promises of a calibration: false alarms in a number of hours, and the hours of data that support them. False
@@ -323,21 +407,6 @@ class FalseAlarmBudget:
     def __str__(self) -> str:
         """Return text such as `1 in 8 h`."""
         return f"{self.alarms:g} in {duration(self.hours)}"
-
-
-def split(budget: FalseAlarmBudget, joints: int, regions: int) -> np.ndarray:
-    """Split the budget into equal shares, (joints, regions), [1/h], that sum to its rate.
-
-    Every alarm of the arm belongs to a joint and region, so the arm's rate is at most the sum of theirs; it is less if
-    one episode crosses several limits.
-
-    Raises:
-        ConfigError: no joint or no region.
-    """
-    for name, count in (("joints", joints), ("regions", regions)):
-        if count < 1:
-            raise ConfigError(f"false alarm budget: {name} = {count} must be >= 1")
-    return np.full((joints, regions), budget.rate_per_hour / (joints * regions))
 
 
 def rate_interval(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
@@ -410,20 +479,16 @@ class Promise:
     (`is_kept`).
 
     Raises:
-        ConfigError: hours not > 0, streams < 1, or a confidence outside 0 to 1.
+        ConfigError: hours not > 0, or a confidence outside 0 to 1.
     """
 
     asked: FalseAlarmBudget
     hours: float
     """Healthy hours of calibration recordings."""
-    streams: int = 1
-    """Limits that share the budget: joints times regions."""
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
         _check(0, self.hours, self.confidence)
-        if self.streams < 1:
-            raise ConfigError(f"promise: streams = {self.streams} must be >= 1")
 
     @property
     def needed_hours(self) -> float:
@@ -446,11 +511,6 @@ class Promise:
         """Smallest budget that the recordings support: 1 in 6.7 minutes for 20 minutes of recordings."""
         return FalseAlarmBudget(1, self.hours / -math.log1p(-self.confidence))
 
-    @property
-    def extrapolation(self) -> float:
-        """Ratio of the hours an alarm in a limit's share to the hours recorded: the extrapolation of the tails."""
-        return self.streams / self.asked.rate_per_hour / self.hours
-
     def sentence(self) -> str:
         """Text on the promise, or on the reason for none and how much more to record."""
         asked = (
@@ -463,12 +523,7 @@ class Promise:
                 f"{100 * self.confidence:g} % confidence); record {duration(self.missing_hours, 'up')} more of free "
                 f"motion, {duration(self.needed_hours, 'up')} in all."
             )
-        sentence = f"{asked}: supported by {have} (at {100 * self.confidence:g} % confidence)."
-        if self.streams > 1:
-            share = duration(self.streams / self.asked.rate_per_hour)
-            far = f"{self.extrapolation:.1f} times" if self.extrapolation > 1 else "within"
-            sentence += f" Each of {self.streams} limits has an equal share, 1 in {share}, {far} the recorded time."
-        return sentence
+        return f"{asked}: supported by {have} (at {100 * self.confidence:g} % confidence)."
 
     def summary(self) -> dict:
         """All values for JSON."""
@@ -481,8 +536,6 @@ class Promise:
             "supported": self.is_supported,
             "supported_budget": asdict(self.supported)
             | {"rate_per_hour": self.supported.rate_per_hour, "text": str(self.supported)},
-            "streams": self.streams,
-            "extrapolation": self.extrapolation,
             "sentence": self.sentence(),
         }
 

@@ -169,11 +169,15 @@ def calibrate_bundle(
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     report: Reporter = SILENT,
     out: Place | None = None,
+    poses: Sequence[Sequence[float]] | None = None,
 ) -> tuple[PromisedLimits, dict]:
     """Set the bundle's limits from the recordings; returns their promise and facts for provenance.
 
     A checkpoint beside `out`, the bundle to write, lets an interrupted run resume. The caller that writes the bundle
     calls `remove_checkpoint`.
+
+    Args:
+        poses: of the arm's motion; None: those that the bundle keeps.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.
@@ -192,7 +196,7 @@ def calibrate_bundle(
                 show(len(names), len(loaders), "recordings")
 
         with no_freeze(bundle):
-            promised = promised_limits(bundle, load_all, alarm, threads, margins, kept=kept)
+            promised = promised_limits(bundle, load_all, alarm, threads, margins, kept=kept, poses=poses)
     apply_promised(bundle, promised, alarm)
     units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
     for moment in promised.moments:

@@ -142,9 +142,7 @@ FORGOTTEN = 2.0
 """Time near stiction after a joint began to slide, in 1/K0, for limits from minutes: r still contains the breakaway,
 and minutes have few of them."""
 EVEN_ODDS = 0.5
-"""Confidence with which each limit keeps its share of the supported budget. The budget itself already has the promise's
-confidence. Using that for each of a dozen limits too doubled them beyond the largest error, and half of all contacts
-stayed below."""
+"""Confidence with which the limits keep the supported budget, which itself already has the promise's confidence."""
 
 
 def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
@@ -174,16 +172,17 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
         job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, config.margins)
+    poses = job.facts.get("wrench", {}).get("poses", [])
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
-            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out
+            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out, poses
         )
         job.report.say(promised.sentence())
     elif kind == "supported" and fleet is not None:
         words, job.facts["limits"] = put_fleet_limits(bundle, fleet, config.alarm)
         job.notes.append(words)
     elif kind == "supported":
-        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit, rows)
+        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit, rows, poses)
         job.notes.append(words)
         if "other_motion" in job.facts["limits"]:
             job.notes.append(job.facts["limits"]["other_motion"]["sentence"])
@@ -258,6 +257,7 @@ def set_supported_limits(
     threads: int,
     fit: PriorFit | None,
     rows: Rows | None = None,
+    poses: Sequence[Sequence[float]] = (),
 ) -> tuple[str, dict]:
     """Set limits for the smallest budget of false alarms that this motion supports.
 
@@ -268,6 +268,7 @@ def set_supported_limits(
 
     Args:
         rows: errors of the error scale's fit, for testing the promise in other motion.
+        poses: of the motion, in which links are hit.
     """
     seen_s = total_s(whole_recordings(judged))
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
@@ -276,7 +277,7 @@ def set_supported_limits(
         # A few dozen peaks determine the tail poorly; the factor below accounts for that.
         at_most_seen = bundle.error_scale.follows
         promised = promised_limits(
-            bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen
+            bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen, poses=poses
         )
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)

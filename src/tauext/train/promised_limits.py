@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,12 +17,13 @@ from tauext.fit.tail import (
     FalseAlarmBudget,
     Promise,
     Tail,
+    TailCurve,
     TooFewPeaks,
     duration,
     fit_tail,
     held_minimum,
     hold_lengths,
-    split,
+    rates_together,
 )
 from tauext.fit.ties import simplest
 from tauext.train.error_scale import FEATURES, Judged, LevelLimits, Rows, limit_weights
@@ -36,10 +38,17 @@ from tauext.train.held_peaks import (
     collect_peaks,
     separate_peaks,
 )
+from tauext.train.wrench import even_ways, points
 
 # --- Limits for a budget of false alarms, as far as the recordings support it.
 
 
+MOST_BEYOND = 2.0
+"""Largest limit, as a multiple of the largest error seen: the recordings are long enough to bound the rate over that
+error itself, and a tail that reaches further is one that a touch or another fault has bent."""
+HIT_POSES = 16
+LEAST_LEVER_M = 1e-3
+"""A force with a shorter lever about every joint is felt by none."""
 HARD_PUSH = 3.0
 """Push for comparing hold times, as a multiple of the limit without hold time."""
 
@@ -60,6 +69,8 @@ class PromisedLimits:
     """Budget of the limits: the requested one, or the smallest that the recordings support."""
     tails: dict
     """Facts of each fit, by joint and region."""
+    rates_per_hour: np.ndarray
+    """Mean rate that each collision limit is allowed, (joints, regions), [1/h]."""
     moments: list[Moment] = field(default_factory=list)
     """Moments that alone determine a collision limit."""
 
@@ -98,12 +109,15 @@ def promised_limits(
     level_confidence: float | None = None,
     at_most_seen: bool = False,
     kept: PeakStore | None = None,
+    poses: Sequence[Sequence[float]] | None = None,
 ) -> PromisedLimits:
     """Find limits from the tail of the error on calibration recordings, not used in training or validation.
 
-    The budget is split equally over joints and regions. Peaks of the held error exceed each limit at most at its share
-    of the rate, with the confidence of the promise. A longer hold time lowers the limits and delays every alarm. The
-    chosen one detects a hard push first, with an observer output of S (1 - exp(-K0 t)):
+    The budget is the arm's: peaks of the held error exceed all limits together at most at its rate, with the confidence
+    of the promise. How much of it each joint and region gets is chosen so that hits on the links are detected from the
+    smallest force on (rates_together). No limit is below a peak that its own share does not allow. A longer hold time
+    lowers the limits and delays every alarm. The chosen one detects a hard push first, with an observer output of S (1
+    - exp(-K0 t)):
 
         t = -ln(1 - limit(hold) / S) / K0 + hold,     S = HARD_PUSH limit(0)
 
@@ -112,21 +126,27 @@ def promised_limits(
 
     Args:
         recordings: loads them one at a time; called once.
-        level_confidence: confidence with which each limit keeps its share of the budget; None: the promise's.
+        level_confidence: confidence with which the limits together keep the budget; None: the promise's.
         kept: results of an interrupted process; `recordings` begins after them.
         at_most_seen: bound limits by `most_seen` of the largest peaks, even if the fitted tail reaches further.
+        poses: of the arm's motion, in which the links are hit; None: those that the bundle keeps.
 
     Raises:
         TrainingError: no free motion, or too few peaks.
     """
-    n = bundle.joints
     found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins, kept=kept)
     asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
-    promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
+    promise = Promise(asked, found[0].hours, confidence=alarm.confidence)
     budget = asked if promise.is_supported else promise.supported
     contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
     level_confidence = alarm.confidence if level_confidence is None else level_confidence
-    choices = [limits_of(peaks, budget, level_confidence, at_most_seen) for peaks in found]
+    hits_nm = hits(bundle, poses)
+
+    def limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[LevelLimits, dict, np.ndarray]:
+        rates = rates_together(_tails(peaks), budget, confidence, hits_nm, peaks.region_hours)
+        return *limits_of(peaks, rates, confidence, at_most_seen), rates
+
+    choices = [limits(peaks, budget, level_confidence) for peaks in found]
     first = choices[0][0].sliding_nm
 
     def delay_s(choice: int) -> float:
@@ -134,22 +154,52 @@ def promised_limits(
         return float(np.mean(-np.log1p(-share)) / bundle.observer.gain_per_s + alarm.holds_s[choice])
 
     best = simplest(range(len(found)), delay_s, HOLD_WORTH)
-    limits, tails = choices[best]
+    collision, tails, rates = choices[best]
     # A contact's hold time is at least a collision's: its limits are no higher, so short errors would cross them at
     # once.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
-    contact, _ = limits_of(found[held], contact_budget, 0.5, at_most_seen)
+    contact = limits(found[held], contact_budget, 0.5)[0]
     contact = LevelLimits(
-        np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
+        np.minimum(contact.sliding_nm, collision.sliding_nm),
+        np.minimum(contact.near_stiction_nm, collision.near_stiction_nm),
     )
-    moments = _moments(found[best], budget, level_confidence, at_most_seen)
-    return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails, moments)
+    moments = _moments(found[best], rates, level_confidence, at_most_seen)
+    holds_s = alarm.holds_s[best], alarm.holds_s[held]
+    return PromisedLimits(collision, contact, *holds_s, promise, budget, tails, rates, moments)
 
 
-def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> list[Moment]:
+def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.ndarray:
+    """Torques of a newton in any direction at the end of each link, in usual poses, (hits, joints), [N m].
+
+    A joint whose estimates are not in N m feels hits of its own instead, and so does every joint where no forces can be
+    estimated.
+
+    Args:
+        poses: (poses, joints); None: those that the bundle keeps.
+    """
+    alone = np.eye(bundle.joints)
+    if _core.WrenchModel(bundle).refused:
+        return alone
+    if poses is None:
+        poses = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
+    if not poses:
+        return alone
+    model, ways, known = _core.WrenchModel(bundle), even_ways(), np.array(bundle.in_newtons)
+    few = np.asarray(poses, dtype=float)[:: max(1, len(poses) // HIT_POSES)].tolist()
+    felt = []
+    for point in points(bundle):
+        lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
+        felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
+    found = np.concatenate(felt)
+    found = found[np.abs(found).max(axis=1) > LEAST_LEVER_M]
+    return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone
+
+
+def _moments(peaks: Peaks, rates: np.ndarray, confidence: float, at_most_seen: bool) -> list[Moment]:
     def of_joint(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
-        return np.maximum.accumulate(_of_joint(peaks, joint, nm, budget, confidence, at_most_seen)[0])
+        levels = _of_joint(_joint_tails(nm, peaks.hours), joint, rates[joint], confidence, at_most_seen)
+        return np.maximum.accumulate(levels)
 
     try:
         return carrying_moments(peaks, of_joint)
@@ -157,40 +207,34 @@ def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_
         return []
 
 
-def limits_of(
-    peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
-) -> tuple[LevelLimits, dict]:
-    """Find limits from these peaks, each with this confidence, and facts of each fit by joint and region.
+def limits_of(peaks: Peaks, rates: np.ndarray, confidence: float, at_most_seen: bool) -> tuple[LevelLimits, dict]:
+    """Find limits that these peaks exceed at these mean rates, (joints, regions), and facts of each fit by joint and
+    region.
 
     Raises:
         TooFewPeaks: a joint has too few.
     """
     facts: dict = {}
     levels = []
-    for j, joint in enumerate(peaks.joints):
-        of_joint, tails = _of_joint(peaks, j, peaks.nm[j], budget, confidence, at_most_seen)
+    for j, (joint, tails) in enumerate(zip(peaks.joints, _tails(peaks), strict=True)):
+        of_joint = _of_joint(tails, j, rates[j], confidence, at_most_seen)
         levels.append(of_joint)
-        for region, tail, level in zip(REGIONS, tails, of_joint.tolist(), strict=True):
-            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": level}
+        for region, tail, level, rate in zip(REGIONS, tails, of_joint.tolist(), rates[j].tolist(), strict=True):
+            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": level, "allowed_per_hour": rate}
     found = np.array(levels)
     return LevelLimits(found[:, 0], np.maximum(found[:, 1], found[:, 0])), facts
 
 
 def _of_joint(
-    peaks: Peaks,
-    joint: int,
-    nm: Sequence[np.ndarray],
-    budget: FalseAlarmBudget,
-    confidence: float,
-    at_most_seen: bool,
-) -> tuple[np.ndarray, list[Tail]]:
-    """Levels of a joint's regions, (regions,), from its peaks, and the fitted tails."""
-    shares = split(budget, len(peaks.joints), len(REGIONS))[joint]
-    tails = [_tail(nm, region, peaks.hours) for region in range(len(REGIONS))]
-    levels = np.array([tail.upper_level(float(share), confidence) for tail, share in zip(tails, shares, strict=True)])
-    if at_most_seen:
-        levels = np.minimum(levels, [most_seen(tail.peaks_nm) for tail in tails])
-    return levels, tails
+    tails: Sequence[Tail], joint: int, rates: np.ndarray, confidence: float, at_most_seen: bool
+) -> np.ndarray:
+    """Levels of a joint's regions, (regions,)."""
+    levels = []
+    for region, (tail, rate) in enumerate(zip(tails, rates.tolist(), strict=True)):
+        level = TailCurve(tail, joint * len(REGIONS) + region).level(rate)
+        level = min(max(level, tail.seen(rate, confidence)), MOST_BEYOND * float(tail.peaks_nm[0]))
+        levels.append(min(level, most_seen(tail.peaks_nm)) if at_most_seen else level)
+    return np.array(levels)
 
 
 def most_seen(peaks_nm: np.ndarray) -> float:
@@ -202,12 +246,21 @@ def most_seen(peaks_nm: np.ndarray) -> float:
     return float(np.sqrt(peaks_nm[0] * peaks_nm[1]))
 
 
-def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:
-    """Fit a region's tail; a region that the joint hardly enters uses the tail of both regions."""
-    try:
-        return fit_tail(nm[region], hours)
-    except TooFewPeaks:
-        return fit_tail(np.sort(np.concatenate(nm))[::-1], hours)
+def _tails(peaks: Peaks) -> list[list[Tail]]:
+    """Tails of each joint's regions."""
+    return [_joint_tails(nm, peaks.hours) for nm in peaks.nm]
+
+
+def _joint_tails(nm: Sequence[np.ndarray], hours: float) -> list[Tail]:
+    """Fit the tails of a joint's regions; one that the joint hardly enters uses the peaks of all."""
+
+    def of(region: int) -> Tail:
+        try:
+            return fit_tail(nm[region], hours)
+        except TooFewPeaks:
+            return fit_tail(np.concatenate(nm), hours)
+
+    return [of(region) for region in range(len(REGIONS))]
 
 
 def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:
@@ -302,7 +355,7 @@ def other_motion(
         rows: errors on free motion, of all recordings.
         joints: their names.
         promised: budget and hold time of the limits from all recordings.
-        level_confidence: confidence with which each limit keeps its share of the budget.
+        level_confidence: confidence of the limits.
         factor: factor on the limits.
         reserve_nm: reserve added to the limits at rest [N m], and for each rad/s, (joints,) each.
 
@@ -352,7 +405,7 @@ def _limits(
         at = others.recording == number
         healthy = np.ones(int(at.sum()), dtype=bool)
         collector.add(others.t_ns[at], others.error_nm[at] / scale[at], others.near_stiction[at], healthy)
-    found, _ = limits_of(collector.peaks(), promised.budget, level_confidence, at_most_seen=True)
+    found, _ = limits_of(collector.peaks(), promised.rates_per_hour, level_confidence, at_most_seen=True)
     own_scale = np.minimum(np.einsum("rjf,jf->rj", own.features, weights), scale.max(axis=0))
     return own_scale * np.where(own.near_stiction, found.near_stiction_nm, found.sliding_nm)
 

@@ -1,0 +1,164 @@
+"""Limits from an hour of calibration at the promise that it supports: false alarms in another hour, touches and hits.
+
+    python benchmarks/arm_promise.py MODELS OUT [--arms palletizer offset_wrist ...] [--seed 0]
+
+Arms of benchmarks/unseen at their work, without touches while they learn: twenty minutes of training (recipe prior), an
+hour for the limits, an hour of other motion, and half an hour with 150 touches. Hits are added to the free hour in
+every link and direction (`tauext evaluate --inject`). Existing recordings and bundles in OUT/ARM are used again, and
+OUT/promise.json keeps the results of each version of the code, so that two versions are compared on the same files: run
+the script in both checkouts. OUT/README.md gets the table of docs/results/promise.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from commission import commit
+from common import arguments, head, joined, table_row, trained, write_page
+from unseen.arms import makers
+from unseen.working import NAMES, Part, Working, current_arm, working
+
+from tauext.bundle.bundle_file import load_bundle
+from tauext.commission.connect import provenance_of, write_arm
+from tauext.config import AlarmConfig
+from tauext.data.dataset import Split, save_split
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.results import EvaluatedBundle
+from tauext.train.calibrate import no_freeze
+from tauext.train.promised_limits import apply_promised, promised_limits
+
+SETS = {"train": (2, 0, 0), "calib0": (6, 10, 0), "test": (6, 5000, 0), "hits": (3, 5100, 50)}
+"""Stretches of ten minutes, number of the first, touches in each."""
+WARM_S = 7200.0
+"""Of stretches that do not follow a cold start."""
+
+
+def main() -> None:
+    parser = arguments(__doc__, "models", "out")
+    parser.add_argument("--arms", nargs="+", default=["palletizer", "offset_wrist", "light_arm", "ur5", "panda"])
+    parser.add_argument("--seed", type=int, default=0, help="of arms, motion and touches")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    file, version = options.out / "promise.json", commit()
+    done = json.loads(file.read_text()) if file.exists() else {}
+    for name in options.arms:
+        folder = options.out / name
+        arm = (
+            working(name, options.seed)
+            if name in NAMES
+            else current_arm(makers(options.models)[name], options.seed, (0.0, 0.0), True)
+        )
+        made(arm, folder, options.seed)
+        done.setdefault(name, {})[version] = judged(folder)
+        file.write_text(json.dumps(done, indent=1) + "\n")
+        print(name, done[name][version], flush=True)
+    words = f"python benchmarks/arm_promise.py MODELS OUT --arms {' '.join(done)}"
+    write_page(options.out / "README.md", markdown(done, words))
+
+
+def made(arm: Working, folder: Path, seed: int) -> None:
+    """Recordings and bundle of an arm, as far as they do not exist."""
+    folder.mkdir(exist_ok=True)
+    robot = arm.robot
+    if arm.robot_text:
+        robot = folder / "in.xml"
+        robot.write_text(arm.robot_text)
+    write_arm(arm.facts, robot, folder)
+    for label, (count, first, touches) in SETS.items():
+        for k in range(count):
+            path = folder / f"{label}-{first + k}.parquet"
+            if path.exists():
+                continue
+            learns = label in ("train", "calib0")
+            warm_s = 600.0 * (k + 2 * (label == "calib0")) if learns else WARM_S
+            stretch = arm.stretch(seed if learns else seed + 1, first + k, Part("bare", 6.0), warm_s, touches)
+            save_recording(replace(stretch, name=path.stem, provenance=provenance_of(arm.facts)), path)
+    save_split(Split(tuple(one.name for one in sorted(folder.glob("train-*.parquet"))), (), ()), folder)
+    trained(folder, folder / "bundle.tauext")
+
+
+def judged(folder: Path) -> dict:
+    """What limits by this version do."""
+    path = folder / "bundle.tauext"
+    bundle, alarm = load_bundle(path), AlarmConfig()
+
+    def of(label: str) -> list[Callable[[], Recording]]:
+        return [lambda path=path: load_recording(path) for path in sorted(folder.glob(f"{label}-*.parquet"))]
+
+    with no_freeze(bundle):
+        promised = promised_limits(
+            bundle, lambda: (replace(load(), contact=None, tau_ext=None) for load in of("calib0")), alarm, 2
+        )
+    apply_promised(bundle, promised, alarm)
+    kept = folder / "estimates"
+    bundles = {"trained": load_bundle(path), "promised": bundle}  # the first one sets the sizes of the hits
+    results = evaluate(bundles, of("test"), of("hits"), kept, 0, 2, keep_free_estimates=0, inject=True)
+    shutil.rmtree(kept, ignore_errors=True)
+    one = results.bundles[1]
+    assert one.latched is not None
+    return {
+        "promised_per_hour": promised.budget.rate_per_hour,
+        "false": one.free_motion.false_collisions,
+        "hours": one.free_motion.hours,
+        "detected": one.latched.latched,
+        "touches": one.latched.collisions,
+        "hits": share_of_hits(one),
+        "largest_seen": [tail["largest_nm"] for tail in promised.tails.values()][::2],
+        "limits": list(bundle.sliding_limit_nm),
+        "hold_s": bundle.hold_s,
+    }
+
+
+def share_of_hits(one: EvaluatedBundle) -> float:
+    """Share of the added hits that raise an alarm, with equal weight for each link."""
+    assert one.injected is not None
+    places = sorted({curve.place for curve in one.injected.curves})
+    shares = []
+    for place in places:
+        curves = [curve for curve in one.injected.curves if curve.place == place]
+        shares.append(sum(curve.latched for curve in curves) / sum(curve.events for curve in curves))
+    return float(np.mean(shares))
+
+
+INTRO = """\
+Arms of the [trial on unseen arms](../unseen-arms/README.md) with their motor currents and wrong URDFs: twenty minutes
+of training, an hour for the limits, false alarms in another hour, 150 touches in half an hour, hits added to the free
+hour with equal weight for each link. Nothing touches the arms while they learn. An hour supports one false alarm in 20
+minutes. Two versions are compared on the same recordings and the same trained prior: *equal shares*, where each joint
+and region has a share of the budget and 95 % confidence of its own, and *together*, the present
+[limits](../../method/training.md#limits-from-a-false-alarm-budget).""".splitlines()
+
+
+def markdown(done: dict, words: str) -> list[str]:
+    lines = [
+        "# Limits chosen together",
+        "",
+        f"Written by `{words}`, in the checkouts of both versions.",
+        "",
+        *INTRO,
+        "",
+    ]
+    lines += head(
+        "arm | commit | false alarms | in [h] | promised in them | touches | hits | limits for sliding [N m] "
+        "| largest error there"
+    )
+    for name, versions in done.items():
+        for version, one in versions.items():
+            promised = one["promised_per_hour"] * one["hours"]
+            lines.append(table_row(
+                name, version, one["false"], f"{one['hours']:.2f}", f"{promised:.1f}",
+                f"{one['detected']} of {one['touches']}", f"{one['hits']:.1%}", joined(one["limits"], ".2g"),
+                joined(one["largest_seen"], ".2g"),
+            ))  # fmt: skip
+    return lines
+
+
+if __name__ == "__main__":
+    main()

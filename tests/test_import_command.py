@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 from made_arms import PLANAR_RIG, planar_rig, random_states, six_axis, urdf
 from made_recordings import JOINT_STATES, joint_rows, motion, write_bag
+from test_capsules import stl, tube
 
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.data.dataset import load_split
 from tauext.data.description import parse_arm
@@ -214,14 +217,48 @@ def test_shapes_stay_with_the_dataset_and_missing_meshes_are_said(workplace, cap
     first, second, rest = arm.read_text().split("</link>")
     arm.write_text(first + shapes + second + mesh + rest)
     code, out, _ = run(capsys, workplace)
-    assert (
-        code == 0 and "there is no mesh file meshes/none.stl; places of touches there follow from guessed shapes" in out
+    assert code == 0 and (
+        "there is no mesh file meshes/none.stl; give their folder with --meshes FOLDER (import, train); "
+        "places of touches there follow from guessed shapes" in out
     )
     kept = json.loads((workplace / "out/robot.shapes.json").read_text())
     ((_, (capsule,)),) = kept["bodies"].items()
     assert capsule["radius_m"] == 0.05 and len(kept["notes"]) == 1
     capsules, notes = link_capsules(workplace / "out/robot.urdf", load_tree(workplace / "out/robot.urdf"))
     assert len(capsules) == 1 and notes == kept["notes"]
+
+
+def test_meshes_given_at_import_or_at_training_give_the_links_their_shapes(workplace, capsys):
+    """The remedy that the message names, by both commands, and a wrong folder, which both refuse before their work."""
+    mesh = '<collision><geometry><mesh filename="package://cell_arm/meshes/tube.stl"/></geometry></collision></link>'
+    (workplace / "arm.urdf").write_text((workplace / "arm.urdf").read_text().replace("</link>", mesh))
+    right, wrong = workplace / "elsewhere", workplace / "empty"
+    (right / "cell_arm/meshes").mkdir(parents=True)
+    (right / "cell_arm/meshes/tube.stl").write_bytes(stl(tube(0.05, 0.4)))
+    wrong.mkdir()
+    code, _, err = run(capsys, workplace, extra=("--meshes", str(wrong)))
+    assert code == 2 and f"--meshes {wrong}: none of the 1 meshes of arm.urdf is there" in err
+    code, out, _ = run(capsys, workplace)
+    assert code == 0 and "or that of package cell_arm, with --meshes FOLDER (import, train)" in out
+    train = ["train", "--data", str(workplace / "out"), "--recipe", "observer", "--accept", "robot-file-other"]
+
+    def capsules(*words: str) -> int:
+        assert main([*train, "--out", str(workplace / "arm.tauext"), *words]) == 0
+        return len(load_bundle(workplace / "arm.tauext").capsules)
+
+    assert main([*train, "--out", str(workplace / "arm.tauext"), "--meshes", str(wrong)]) == 2
+    assert capsules() == 0
+    assert "the shape of 2 of 2 links is guessed: shapes of " in capsys.readouterr().err
+    assert capsules("--meshes", f"cell_arm={right / 'cell_arm'}") == 2
+    assert "guessed" not in capsys.readouterr().err
+    shutil.rmtree(workplace / "out")
+    code, out, _ = run(capsys, workplace, extra=("--meshes", str(right)))
+    assert code == 0 and "guessed" not in out and capsules() == 2
+    shutil.rmtree(workplace / "out")
+    (workplace / "arm.toml").write_text(ARM.replace('model = "arm.urdf"\n', "").format(rest="", robot=""))
+    words = ["--source", str(workplace / "one.bag"), "--arm", str(workplace / "arm.toml"), "--meshes", str(right)]
+    assert main(["import", *words, "--out", str(workplace / "out")]) == 2
+    assert "names no robot file (model), so no mesh is read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["urdf", "mjcf"])

@@ -49,6 +49,8 @@ LocalArg = Annotated[Path, LOCAL]
 """A path on this machine; no URL."""
 
 
+MeshesArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FOLDER|PACKAGE=FOLDER ...")]
+"""Folders of the meshes that a URDF names."""
 AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]
 """Codes of findings that are accepted."""
 JsonArg = Annotated[bool, tyro.conf.arg(name="json")]

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tauext.cli.place_argument import JsonArg, PlaceArg, print_replaced
+from tauext.cli.place_argument import JsonArg, MeshesArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal, aligned
 from tauext.config import require, require_seed
 from tauext.errors import ConfigError
@@ -32,6 +32,7 @@ def import_data(
     out: PlaceArg | None = None,
     new: Path | None = None,
     robot: PlaceArg | None = None,
+    meshes: MeshesArg = (),
     format: Literal["tauext", "lerobot"] = "tauext",
 ) -> None:
     """Convert recordings of a real arm to rad, rad/s and Nm, and write a dataset folder for `tauext train`.
@@ -49,12 +50,15 @@ def import_data(
         new: write a commented description to this file instead of importing, with the names found in the source and
             the robot file.
         robot: URDF or MJCF of the arm, for the description that --new writes.
+        meshes: folders of the meshes that the URDF names: a package's, or one that holds packages. They are searched
+            before the folders near the URDF, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, example_robot_data and
+            robot_descriptions.
         format: output format. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3 dataset, an episode a
             recording.
     """
     if new is not None:
-        if arm is not None or out is not None:
-            raise ConfigError("--new writes a description and imports nothing: omit --arm and --out")
+        if arm is not None or out is not None or meshes:
+            raise ConfigError("--new writes a description and imports nothing: omit --arm, --out and --meshes")
         write_template(new, tuple(map(local_folder, source)), local_robot(robot) if robot is not None else None)
         return
     if robot is not None:
@@ -64,11 +68,12 @@ def import_data(
             raise ConfigError(f"{name} is missing; `tauext import --new arm.toml --source FILE` writes a description")
     assert arm is not None and out is not None
     from tauext.data.importing import import_dataset
+    from tauext.robot.mesh_files import mesh_folders
 
     if is_stored(out) and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
     with staged(out, fresh=True) as folder:
-        import_dataset([local_folder(one) for one in source], arm, folder, format, print)
+        import_dataset([local_folder(one) for one in source], arm, folder, format, print, mesh_folders(meshes))
         if format == "tauext":
             print_joints_and_findings(folder)
     print(out)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, PlaceArg, expect_another, print_replaced
+from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, MeshesArg, PlaceArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
@@ -83,6 +83,7 @@ def train(
     config: PlaceArg | None = None,
     case: CaseName | None = None,
     robot: PlaceArg | None = None,
+    meshes: MeshesArg = (),
     like: PlaceArg | None = None,
     network: PlaceArg | None = None,
     accept: AcceptArg = (),
@@ -104,6 +105,7 @@ def train(
         case: estimated model: the robot file as it is (exact), with halved mass or centre of mass (mass, com,
             mass+com), or no model (none). Default: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
+        meshes: folders of the meshes that the URDF names, as in `tauext import`, for shapes that the dataset lacks.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`); one minute of this arm's motion
             is then enough. None: no fleet prior.
         network: FILE.npz with the weights of a network that was trained in PyTorch (recipe paper); nothing is trained.
@@ -113,6 +115,7 @@ def train(
     """
     from tauext.data.dataset import load_dataset
     from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.robot.mesh_files import mesh_folders
     from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":
@@ -120,7 +123,18 @@ def train(
     settings = train_settings(config, options)
     known = None if like is None else load_fleet_prior(like)
     print_replaced(out)
-    train_bundle(load_dataset(data), out, case, robot, settings, Terminal(), accept, like=known, network=network)
+    train_bundle(
+        load_dataset(data),
+        out,
+        case,
+        robot,
+        settings,
+        Terminal(),
+        accept,
+        like=known,
+        network=network,
+        meshes=mesh_folders(meshes),
+    )
     print(out)
 
 

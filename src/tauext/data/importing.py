@@ -28,6 +28,7 @@ from tauext.files.preflight import expect_folder
 from tauext.files.provenance import provenance, write_json
 from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, movable_joints, robot_sha256
+from tauext.robot.mesh_files import MeshFolders, expect_meshes
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
 # --- Sets of the stretches of a raw recording: listed in the description, or by a reported rule.
@@ -354,7 +355,14 @@ def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
 Say = Callable[[str], object]
 
 
-def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: str, say: Say) -> None:
+def import_dataset(
+    paths: Sequence[Path],
+    arm_file: Place,
+    out: Path,
+    format: str,
+    say: Say,
+    meshes: MeshFolders = MeshFolders(),  # noqa: B008
+) -> None:
     """Import all sources into a folder, written atomically.
 
     Args:
@@ -363,9 +371,10 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         out: folder to write, which must be empty or missing.
         format: tauext or lerobot.
         say: called with a line for each change of the numbers.
+        meshes: folders of the robot file's meshes, which are searched first.
 
     Raises:
-        ConfigError: the description or the folder cannot be used.
+        ConfigError: the description or a folder cannot be used.
         RecordingError: a source is damaged or of an unsupported format.
         RobotError: the robot file cannot be used.
     """
@@ -378,8 +387,11 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     for name in not_imported(arm, sources):
         say(f"contacts of {name} are not used: it is not among the sources")
     movable: list[str] = []
+    if arm.model is None and meshes:
+        raise ConfigError(f"--meshes: {arm.path} names no robot file (model), so no mesh is read; leave --meshes out")
     if arm.model is not None:
         movable = movable_joints(arm.model)
+        expect_meshes(arm.model, meshes)
         load_tree(arm.model, joints=arm.robot.joints)  # fails before a long import
     left_out: dict[str, None] = {}
     for source in {source.path: source for source in reversed(sources)}.values():
@@ -394,7 +406,7 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
             say(f"{export_lerobot(recordings, part)} episodes")
         else:
-            robot = _robot_file(arm, part, say)
+            robot = _robot_file(arm, part, say, meshes)
             for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _reported(one, say)).notes:
                 say(line)
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
@@ -402,7 +414,7 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
 
 
-def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
+def _robot_file(arm: Arm, out: Path, say: Say, meshes: MeshFolders) -> Path:
     """Write and report the dataset's robot file: the arm's with the description's additions, or a placeholder."""
     if arm.model is None:
         say("robot: no model; robot.urdf is a placeholder without masses, and train uses the case none")
@@ -414,7 +426,9 @@ def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
     path = write_robot(arm.model, out, rotors, payload, arm.robot.gravity_m_s2 or None)
     tree = load_tree(path, joints=arm.robot.joints)
     say(f"robot: {arm.model.name} with {tree.size} joints: {', '.join(arm.robot.joints)}")
-    shapes = write_shapes(arm.model, out)
+    shapes = write_shapes(arm.model, out, meshes)
+    for package, folder in shapes.packages.items():
+        say(f"  meshes of {package} from {folder}")
     for line in shapes.notes:
         say(f"  {line}; places of touches there follow from guessed shapes")
     if payload:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,6 +19,7 @@ from tauext.files.places import SHAPES_FILE
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.load import compiled, placed_bodies
+from tauext.robot.mesh_files import MeshFinder, MeshFolders, MissingMeshError
 from tauext.robot.write import PAYLOAD
 from tauext.robot.xml_file import XmlFile, read_xml
 
@@ -105,18 +106,45 @@ def mesh(vertices: np.ndarray, faces: np.ndarray) -> Shape:
 # --- Shapes of a URDF's links; MuJoCo reads the meshes.
 
 
-READ_FORMATS = (".stl", ".obj", ".msh")
-PACKAGE = "package://"
+@dataclass(frozen=True)
+class LostShapes:
+    """Shapes of a URDF that could not be read."""
+
+    links: dict[str, list[str]]
+    """Links by the reason."""
+    packages: list[str]
+    """Packages of missing meshes; "": a mesh that is no package's."""
+
+    def only(self, links: Collection[str]) -> LostShapes:
+        """Those of these links."""
+        kept = {why: [one for one in some if one in links] for why, some in self.links.items()}
+        return replace(self, links={why: some for why, some in kept.items() if some})
+
+    def names(self) -> list[str]:
+        """The links, each once."""
+        return list(dict.fromkeys(link for links in self.links.values() for link in links))
+
+    def sentences(self) -> list[str]:
+        """One sentence with the remedy, or none."""
+        if not self.links:
+            return []
+        first = next(iter(self.links))
+        more = f" and {len(self.links) - 1} more" if len(self.links) > 1 else ""
+        remedy = ""
+        if self.packages:
+            package = next(filter(None, self.packages), "")
+            of_package = f", or that of package {package}," if package else ""
+            remedy = f"; give their folder{of_package} with --meshes FOLDER (import, train)"
+        return [f"shapes of {', '.join(self.names())} could not be read: {first}{more}{remedy}"]
 
 
-def urdf_shapes(file: XmlFile, bodies: list[str]) -> tuple[list[tuple[int, Shape]], list[str]]:
-    """Body index and shape in the body's axes, and sentences about shapes that could not be read.
+def urdf_shapes(file: XmlFile, bodies: list[str], meshes: MeshFinder) -> tuple[list[tuple[int, Shape]], LostShapes]:
+    """Body index and shape in the body's axes, and the shapes that could not be read.
 
-    A link's collision elements are used, else its visual ones. `package://` is resolved in the file's folder and its
-    parents.
+    A link's collision elements are used, else its visual ones.
     """
     numbers, found = {name: number for number, name in enumerate(bodies)}, []
-    lost: dict[str, list[str]] = {}
+    lost = LostShapes({}, [])
     for link in file.root.findall("link"):
         body = numbers.get(link.get("name", ""), -1)
         for element in link.findall("collision") or link.findall("visual") if body >= 0 else ():
@@ -124,20 +152,17 @@ def urdf_shapes(file: XmlFile, bodies: list[str]) -> tuple[list[tuple[int, Shape
             if geometry is None or not len(geometry):
                 continue
             try:
-                shape = _shape(geometry[0], file.path)
+                shape = _shape(geometry[0], meshes)
                 if shape is not None:
                     found.append((body, shape.moved(*_origin(element.find("origin")))))
             except (OSError, ValueError) as error:
-                lost.setdefault(" ".join(str(error).split()), []).append(link.get("name", ""))
-    if not lost:
-        return found, []
-    first = next(iter(lost))
-    more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
-    links = dict.fromkeys(link for links in lost.values() for link in links)
-    return found, [f"shapes of {', '.join(links)} could not be read: {first}{more}"]
+                lost.links.setdefault(" ".join(str(error).split()), []).append(link.get("name", ""))
+                if isinstance(error, MissingMeshError):
+                    lost.packages.append(error.package)
+    return found, lost
 
 
-def _shape(geometry: ElementTree.Element, path: Path) -> Shape | None:
+def _shape(geometry: ElementTree.Element, meshes: MeshFinder) -> Shape | None:
     match geometry.tag:
         case "sphere":
             return Shape(_numbers(geometry, "radius", 1)[0], np.zeros(3), np.zeros(3))
@@ -150,7 +175,7 @@ def _shape(geometry: ElementTree.Element, path: Path) -> Shape | None:
             return box(_numbers(geometry, "size", 3) / 2)
         case "mesh":
             scale = _numbers(geometry, "scale", 3) if geometry.get("scale") else np.ones(3)
-            return _mesh(_found(geometry.get("filename", ""), path), scale)
+            return _mesh(meshes.find(geometry.get("filename", "")), scale)
         case _:
             return None
 
@@ -174,21 +199,6 @@ def _origin(origin: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray]
         [-sp, cp * sr, cp * cr],
     ]
     return np.array(turn), place
-
-
-def _found(name: str, path: Path) -> Path:
-    """Find the mesh file that a URDF names."""
-    if Path(name).suffix.lower() not in READ_FORMATS:
-        raise ValueError(f"{name}: meshes are read from {', '.join(READ_FORMATS)}")
-    local = name.removeprefix("file://").removeprefix(PACKAGE)
-    inside = "/".join(local.split("/")[1:]) if name.startswith(PACKAGE) else local
-    for folder in (path.parent, *path.parent.resolve().parents):
-        for candidate in (folder / local, folder / inside):
-            if candidate.is_file():
-                return candidate
-        if not name.startswith(PACKAGE):
-            break
-    raise ValueError(f"there is no mesh file {name}")
 
 
 def _mesh(file: Path, scale: np.ndarray) -> Shape:
@@ -295,6 +305,7 @@ MOST_A_LINK = 8
 """Largest number of capsules: more would slow the ranking without improving it, so the largest are kept."""
 
 
+NO_FOLDERS = MeshFolders()
 Ends = tuple[list[float], list[float], float]
 """Both ends of a capsule and its radius, [m]."""
 
@@ -305,41 +316,61 @@ class BodyCapsules:
     """Capsules by name of body or link, in its axes."""
     notes: list[str]
     """Shapes that could not be read, one sentence each."""
+    lost: list[str] = field(default_factory=list)
+    """Links of a URDF with a shape that could not be read."""
+    packages: dict[str, Path] = field(default_factory=dict)
+    """Packages whose meshes are from installed robot descriptions, and their folders."""
 
 
-def body_capsules(path: str | os.PathLike[str]) -> BodyCapsules:
+def body_capsules(path: str | os.PathLike[str], given: MeshFolders = NO_FOLDERS) -> BodyCapsules:
     """The shapes of a robot file's links: each body's collision geometry, else its visual one.
 
     Cylinders become capsules of the same length; spheres and capsules stay unchanged. Boxes, ellipsoids and meshes
     become one to four capsules, fitted by least squares to the surface. Missing mesh files are listed.
 
+    Args:
+        given: folders of a URDF's meshes, which are searched first.
+
     Raises:
         RobotError: the file cannot be read.
     """
-    path = Path(path)
-    model = compiled(path)
-    placed, notes = _placed(path, model)
+    return _body_capsules(Path(path), given)[0]
+
+
+def _body_capsules(path: Path, given: MeshFolders) -> tuple[BodyCapsules, LostShapes]:
+    model, file, meshes = compiled(path), read_xml(path), MeshFinder(path, given)
+    placed: Iterable[tuple[int, Shape]]
+    lost = LostShapes({}, [])
+    if file.root.tag == "robot":
+        placed, lost = urdf_shapes(file, [model.body(body).name for body in range(model.nbody)], meshes)
+        notes = lost.sentences()
+    else:
+        placed = mjcf_shapes(model)
+        listed = sum(len(body.findall("geom")) for body in file.root.iter("body"))
+        left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
+        notes = [left] if model.ngeom < listed else []
     bodies: dict[str, list[Ends]] = {}
     for body, shape in placed:
         name = model.body(body).name
         if name and name != PAYLOAD:
             ends = [(start.tolist(), end.tolist(), float(radius)) for start, end, radius in as_capsules(shape)]
             bodies.setdefault(name, []).extend(ends)
-    return BodyCapsules(bodies, notes)
+    return BodyCapsules(bodies, notes, lost.names(), meshes.elsewhere), lost
 
 
-def write_shapes(source: Path, folder: Path) -> BodyCapsules:
+def write_shapes(source: Path, folder: Path, given: MeshFolders = NO_FOLDERS) -> BodyCapsules:
     """Write the shapes of a robot file beside the dataset's copy of it, and return them.
 
     Raises:
         RobotError: the file cannot be read.
     """
-    shapes = body_capsules(source)
+    shapes = body_capsules(source, given)
     listed = {
         name: [{"start_m": start, "end_m": end, "radius_m": radius} for start, end, radius in ends]
         for name, ends in shapes.bodies.items()
     }
-    write_json({"format": FORMAT, "bodies": listed, "notes": shapes.notes}, folder / SHAPES_FILE)
+    content = {"format": FORMAT, "bodies": listed, "notes": shapes.notes, "lost": shapes.lost}
+    write_json(content, folder / SHAPES_FILE)
     return shapes
 
 
@@ -358,26 +389,49 @@ def read_shapes(path: Path) -> BodyCapsules:
             ]
             for name, ends in kept["bodies"].items()
         }
-        return BodyCapsules(bodies, [str(note) for note in kept["notes"]])
+        notes, lost = ([str(one) for one in kept.get(key, [])] for key in ("notes", "lost"))
+        return BodyCapsules(bodies, notes, lost)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RobotError(
             f"{path}: not a file of shapes ({type(error).__name__}: {error}); import the data again"
         ) from error
 
 
-def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsule], list[str]]:
+def shapes_of(path: Path, given: MeshFolders = NO_FOLDERS) -> BodyCapsules:
+    """The shapes that write_shapes() wrote beside a robot file, else those of the file.
+
+    What could not be read for that file is tried again: its meshes may be in the given folders, or installed since.
+
+    Raises:
+        RobotError: a file cannot be read.
+    """
+    beside = path.with_name(SHAPES_FILE)
+    if not beside.is_file():
+        return body_capsules(path, given)
+    kept = read_shapes(beside)
+    if not (kept.notes or given) or read_xml(path).root.tag != "robot":
+        return kept
+    fresh, lost = _body_capsules(path, given)
+    read = {name: ends for name, ends in fresh.bodies.items() if name not in fresh.lost}
+    left = lost.only([name for name in fresh.lost if name not in kept.bodies or name in kept.lost])
+    return BodyCapsules(kept.bodies | read, left.sentences(), left.names(), fresh.packages)
+
+
+def link_capsules(
+    path: str | os.PathLike[str], tree: Tree, given: MeshFolders = NO_FOLDERS
+) -> tuple[list[Capsule], list[str]]:
     """Capsules of the moving links, in the core's link frames, and sentences about shapes that could not be read.
 
     Args:
         path: URDF or MJCF of the tree; shapes beside it from write_shapes() take precedence.
         tree: defines which joints are in use.
+        given: folders of a URDF's meshes, which are searched first.
 
     Raises:
         RobotError: a file cannot be read.
     """
     path = Path(path)
-    kept = path.with_name(SHAPES_FILE)
-    shapes = read_shapes(kept) if kept.is_file() else body_capsules(path)
+    shapes = shapes_of(path, given)
     found: dict[int, list[Capsule]] = {}
     for body in placed_bodies(path, tree)[2]:
         for start, end, radius in shapes.bodies.get(body.name, []):
@@ -388,14 +442,6 @@ def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsul
         largest = sorted(found[link], key=area_m2, reverse=True)[:MOST_A_LINK]
         capsules += [one for one in found[link] if one in largest]
     return capsules, shapes.notes
-
-
-def _placed(path: Path, model: mujoco.MjModel) -> tuple[Sequence[tuple[int, Shape]], list[str]]:
-    if (file := read_xml(path)).root.tag == "robot":
-        return urdf_shapes(file, [model.body(body).name for body in range(model.nbody)])
-    listed = sum(len(body.findall("geom")) for body in file.root.iter("body"))
-    left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
-    return list(mjcf_shapes(model)), [left] if model.ngeom < listed else []
 
 
 def area_m2(capsule: Capsule) -> float:

@@ -37,6 +37,7 @@ from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, w
 from tauext.fit.training_set import Setup, signal_bounds
 from tauext.progress import Reporter, WallTimes
 from tauext.recipes import Recipe
+from tauext.robot.mesh_files import MeshFolders
 from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.error_scale import at_rest_sentence
@@ -420,6 +421,8 @@ class Given:
     """Estimated model; None: the robot file's, changed according to the case."""
     network: NetworkWeights | None = None
     """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
+    meshes: MeshFolders = MeshFolders()
+    """Folders of the robot file's meshes, which are searched first."""
 
     def __post_init__(self) -> None:
         if self.network is not None and self.training:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
@@ -21,6 +20,7 @@ from tauext.fit.network_weights import NetworkWeights, load_network
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
+from tauext.robot.mesh_files import MeshFolders, expect_meshes
 from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import (
     expect_like,
@@ -125,6 +125,7 @@ def train_bundle(
     check: bool = True,
     like: FleetPrior | None = None,
     network: Place | str | None = None,
+    meshes: MeshFolders = MeshFolders(),  # noqa: B008
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
@@ -142,6 +143,7 @@ def train_bundle(
         like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
         network: FILE.npz of a network that was trained elsewhere, for recipe paper (see
             tauext.fit.network_weights.load_network); None: the recipe trains its own, if it has one.
+        meshes: folders of the robot file's meshes (tauext.robot.mesh_files.mesh_folders), which are searched first.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.
@@ -157,6 +159,7 @@ def train_bundle(
     own = None if network is None else load_network(place_of(network))
     config = accepted_settings(config, dataset.split.calibration, like, own)
     robot_file = dataset.robot_file(robot)
+    expect_meshes(robot_file, meshes)
     case, note = chosen_case(case, robot_file)
     if note:
         report.say(note)
@@ -164,7 +167,7 @@ def train_bundle(
     with times.phase("read"):
         training, validation = dataset.training(), dataset.recordings("validation")
     calibration = dataset.stretches("calibration")
-    given = Given(robot_file, PAPER_CASES[case], training, validation, calibration, network=own)
+    given = Given(robot_file, PAPER_CASES[case], training, validation, calibration, network=own, meshes=meshes)
     checked = None
     if check:
         with times.phase("check"):
@@ -233,11 +236,11 @@ def train_on_recordings(
         if config.row.gated:
             bundle, fit = gate(job, bundle, setup, fit)
     with times.phase("calibrate"):
-        complete(job, bundle, given.robot, setup, fit)
+        complete(job, bundle, given, setup, fit)
     write(job, bundle, network)
 
 
-def complete(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
+def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit | None) -> None:
     """Complete a fitted bundle: limits, drift, load and forces; each step depends on those before.
 
     Args:
@@ -245,8 +248,8 @@ def complete(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
     """
     put_prior(job, bundle, fit)  # region and drift: the errors from which limits follow depend on both
     put_coverage(job, bundle, setup)
-    put_load(job, bundle, robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
-    put_wrench(job, bundle, robot)  # settings and facts of forces, to which put_limits adds
+    put_load(job, bundle, given.robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
+    put_wrench(job, bundle, given.robot, given.meshes)  # settings and facts of forces, to which put_limits adds
     note_recordings(job)
     job.say("finding the limits")
     put_limits(job, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content

@@ -15,6 +15,7 @@ from tauext.errors import RobotError
 from tauext.files.copies import at_home
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
+from tauext.robot.mesh_files import MeshFolders
 from tauext.train.calibrate import remove_checkpoint
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
@@ -63,7 +64,7 @@ LEAST_SHARE = 0.01
 """Smallest error of a constant, since constants change with the magnets' temperature."""
 
 
-def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
+def put_wrench(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:
     """Add the robot file's frames for forces, and the errors of the torque constants.
 
     Fitted constants have individual standard errors and a common one. Known constants, and torques recorded in N m, may
@@ -81,16 +82,16 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
     if any(link.mass > 0 for link in bundle.links):
         try:
             settings.frames = wrench_frames(robot, job.tree)
-            put_shapes(job, bundle, robot)
+            put_shapes(job, bundle, robot, meshes)
         except RobotError as error:
             job.notes.append(f"forces are available at links only: {error}")
     bundle.wrench_settings = settings
     job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
 
 
-def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
+def put_shapes(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:
     """Add capsules of the robot file's links to the bundle; links without a shape get estimated capsules on use."""
-    bundle.capsules, notes = link_capsules(robot, job.tree)
+    bundle.capsules, notes = link_capsules(robot, job.tree, meshes)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
     job.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}

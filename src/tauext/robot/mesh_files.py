@@ -1,0 +1,287 @@
+"""Find the mesh files that a URDF names: in given folders, near the robot file, in installed robot descriptions."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import posixpath
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tauext.errors import ConfigError
+from tauext.robot.xml_file import read_xml
+
+READ_FORMATS = (".stl", ".obj", ".msh")
+"""Formats that MuJoCo reads."""
+PACKAGE = "package://"
+DEPTH = 3
+"""Levels of folders below a source of packages that are searched for one; ROS workspaces have packages in two."""
+MOST_FOLDERS = 2000
+"""Most folders listed for one package below one source."""
+MOST_PACKAGES = 20
+"""Packages of one robot file that are searched for. With MOST_MISSING it bounds the time for an absurd file."""
+MOST_MISSING = 500
+"""Missing files of one robot file after which no further one is searched for."""
+
+
+# --- Folders that the user gives.
+
+
+@dataclass(frozen=True)
+class MeshFolders:
+    """Folders given with --meshes."""
+
+    anywhere: tuple[Path, ...] = ()
+    """A package, its meshes, or what holds packages."""
+    of_package: dict[str, tuple[Path, ...]] = field(default_factory=dict)
+    """Folders of packages, by name."""
+
+    def __bool__(self) -> bool:
+        return bool(self.anywhere or self.of_package)
+
+    def __str__(self) -> str:
+        named = [f"{package}={folder}" for package, folders in self.of_package.items() for folder in folders]
+        return " ".join([*map(str, self.anywhere), *named])
+
+    def of(self, package: str) -> tuple[Path, ...]:
+        """The folders to search for files of this package; those of its name first."""
+        return (*self.of_package.get(package, ()), *self.anywhere)
+
+
+def mesh_folders(words: Sequence[str]) -> MeshFolders:
+    """Parse FOLDER and PACKAGE=FOLDER.
+
+    Raises:
+        ConfigError: there is no such folder.
+    """
+    anywhere: list[Path] = []
+    of_package: dict[str, tuple[Path, ...]] = {}
+    for word in words:
+        package, equals, folder = word.partition("=")
+        if not equals or Path(word).is_dir():
+            package, folder = "", word
+        if not folder or not Path(folder).expanduser().is_dir():
+            raise ConfigError(f"--meshes {word}: there is no folder {folder!r}; give FOLDER or PACKAGE=FOLDER")
+        path = Path(folder).expanduser().resolve()
+        if package:
+            of_package[package] = (*of_package.get(package, ()), path)
+        else:
+            anywhere.append(path)
+    return MeshFolders(tuple(anywhere), of_package)
+
+
+def expect_meshes(robot: Path, given: MeshFolders) -> None:
+    """Refuse given folders that hold none of the meshes of a robot file, unless all of them are found without.
+
+    Raises:
+        ConfigError: names the folders, one of the meshes, and where it was searched for.
+    """
+    if not given:
+        return
+    root = read_xml(robot).root
+    if root.tag != "robot":
+        raise ConfigError(
+            f"--meshes: {robot} is an MJCF, which names the folder of its meshes itself (meshdir); put them there"
+        )
+    names = list(dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh")))
+    if not names:
+        raise ConfigError(f"--meshes: {robot} names no mesh; leave --meshes out")
+    finder, missing = MeshFinder(robot, given), ""
+    for name in names:
+        try:
+            finder.find(name)
+        except (OSError, ValueError):
+            missing = missing or name
+        if finder.uses_given:
+            return
+    if missing:
+        package, inside = _split(missing)
+        tried = ", ".join(map(str, dict.fromkeys(finder.in_given(package, _readable(inside)[0]))))
+        raise ConfigError(
+            f"--meshes {given}: none of the {len(names)} meshes of {robot.name} is there; {missing} "
+            + (f"was searched for as {tried}" if tried else f"is of package {package}")
+            + (f"; give the folder of package {package}, or one that holds it" if package else "; give its folder")
+        )
+
+
+# --- The search.
+
+
+class MissingMeshError(ValueError):
+    """A mesh file that is not found."""
+
+    def __init__(self, text: str, package: str) -> None:
+        super().__init__(text)
+        self.package = package
+
+
+class MeshFinder:
+    """Finds the meshes of one robot file; what is in given folders comes first, then what is near the robot file."""
+
+    def __init__(self, robot: Path, given: MeshFolders = MeshFolders()) -> None:
+        own = robot.parent.resolve()
+        self._near = list(dict.fromkeys((robot.parent, own, *own.parents)))
+        self._given = given
+        self._packages: dict[str, tuple[list[Path], list[Path]]] = {}
+        self._in_given: dict[str, list[Path]] = {}
+        self._missing = 0
+        self.uses_given = False
+        """Whether a mesh was found in a given folder."""
+        self.elsewhere: dict[str, Path] = {}
+        """Packages that were found in installed descriptions, and their folders."""
+
+    def find(self, name: str) -> Path:
+        """Find a mesh file. For a format that cannot be read, a readable file of the same stem beside it or in
+        ../collision is returned.
+
+        Args:
+            name: as the URDF names it.
+
+        Raises:
+            MissingMeshError: there is no such file.
+            ValueError: there is one, of a format that cannot be read.
+        """
+        package, inside = _split(name)
+        if self._missing < MOST_MISSING and inside:
+            for readable in _readable(inside):
+                if found := self._found(package, readable):
+                    return found
+            if Path(inside).suffix.lower() not in READ_FORMATS and self._found(package, inside):
+                stem = Path(inside).stem
+                raise ValueError(
+                    f"{name}: meshes are read from {', '.join(READ_FORMATS)}; put {stem}.stl or {stem}.obj beside it "
+                    "or in ../collision"
+                )
+        self._missing += 1
+        raise MissingMeshError(f"there is no mesh file {name}", package)
+
+    def _found(self, package: str, inside: str) -> Path | None:
+        for file in self.in_given(package, inside):
+            if file.is_file():
+                self.uses_given = True
+                return file
+        if not package:
+            file = self._near[0] / inside
+            return file if file.is_file() else None
+        near, installed = self._folders_of(package)
+        for folder in (*near, *self._near):
+            if (file := folder / inside).is_file():
+                return file
+        for folder in installed:
+            if (file := folder / inside).is_file():
+                self.elsewhere[package] = folder
+                return file
+        return None
+
+    def in_given(self, package: str, inside: str) -> Iterator[Path]:
+        """Paths in the given folders at which a file may be: in the package, or by the end of its path."""
+        if not self._given:
+            return
+        if package not in self._in_given and len(self._in_given) < MOST_PACKAGES:
+            found = [one for folder in self._given.of(package) for one in packages_below(folder, package) if package]
+            self._in_given[package] = found
+        parts = [part for part in Path(inside).parts if part not in ("..", os.sep)]
+        for folder in self._given.of(package):
+            if package:
+                yield folder / package / inside
+            yield from (folder.joinpath(*parts[k:]) for k in range(len(parts)))
+        yield from (folder / inside for folder in self._in_given.get(package, ()))
+
+    def _folders_of(self, package: str) -> tuple[list[Path], list[Path]]:
+        """Folders of a package near the robot file, and of installed descriptions."""
+        if package not in self._packages:
+            if len(self._packages) >= MOST_PACKAGES:
+                return [], []
+            near = [one for folder in self._near for one in near_packages(folder, package)]
+            self._packages[package] = (near, list(dict.fromkeys(installed_packages(package))))
+        return self._packages[package]
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Package of a mesh's name, and its path in the package; without a package, the path. A path out of the package
+    becomes empty."""
+    if not name.startswith(PACKAGE):
+        return "", name.removeprefix("file://")
+    package, _, inside = name.removeprefix(PACKAGE).partition("/")
+    inside = posixpath.normpath(inside)
+    if package in ("", ".", "..") or inside.startswith((".", "/")):
+        return package, ""
+    return package, inside
+
+
+def _readable(inside: str) -> list[str]:
+    """Paths that can be read in the place of this one."""
+    path = Path(inside)
+    if path.suffix.lower() in READ_FORMATS:
+        return [inside]
+    folders = dict.fromkeys((path.parent, path.parent.parent / "collision"))
+    ends = [end for suffix in READ_FORMATS for end in (suffix, suffix.upper())]
+    return [str(folder / f"{path.stem}{end}") for folder in folders for end in ends]
+
+
+# --- Where packages lie.
+
+
+def near_packages(folder: Path, package: str) -> Iterator[Path]:
+    """Folders of this package in a folder or in its `src`, as ROS workspaces have them."""
+    yield from _folders(folder / package)
+    yield from packages_below(folder / "src", package, depth=2)
+
+
+def installed_packages(package: str) -> Iterator[Path]:
+    """Folders of this package where ROS, example_robot_data and robot_descriptions keep theirs."""
+    for folder in _listed("ROS_PACKAGE_PATH"):
+        if folder.name == package:
+            yield from _folders(folder)
+        yield from packages_below(folder, package)
+    for folder in _listed("AMENT_PREFIX_PATH"):
+        yield from _folders(folder / "share" / package)
+    for folder in example_robot_data():
+        yield from _folders(folder if package.replace("_", "-") == folder.name else folder / "robots" / package)
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE") or "~/.cache/robot_descriptions"
+    yield from packages_below(Path(cache).expanduser(), package)
+
+
+def _listed(variable: str) -> list[Path]:
+    return [Path(one) for one in os.environ.get(variable, "").split(os.pathsep) if one]
+
+
+def example_robot_data() -> Iterator[Path]:
+    """Folders share/example-robot-data of the Python package of that name; nothing is imported."""
+    try:
+        spec = importlib.util.find_spec("example_robot_data")
+    except (ImportError, ValueError):
+        spec = None
+    prefixes = list(Path(spec.origin).resolve().parents)[:6] if spec is not None and spec.origin else []
+    for prefix in (*prefixes, Path(sys.prefix)):
+        yield from _folders(prefix / "share" / "example-robot-data")
+
+
+def packages_below(folder: Path, package: str, depth: int = DEPTH) -> Iterator[Path]:
+    """Folders of this name, at most so many levels below; not in hidden folders."""
+    waiting, listed = [folder], 0
+    for level in range(depth):
+        here, waiting = waiting, []
+        for one in here:
+            if listed >= MOST_FOLDERS:
+                return
+            listed += 1
+            yield from _folders(one / package)
+            if level == depth - 1:
+                continue
+            try:
+                with os.scandir(one) as entries:
+                    names = sorted(e.name for e in entries if e.is_dir() and e.name[0] != "." and e.name != package)
+            except OSError:
+                continue
+            waiting += [one / name for name in names]
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    try:
+        if folder.is_dir():
+            yield folder
+    except OSError:  # a name too long, or a folder that may not be read
+        return

@@ -84,19 +84,18 @@ def test_packages_are_found_where_descriptions_lie(tmp_path, monkeypatch, place,
     assert list(shapes.packages.values()) == ([root / place] if variable else [])
 
 
+@pytest.mark.parametrize("module", ["", "lib/python3/site-packages/example_robot_data/__init__.py"])
 @pytest.mark.parametrize(
-    ("name", "place"),
-    [
-        ("package://example-robot-data/robots/some_arm/tube.stl", "robots/some_arm/tube.stl"),
-        ("package://some_arm/tube.stl", "robots/some_arm/tube.stl"),
-    ],
+    "name", ["package://example-robot-data/robots/some_arm/tube.stl", "package://some_arm/tube.stl"]
 )
-def test_an_installed_example_robot_data_is_found_and_not_imported(tmp_path, monkeypatch, name, place):
-    module = tmp_path / "prefix/lib/python3/site-packages/example_robot_data/__init__.py"
-    module.parent.mkdir(parents=True)
-    module.write_text("raise RuntimeError('imported')")
-    monkeypatch.syspath_prepend(module.parents[1])
-    put(tmp_path / "prefix/share/example-robot-data" / place)
+def test_an_installed_example_robot_data_is_found_and_not_imported(tmp_path, monkeypatch, name, module):
+    """As the wheel, which holds data only, and as a system's Python package."""
+    prefix = tmp_path / ("prefix" if module else "site-packages/cmeel.prefix")
+    put(prefix / "share/example-robot-data/robots/some_arm/tube.stl")
+    if module:
+        (prefix / module).parent.mkdir(parents=True)
+        (prefix / module).write_text("raise RuntimeError('imported')")
+    monkeypatch.syspath_prepend((prefix / module).parents[1] if module else prefix.parent)
     assert radius_m(arm(tmp_path / "work", name)) == pytest.approx(0.05, rel=0.1)
 
 

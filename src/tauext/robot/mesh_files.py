@@ -249,12 +249,13 @@ def _listed(variable: str) -> list[Path]:
 
 
 def example_robot_data() -> Iterator[Path]:
-    """Folders share/example-robot-data of the Python package of that name; nothing is imported."""
+    """Folders share/example-robot-data of the packages of that name; nothing is imported."""
     try:
         spec = importlib.util.find_spec("example_robot_data")
     except (ImportError, ValueError):
         spec = None
     prefixes = list(Path(spec.origin).resolve().parents)[:6] if spec is not None and spec.origin else []
+    prefixes += [Path(folder) / "cmeel.prefix" for folder in sys.path if folder]  # where wheels of C++ projects lie
     for prefix in (*prefixes, Path(sys.prefix)):
         yield from _folders(prefix / "share" / "example-robot-data")
 

@@ -384,6 +384,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         rows["limits promise"] = limits["sentence"]
     if "other_motion" in limits:
         rows["in other motion"] = limits["other_motion"]["sentence"]
+    if "signals" in limits:
+        rows["by other signals"] = limits["signals"]["sentence"]
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return rows

@@ -27,7 +27,7 @@ from tauext.data.recording import (
     ordered,
     unwrapped,
 )
-from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
+from tauext.data.servo import AMPERES, FROM_AMPERES, TORQUE_WORDS, servo_facts, servo_settings, velocity_and_torque
 from tauext.errors import ConfigError, RecordingError
 
 # --- Columns of a raw recording that each signal uses, joint by joint.
@@ -294,12 +294,6 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
 WORTH_REPORTING = 1e-3
 """Share of lost samples from which the loss is reported."""
 MEASURED = ("q", "dq", "tau")
-TORQUE_WORDS = {
-    "phase-current": "current of the windings",
-    "supply-current": "current of the supply",
-    "duty": "duty",
-    "goal": "goal and the position",
-}
 
 
 def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:

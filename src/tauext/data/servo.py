@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,15 @@ def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
 """Signals from which a servo's torque is computed, beside position and velocity."""
 CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
+TORQUE_WORDS = {
+    "phase-current": "current of the windings",
+    "supply-current": "current of the supply",
+    "duty": "duty",
+    "goal": "goal and the position",
+}
+"""Signal from which a torque is computed, by [servo] torque_from."""
+OF_GOAL = ("goal", "supply_current")
+"""Sources of torque, by TorqueFrom, for which goals count: a supply current has no sign."""
 UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
 """An unknown servo: torque in units of duty or current, times a constant found in training; back-EMF acts as viscous
 friction."""
@@ -101,7 +111,7 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
         constants,
         velocity_steps=max(steps, 1) if servo.velocity_window_s else 0,
         sample_period_ns=round(1e9 / rate_hz),
-        goal_delay_ns=round(delay_s * 1e9) if servo.torque_from in ("goal", "supply-current") else 0,
+        goal_delay_ns=round(delay_s * 1e9) if source.name in OF_GOAL else 0,
     )
 
 
@@ -168,3 +178,39 @@ def servo_of_recordings(recordings: Sequence[Recording]) -> _core.ServoSettings:
                 "of [servo]; import both with one arm.toml"
             )
     return servo_of(facts[0]) if facts and facts[0] else _core.ServoSettings()
+
+
+# --- The same recordings with the torque from another signal.
+
+
+def other_sources(recordings: Sequence[Recording]) -> list[str]:
+    """Other signals that the torque of servos could be computed from in all of these recordings; names of TorqueFrom.
+
+    A current with both signs is that of the windings.
+    """
+    if not recordings or not all(map(makes_torque, recordings)):
+        return []
+    settings = servo_of_recordings(recordings)
+    found = []
+    if all(r.q_des is not None for r in recordings) and all(one.duty_per_rad > 0 for one in settings.joints):
+        found.append("goal")
+    if all(r.current is not None for r in recordings):
+        signed = any((r.current < 0).any() for r in recordings if r.current is not None)
+        found.append("phase_current" if signed else "supply_current")
+    if all(r.duty is not None for r in recordings):
+        found.append("duty")
+    # An unsigned current gets its sign from the duty or the goal.
+    if "supply_current" in found and not {"goal", "duty"} & {*found}:
+        found.remove("supply_current")
+    return [name for name in found if name != settings.torque_from.name]
+
+
+def made_from(recording: Recording, source: str) -> Recording:
+    """The recording with velocity and torque computed again, the torque from this signal of other_sources()."""
+    facts = dict(recording.provenance["servo"])
+    if facts["torque_from"] not in OF_GOAL:  # nothing was stated about goals
+        facts["goal_delay_ns"] = facts["sample_period_ns"]
+    facts["torque_from"] = source
+    signals = {name: getattr(recording, name) for name in ("dq", *RAW_SIGNALS)}
+    dq, tau = velocity_and_torque(servo_of(facts), recording.t_ns, recording.q, signals)
+    return replace(recording, dq=dq, tau=tau, provenance=recording.provenance | {"servo": facts})

@@ -305,6 +305,8 @@ def set_supported_limits(
             names = [link.joint_name for link in bundle.links]
             other = other_motion(rows, names, promised, EVEN_ODDS, factor, added)
             facts["other_motion"] = other.facts() if other else {"sentence": NOT_MEASURED}
+            if other and other.broken:
+                facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
         return words, facts
     if fit is None or not config.alarm.friction_reserve:
         return words, facts

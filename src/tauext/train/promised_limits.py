@@ -312,6 +312,11 @@ class OtherMotion:
         counts = np.array(list(self.false.values()), dtype=float)
         return self.factor + UPPER * math.sqrt(len(counts)) * float(counts.std(ddof=1)) / self.promised
 
+    @property
+    def broken(self) -> str:
+        """Words on the promise, which it does not keep; empty: it keeps it."""
+        return "The promise does not hold in motion unlike any recording" if self.factor > 1 else ""
+
     def sentence(self) -> str:
         """Text for the user."""
         some = {name: count for name, count in self.false.items() if count}
@@ -321,10 +326,9 @@ class OtherMotion:
         )
         if self.at_most <= 1:
             return f"{words} The promise also holds from one recording to the next."
-        words += (
-            f" In motion unlike any recording, expect {self.factor:.2g} times the promised false alarms "
-            f"(up to {self.at_most:.2g} times, at 95 % confidence)."
-        )
+        words += f" {self.broken}: " if self.broken else " In motion unlike any recording, "
+        words += f"expect {self.factor:.2g} times the promised false alarms (up to {self.at_most:.2g} times, at 95 % "
+        words += "confidence)."
         if self.factor <= 1:
             return words
         most = max(some, key=lambda name: some[name])

@@ -11,7 +11,8 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.check.preflight import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
-from tauext.errors import ConfigError
+from tauext.data.servo import TORQUE_WORDS, made_from, makes_torque, other_sources, servo_of_recordings
+from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.fleet_prior import FleetPrior
@@ -37,6 +38,7 @@ from tauext.train.load import put_load
 from tauext.train.network import assemble, choose_gain, fit_network, network_settings
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
+from tauext.train.servo_signals import SignalLimits, comparison_sentence, signal_limits
 from tauext.train.writing import put_wrench, write
 
 # --- Least time and memory of a training, checked before anything is loaded.
@@ -172,7 +174,7 @@ def train_bundle(
     if check:
         with times.phase("check"):
             checked = check_data(dataset, given, config, accept, report)
-    train_on_recordings(given, config, out, report, checked, like, accept, times)
+    train_on_recordings(given, config, out, report, checked, like, accept, times, signals=True)
     return load_bundle(out)
 
 
@@ -185,6 +187,7 @@ def train_on_recordings(
     like: FleetPrior | None = None,
     accept: Sequence[str] = (),
     times: WallTimes | None = None,
+    signals: bool = False,
 ) -> None:
     """Train on recordings in memory by the config's recipe, find limits, and write the bundle.
 
@@ -199,6 +202,7 @@ def train_on_recordings(
         like: the fleet prior of this type; None: the arm is trained alone.
         accept: `rejected`: continue if a monitor rejects more than a fifth of the training motion.
         times: wall times of the phases before, such as the checks; those of the training are added.
+        signals: whether to train with other recorded signals of servos too, where the promise does not hold.
 
     Raises:
         ConfigError: the case or the recordings do not allow the settings.
@@ -220,10 +224,7 @@ def train_on_recordings(
     if config.row.fit is not None:
         job.say("fitting friction and model")
     with times.phase("fit"):
-        fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
-        if config.resolved().observer.gain_per_s == "auto" and fit is not None:
-            job.say("choosing the observer gain")
-            setup, fit = choose_gain(job, setup, fit)
+        setup, fit = fit_with_gain(job, setup)
     # Check before a long training: rejected motion does not depend on the network.
     with times.phase("observe"):
         rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
@@ -237,7 +238,52 @@ def train_on_recordings(
             bundle, fit = gate(job, bundle, setup, fit)
     with times.phase("calibrate"):
         complete(job, bundle, given, setup, fit)
+    if signals and like is None and not bundle.has_network:
+        with times.phase("signals"):
+            compare_signals(job, bundle, given)
     write(job, bundle, network)
+
+
+def fit_with_gain(job: Job, setup: Setup) -> tuple[Setup, PriorFit | None]:
+    """Fit the recipe's prior, and choose the observer gain where the settings leave it open."""
+    fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
+    if fit is None or job.config.resolved().observer.gain_per_s != "auto":
+        return setup, fit
+    job.say("choosing the observer gain")
+    return choose_gain(job, setup, fit)
+
+
+def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
+    """Note which signal of servos keeps the promise best, if limits of this training do not keep it in left-out motion.
+
+    Each other signal that all recordings hold is trained with, and its limits are found and tested in the same way.
+    """
+    servo = servo_of_recordings(job.training)
+    own = signal_limits(job, bundle, servo.torque_from.name)
+    if own is None or own.factor <= 1 or not makes_torque(job.training[0]):
+        return
+    found: list[SignalLimits | None] = []
+    sources = other_sources([*given.training, *given.validation])
+    for source in sources:
+        words = TORQUE_WORDS[source.replace("_", "-")]
+        job.say(f"training with the torque from the {words}, to compare")
+        training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
+        other = replace(given, training=training, validation=validation)
+        try:
+            trained = prepare(other, job.config, job.out, SILENT)
+            setup, fit = fit_with_gain(trained, observe(trained))
+            limits = assemble(trained, with_fit(setup, fit))
+            complete(trained, limits, other, setup, fit)
+        except TauextError as error:
+            job.notes.append(f"torque from the {words} cannot be compared: {error}")
+            continue
+        found.append(signal_limits(trained, limits, source))
+    others = [one for one in found if one is not None]
+    if sources and not others:
+        return
+    words = comparison_sentence(own, others)
+    job.facts["limits"]["signals"] = {"compared": [one.facts() for one in (own, *others)], "sentence": words}
+    job.notes.append(words)
 
 
 def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit | None) -> None:

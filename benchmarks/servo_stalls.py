@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import re
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,6 +77,8 @@ class Outcome:
     """False alarms that the limits promise in these hours, at most; None: nothing."""
     predicted: dict | None = None
     """By training, for motion that it lacks: `limits.other_motion` of the run file."""
+    better: str = ""
+    """Signal that training names as better, and the size of its pushes beside this one's."""
 
 
 def drawn(data: Path, trial: Trial) -> tuple[list[str], list[str]]:
@@ -168,7 +171,21 @@ def carry_out(folder: Path, method: str) -> Outcome:
         return outcome
     rate = limits["promise"]["supported_budget"]["rate_per_hour"]
     other = limits.get("other_motion", {})
-    return replace(outcome, promised=rate * outcome.hours, predicted=other if "factor" in other else None)
+    predicted = other if "factor" in other else None
+    return replace(
+        outcome, promised=rate * outcome.hours, predicted=predicted, better=better(limits.get("signals", {}))
+    )
+
+
+def better(signals: dict) -> str:
+    """The signal that a training's comparison recommends, and the ratio of detectable pushes; empty: none."""
+    named = re.search(r'torque_from = "([\w-]+)"', signals.get("sentence", ""))
+    if named is None:
+        return ""
+    of = {one["torque_from"].replace("_", "-"): one for one in signals["compared"]}
+    own, other = signals["compared"][0], of[named[1]]
+    ratio = np.median(np.divide(other["limit_shares"], own["limit_shares"])) * other["kept_by"] / own["kept_by"]
+    return f"{named[1]} {ratio:.2g}"
 
 
 def by_current(folder: Path) -> Outcome:
@@ -211,7 +228,8 @@ def row(source: str, minutes: int, method: str, outcomes: list[Outcome]) -> str:
     ]
     seen = [f"{one.false / one.promised:.2g}" if one.promised else "–" for one in outcomes]
     cells = [source, minutes or "all", method, found, delay, false, f"{hours:.2f}", promised]
-    return table_row(*cells, ", ".join(seen), ", ".join(predicted))
+    better = ", ".join(one.better or "–" for one in outcomes)
+    return table_row(*cells, ", ".join(seen), ", ".join(predicted), better)
 
 
 def main() -> None:
@@ -246,7 +264,7 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
     trial = Trial(0, SOURCES[0], MINUTES[1])
     (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
     columns = "torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
-    columns += "promised | false per promised one | predicted by train (upper bound)"
+    columns += "promised | false per promised one | predicted by train (upper bound) | better by train, its pushes"
     motions = []
     for split in range(splits):
         names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]

@@ -239,7 +239,7 @@ def test_meshes_given_at_import_or_at_training_give_the_links_their_shapes(workp
     code, _, err = run(capsys, workplace, extra=("--meshes", str(wrong)))
     assert code == 2 and f"--meshes {wrong}: none of the 1 meshes of arm.urdf is there" in err
     code, out, _ = run(capsys, workplace)
-    assert code == 0 and "or that of package cell_arm, with --meshes FOLDER (import, train)" in out
+    assert code == 0 and "with --meshes FOLDER (import, train), or put package cell_arm beside the robot file" in out
     train = ["train", "--data", str(workplace / "out"), "--recipe", "observer", "--accept", "robot-file-other"]
 
     def capsules(*words: str) -> int:

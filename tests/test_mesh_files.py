@@ -195,8 +195,8 @@ def test_shapes_lost_at_import_are_read_later_and_the_others_stay(tmp_path):
     tree = load_tree(kept)
     (capsules, (note,)) = link_capsules(kept, tree)
     assert capsules == [] and note == (
-        f"shapes of upper could not be read: there is no mesh file {NAME}; give their folder, or that of package "
-        "some_arm, with --meshes FOLDER (import, train)"
+        f"shapes of upper could not be read: there is no mesh file {NAME}; give their folder with --meshes FOLDER "
+        "(import, train), or put package some_arm beside the robot file"
     )
     put(tmp_path / "elsewhere/some_arm/meshes/visual/tube.stl")
     for words in ("elsewhere", "elsewhere/some_arm", "elsewhere/some_arm/meshes"):
@@ -207,8 +207,7 @@ def test_shapes_lost_at_import_are_read_later_and_the_others_stay(tmp_path):
     del earlier["lost"]  # as written before the file listed them
     (dataset / "robot.shapes.json").write_text(json.dumps(earlier))
     assert [len(found) for found in link_capsules(kept, tree, given)] == [1, 0]
-    # Without being asked, once its package lies near the dataset.
-    put(tmp_path / "some_arm/meshes/visual/tube.stl", 0.06)
+    put(dataset / "some_arm/meshes/visual/tube.stl", 0.06)
     assert radius_m(kept) == pytest.approx(0.06, rel=0.1)
 
 

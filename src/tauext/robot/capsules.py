@@ -133,8 +133,9 @@ class LostShapes:
         remedy = ""
         if self.packages:
             package = next(filter(None, self.packages), "")
-            of_package = f", or that of package {package}," if package else ""
-            remedy = f"; give their folder{of_package} with --meshes FOLDER (import, train)"
+            remedy = "; give their folder with --meshes FOLDER (import, train)"
+            if package:
+                remedy += f", or put package {package} beside the robot file"
         return [f"shapes of {', '.join(self.names())} could not be read: {first}{more}{remedy}"]
 
 

@@ -172,6 +172,10 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
         job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, config.margins)
+    else:  # limits are constants
+        motion = unseen or judged
+        put_constant_error(bundle, collect_rows(bundle, motion, job.threads, config.margins))
+        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, motion, job.threads, config.margins)
     poses = job.facts.get("wrench", {}).get("poses", [])
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
@@ -196,11 +200,6 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         job.notes.append(words)
     else:
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
-    if not scaled:  # limits are constants
-        put_constant_error(bundle, collect_rows(bundle, unseen or judged, job.threads, config.margins))
-        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(
-            bundle, unseen or judged, job.threads, config.margins
-        )
     if fit is not None:
         freeze_drift(bundle, config.drift)
 

@@ -48,7 +48,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.servo import FROM_AMPERES
 from tauext.errors import TauextError
-from tauext.monitor.known_load import scaled_bundle, weigh_constants
+from tauext.monitor.known_load import corrected_bundle, weigh_constants
 from tauext.monitor.weighing import LoadEstimate, NamedFrame, identify, load_frame, see
 from tauext.sim.collect import SETTLE_S
 from tauext.sim.config import RigConfig
@@ -178,7 +178,7 @@ def correct(folder: Path, subject: Subject) -> dict:
         known = weigh_constants(bundle, subject.frame(bundle), [see(bundle, recording)], KNOWN_KG)
     except TauextError as error:
         return facts | {"refused": str(error)}
-    scaled_bundle(bundle, known.common).save(str(folder / "off-common.tauext"))
+    corrected_bundle(bundle, known).save(str(folder / "off-common.tauext"))
     told = (constants * known.factors).tolist()
     constants_told = ["--torque-constants", *(f"{k:.6g}" for k in told)]
     trained(folder / "data-off", folder / "off-joints.tauext", *constants_told)

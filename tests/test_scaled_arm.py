@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import no_model, planar_arm, prismatic_mass
-from made_recordings import made_motion
+from made_recordings import Drive, made_motion
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 from test_kinematics import arm
@@ -15,7 +15,20 @@ from test_kinematics import arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
-from tauext.fit.torque_constants import Evidence, as_it_is, drawn_to_given, fit_torque_constants, unexplained
+from tauext.fit.torque_constants import (
+    FILE_CENTRE,
+    FILE_COMMON,
+    FILE_MASS,
+    LEAST_OWN,
+    Evidence,
+    ScaledArm,
+    as_it_is,
+    between_given,
+    common_and_own,
+    drawn_to_given,
+    fit_torque_constants,
+    unexplained,
+)
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 CONSTANTS = np.array([12.0, 11.0, 8.0, 5.0])
@@ -129,7 +142,7 @@ def test_where_no_arm_can_be_found_given_constants_are_kept_and_unknown_ones_are
 
 def test_corrections_are_drawn_to_what_was_given_as_far_as_the_motion_leaves_them_open():
     found = drawn_to_given(np.array([2.4, 2.0, 2.0, np.nan]), np.array([0.0, 0.0, 0.4, np.nan]))
-    # Certain but for ARM_OFF, the first two keep 80 % of their distance: 0.1^2 / (0.1^2 + 0.05^2).
+    # Certain but for ARM_OFF, the first two keep 80 % of their distance: 0.06^2 / (0.06^2 + 0.03^2).
     assert np.log(found.used[0] / found.used[1]) == pytest.approx(0.8 * np.log(1.2))
     assert found.determined.tolist() == [True, True, False, False] and found.used[2:] == [1.0, 1.0]
 
@@ -139,6 +152,66 @@ def test_a_joint_without_current_has_no_constant_and_harms_no_other(motion):
     found = fit_torque_constants(arm(), dead, ObserverConfig())
     assert np.isfinite(found.nm_per_unit).all()
     np.testing.assert_allclose(found.nm_per_unit[:3], CONSTANTS[:3], rtol=0.05)
+
+
+def test_a_pendulums_constant_is_as_uncertain_as_its_mass_and_centre():
+    link = planar_arm().links[0]
+    pendulum = _core.Tree([link], [0, -9.81, 0])
+    motion = made_motion(pendulum, 1.0, drive=Drive(friction=0.0, noise=1e-3)).recordings
+    found = fit_torque_constants(pendulum, [replace(r, tau=r.tau / 12.0) for r in motion], ObserverConfig())
+    assert found.nm_per_unit == pytest.approx([12.0], rel=0.01)
+    # Gravity shows m c / k alone. Neither its rotor nor its inertia about the joint shows the scale of k.
+    size = np.sqrt(inertial_parameters(link)[4:7].sum() / (2 * link.mass))
+    expected = np.linalg.norm([FILE_MASS, FILE_COMMON, FILE_CENTRE * size / link.com[0], LEAST_OWN])
+    assert found.shares == pytest.approx([expected], rel=0.05) and found.common_share == 0
+
+
+def with_masses(tree: _core.Tree, shares) -> _core.Tree:
+    links = tree.links
+    for link, share in zip(links, shares, strict=True):
+        link.mass, link.inertia = share * link.mass, [share * value for value in link.inertia]
+    return _core.Tree(links, tree.gravity)
+
+
+def test_masses_that_are_off_together_go_into_every_constant_and_are_in_their_common_error(motion):
+    currents = [replace(r, tau=r.tau / CONSTANTS) for r in motion]
+    right, heavy = (fit_torque_constants(with_masses(arm(), [s] * 4), currents, ObserverConfig()) for s in (1.0, 1.2))
+    np.testing.assert_allclose(heavy.nm_per_unit / right.nm_per_unit, 1.2, rtol=0.02)
+    for found in (right, heavy):
+        assert FILE_COMMON < found.common_share < 0.15 and (found.shares < found.common_share).all()
+    said = right.sentences(JOINTS)[0]
+    assert f"all together ± {right.common_share:.0%}" in said and "tauext load --known-kg" in said
+    assert right.facts(JOINTS)["common_share"] == right.common_share
+
+
+def test_constants_are_within_two_errors_where_masses_of_the_file_are_off_by_up_to_20_percent(motion):
+    currents, rng = [replace(r, tau=r.tau / CONSTANTS) for r in motion[:2]], np.random.default_rng(0)
+    off, said = [], []
+    for _ in range(12):
+        found = fit_torque_constants(with_masses(arm(), rng.uniform(0.8, 1.2, 4)), currents, ObserverConfig())
+        off.append(np.log(found.nm_per_unit / CONSTANTS))
+        said.append(np.hypot(found.shares, found.common_share))
+    inside = np.mean(np.abs(off) < 2 * np.array(said))
+    assert inside >= 0.9 and 0.7 < np.sqrt(np.mean(np.square(said)) / np.mean(np.square(off))) < 1.6
+
+
+def test_what_is_common_and_what_is_each_joints_own_make_up_the_covariance():
+    own = np.array([0.05, 0.03, 0.04, 0.8])
+    covariance = np.diag(own**2) + 0.1**2
+    covariance[3, :3] = covariance[:3, 3] = 0.0  # no better than a guess: no part in the common factor
+    common, beside = common_and_own(covariance)
+    assert common == pytest.approx(0.1) and beside[:3] == pytest.approx(own[:3]) and beside[3] == pytest.approx(0.8)
+    assert common_and_own(np.array([[0.01]])) == (0.0, pytest.approx([0.1]))
+
+
+def test_given_constants_keep_the_scale_that_the_masses_do_not_show():
+    ratio = np.array([1.25, 1.05, 1.15])
+    loose = between_given(ScaledArm(ratio, np.full((3, 3), 1.0) + 1e-6 * np.eye(3), 1.0))
+    assert np.exp(np.mean(np.log(loose.nm_per_unit))) == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_allclose(loose.nm_per_unit / loose.nm_per_unit[0], ratio / ratio[0], rtol=1e-3)
+    sure = between_given(ScaledArm(ratio, 1e-6 * np.eye(3), 1.0))
+    np.testing.assert_allclose(sure.nm_per_unit, ratio, rtol=1e-3)
+    assert sure.common_share < 0.005 < 0.03 < loose.common_share  # 0.06 / sqrt(3)
 
 
 def test_where_the_model_as_it_is_says_nothing_the_others_mean_is_where_to_begin():

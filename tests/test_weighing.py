@@ -22,7 +22,7 @@ from tauext.fit.torque_constants import with_constants
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import Flight, rows_kept
 from tauext.monitor.flight_files import FlightSource
-from tauext.monitor.known_load import scaled_bundle, weigh_constants
+from tauext.monitor.known_load import corrected_bundle, scaled_bundle, weigh_constants
 from tauext.monitor.replay import replay
 from tauext.monitor.weighing import (
     between,
@@ -290,10 +290,65 @@ def test_a_known_weight_tells_the_torque_constants(arm, loaded_motion, free_moti
     known = weigh_constants(bundle, frame, [seen], MASS)
     assert known.common == pytest.approx(1.12, abs=0.01)
     assert np.linalg.norm(known.com_m - COM) < 0.01
-    right = scaled_bundle(bundle, known.common)
+    right = corrected_bundle(bundle, known)
     assert abs(identify(right, frame, [see(right, loaded_motion)]).mass_kg - MASS) < 0.02
     placed = weigh_constants(bundle, frame, [seen], MASS, com_m=COM)
     assert placed.common == pytest.approx(1.12, abs=0.01)
+
+
+def with_shares(bundle: _core.Bundle, common: float, own: list[float]) -> _core.Bundle:
+    """The bundle with these relative errors of its torque constants."""
+    settings = bundle.wrench_settings
+    settings.common_share, settings.torque_share = common, own
+    bundle.wrench_settings = settings
+    return bundle
+
+
+def test_a_common_factor_changes_every_weight_by_its_share(arm, loaded_motion, free_motion):
+    found = []
+    for common, own in ((0.0, [0.0] * 6), (0.12, [0.0] * 6), (0.0, [])):
+        bundle = with_shares(bundle_of(arm, free_motion), common, own)
+        found.append(identify(bundle, load_frame(bundle), [see(bundle, loaded_motion)]))
+    exact, common, old = found
+    assert exact.constants_error_kg == 0 and common.constants_error_kg == pytest.approx(0.12 * MASS, rel=0.01)
+    for other in (common, old):  # the errors of the motion, and the verdict, are those of exact constants
+        assert other.mass_error_kg == exact.mass_error_kg and other.verdict == exact.verdict
+        np.testing.assert_array_equal(other.covariance, exact.covariance)
+    np.testing.assert_allclose(common.com_error_m, exact.com_error_m, rtol=0.02)  # the centre does not depend on it
+    assert 0.05 / 6**0.5 < old.constants_error_kg / MASS < 0.05  # bundles without shares: 5 % a joint
+    assert (old.com_error_m > exact.com_error_m).all()
+    sentence = load_sentences(common, "it", "N m")[0]
+    assert sentence.startswith(
+        "load 1.60 kg ± 12 % common to all weights of this bundle (weigh a known load: tauext load --known-kg), ± 0.0"
+    )
+    assert load_sentences(exact, "it", "N m")[0].startswith("load 1.60 ± 0.0")
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_a_joint_whose_constant_is_wrong_moves_the_load_by_what_its_share_promises(
+    arm, loaded_motion, free_motion, joint
+):
+    bundle = with_shares(bundle_of(arm, free_motion), 0.0, [0.03 * (j == joint) for j in range(6)])
+    frame, seen = load_frame(bundle), see(bundle, loaded_motion)
+    right = identify(bundle, frame, [seen])
+    wrong = identify(bundle, frame, [replace(seen, tau_ext=seen.tau_ext * (1 + 0.03 * (np.arange(6) == joint)))])
+    moved = abs(wrong.mass_kg - right.mass_kg)
+    assert right.constants_error_kg == pytest.approx(moved, rel=0.2, abs=0.002)
+    of_com = right.com_error_m**2 - np.diag(right.com_covariance)
+    np.testing.assert_allclose(np.sqrt(of_com), np.abs(wrong.com_m - right.com_m), rtol=0.3, atol=1e-3)
+
+
+def test_a_known_weight_removes_the_common_error(arm, loaded_motion, free_motion):
+    bundle = with_shares(wrong_constants(arm, free_motion, 1.12), 0.12, [0.02] * 6)
+    frame = load_frame(bundle)
+    known = weigh_constants(bundle, frame, [see(bundle, loaded_motion)], MASS)
+    right = corrected_bundle(bundle, known)
+    settings = right.wrench_settings
+    assert settings.common_share == pytest.approx(known.common_error / known.common) and settings.common_share < 0.01
+    assert all(settings.own_share(j) <= 0.02 for j in range(6))
+    found = identify(right, frame, [see(right, loaded_motion)])
+    assert abs(found.mass_kg - MASS) < 2 * np.hypot(found.mass_error_kg, found.constants_error_kg) < 0.1
+    assert "--known-kg" not in load_sentences(found, "it", "N m")[0]
 
 
 def test_an_empty_hand_sets_no_constants(arm, free_motion):
@@ -357,7 +412,10 @@ def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_mot
     command = saved(tmp_path, bundle_of(arm, free_motion), loaded_motion)
     assert main(command) == 0
     said = capsys.readouterr().out
-    assert "load 1.6" in said and "of the link of joint6" in said and "by windows of 4 s each alone: 5 give" in said
+    assert (
+        "load 1.60 kg ± 2.9 % common to all weights of this bundle, ± 0.0" in said and "of the link of joint6" in said
+    )
+    assert "by windows of 4 s each alone, ± from motion: 5 give" in said
     assert main([*command, "--json", "--from", "5", "--to", "10"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == "load" and abs(facts["mass_kg"] - MASS) < 0.1 and facts["seconds"] < 5.1

@@ -99,11 +99,14 @@ void bind_fit(nb::module_& m) {
                    "`too little` (motion), `nothing`, `load`, `contact`, `lifts` or `unclear`.")
       .def_ro("load", &LoadFound::load, "Both loads together, for set_load().")
       .def_ro("mass_kg", &LoadFound::mass_kg, "Mass, [kg]; negative if the arm carries less than the load that is set.")
-      .def_ro("mass_error_kg", &LoadFound::mass_error_kg, "Standard error of the mass, [kg].")
+      .def_ro("mass_error_kg", &LoadFound::mass_error_kg,
+              "Standard error of the mass from the errors of tau_ext in this motion, [kg].")
+      .def_ro("constants_error_kg", &LoadFound::constants_error_kg,
+              "Standard error of the mass from the torque constants, about the same share of every weight, [kg].")
       .def_prop_ro("com_m", [](const LoadFound& f) { return numbers(f.com_m); },
            "Centre of mass, (3,), [m].", nb::rv_policy::move)
       .def_prop_ro("com_error_m", [](const LoadFound& f) { return numbers(f.com_error_m); },
-           "Standard errors of the centre of mass, (3,), [m].", nb::rv_policy::move)
+           "Standard errors of the centre of mass, with those of the torque constants, (3,), [m].", nb::rv_policy::move)
       .def_prop_ro("com_covariance", [](const LoadFound& f) { return square(f.com_covariance, 3); },
            "Covariance of the centre of mass, (3, 3), [m^2].", nb::rv_policy::move)
       .def_prop_ro("covariance", [](const LoadFound& f) { return square(f.covariance, 4); },

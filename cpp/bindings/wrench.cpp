@@ -166,6 +166,8 @@ void bind_wrench(nb::module_& m) {
            "Relative standard error of each torque constant; empty: 0.05.")
       .def_rw("common_share", &WrenchSettings::common_share,
            "Relative standard error of a factor common to all joints.")
+      .def("own_share", &WrenchSettings::own_share, nb::arg("joint"),
+           "Relative standard error of a joint's torque constant beside the common factor.")
       .def_rw("radius", &WrenchSettings::radius, "Factors on the variances of free motion: for a wrench, for a force.")
       .def_rw("residual_radius", &WrenchSettings::residual_radius,
            "Factors on the chi-square of the remainder: for a wrench, for a force.");

@@ -340,6 +340,7 @@ tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext
   to.load = in_c(from.load);
   to.mass_kg = from.mass_kg;
   to.mass_error_kg = from.mass_error_kg;
+  to.constants_error_kg = from.constants_error_kg;
   std::ranges::copy(from.com_m, to.com_m);
   std::ranges::copy(from.com_error_m, to.com_error_m);
   std::ranges::copy(from.com_covariance, to.com_covariance);

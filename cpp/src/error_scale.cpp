@@ -108,7 +108,7 @@ ContactErrors::ContactErrors(const Bundle& bundle)
   for (int j = 0; j < joints_; ++j) {
     const auto at = static_cast<std::size_t>(j);
     hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
-    rubbing_[j] = found ? shares[at] : kUsualRubbing;
+    of_torque_[j] = std::hypot(found ? shares[at] : kUsualRubbing, bundle.in_newtons(j) ? bundle.wrench.share(at) : 0.0);
     unsure_nm_[j] = kUnsureBank;
   }
   JointVector bent{};  // presliding friction
@@ -143,8 +143,8 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
     const bool pressed = s.pressed >> j & 1;
     const double hidden = pressed ? hidden_nm_[j] : 0.0;
     const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
-    const double rubbing = s.touched * rubbing_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
-    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + unsure * unsure + rubbing * rubbing + lag * lag);
+    const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
+    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + unsure * unsure + of_torque * of_torque + lag * lag);
   }
   s.started = true;
 }

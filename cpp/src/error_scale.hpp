@@ -62,16 +62,16 @@ class ErrorScale {
   State state_;
 };
 
-// The standard error of tau_ext in free motion, and three errors that a contact brings:
+// The standard error of tau_ext in free motion, and the errors that a contact brings:
 //
-//   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (unsure_j P_j gap_j)^2 + (rubbing_j tau_ext_j)^2
+//   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (unsure_j P_j gap_j)^2 + (rubbing_j^2 + constant_j^2) tau_ext_j^2
 //                       + (|d tau_ext_j / dt| / K0)^2
 //
 // F_j is the joint's friction at rest. After a contact, the friction of a resting joint is known only within the share
 // hidden_j, until the joint slides again. So is how its presliding friction P_j remembers reversals: local and nonlocal memory
 // differ by P_j gap_j (Presliding), of which the share unsure_j is in doubt. Gear friction grows by the share rubbing_j of a
-// load. The last term is the lag of the observer, whose residual is 1/K0 late. The last two terms count during the contact
-// and fade with 1/K0.
+// load; constant_j is the relative error of the torque constant (WrenchSettings). The last term is the lag of the observer,
+// whose residual is 1/K0 late. The last two terms count during the contact and fade with 1/K0.
 //
 // The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
 class ContactErrors {
@@ -113,7 +113,7 @@ class ContactErrors {
  private:
   int joints_;
   double gain_per_s_;
-  JointVector hidden_nm_{}, unsure_nm_{}, rubbing_{};
+  JointVector hidden_nm_{}, unsure_nm_{}, of_torque_{};
   State state_;
 };
 

@@ -400,12 +400,44 @@ LoadVerdict verdict(const LoadFound& found, double mass_kg, const Load& set, con
   return shows ? LoadVerdict::load : LoadVerdict::nothing;
 }
 
+using Square4 = std::array<double, kMost * kMost>;
+
+// Covariance of a load's (m, h) from the torque constants: the carried torque of joint j is wrong by c + c_j of it.
+Square4 of_constants(const LoadSums& sums, const WeighSettings& settings, const LoadFit& fit, const LoadParameters& about,
+                     const LoadBefore& before, const LoadParameters& carried) noexcept {
+  const auto times = [](const Square4& matrix, const std::array<double, kMost>& vector) noexcept {
+    std::array<double, kMost> out{};
+    for (std::size_t a = 0; a < kMost; ++a)
+      for (std::size_t b = 0; b < kMost; ++b) out[a] += matrix[kMost * a + b] * vector[b];
+    return out;
+  };
+  Square4 out{};
+  const auto add = [&out](const std::array<double, kMost>& moved, double share) noexcept {
+    for (std::size_t a = 0; a < kMost; ++a)
+      for (std::size_t b = 0; b < kMost; ++b) out[kMost * a + b] += share * share * moved[a] * moved[b];
+  };
+  std::array<double, kMost> together{};
+  for (int joint = 0; joint < sums.joints(); ++joint) {
+    const auto j = static_cast<std::size_t>(joint);
+    Square4 information{};
+    std::array<double, kMost> moment{};
+    const double weight = 1 / (fit.noise.scale[j] * fit.noise.scale[j] * fit.noise.correlation);
+    eliminate(sums, joint, shared_by(LoadCause::load), target(about), weight, before, information, moment);
+    const auto moved = times(fit.covariance, times(information, {carried[0], carried[1], carried[2], carried[3]}));
+    for (std::size_t a = 0; a < kMost; ++a) together[a] += moved[a];
+    add(moved, settings.torque_share[j]);
+  }
+  add(together, settings.common_share);
+  return out;
+}
+
 // Mass, centre of mass, their errors and the unobserved parts.
-void report(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadFound& out) noexcept {
+void report(const LoadFit& fit, const LoadParameters& phi, const Square4& constants, double reach_m, LoadFound& out) noexcept {
   out.phi = phi;
   out.covariance = fit.covariance;
   out.mass_kg = phi[0];
   out.mass_error_kg = std::sqrt(std::max(fit.covariance[0], 0.0));
+  out.constants_error_kg = std::sqrt(constants[0]);
   const double divisor = std::copysign(std::max(std::fabs(phi[0]), 1e-6), phi[0]);
   for (std::size_t i = 0; i < 3; ++i) out.com_m[i] = phi[1 + i] / divisor;
   std::array<std::array<double, 4>, 3> slope{};  // of the centre of mass with (m, h)
@@ -413,14 +445,16 @@ void report(const LoadFit& fit, const LoadParameters& phi, double reach_m, LoadF
     slope[i][0] = -out.com_m[i] / divisor;
     slope[i][1 + i] = 1 / divisor;
   }
-  for (std::size_t i = 0; i < 3; ++i)
-    for (std::size_t j = 0; j < 3; ++j) {
-      double sum = 0;
-      for (std::size_t a = 0; a < 4; ++a)
-        for (std::size_t b = 0; b < 4; ++b) sum += slope[i][a] * fit.covariance[4 * a + b] * slope[j][b];
-      out.com_covariance[3 * i + j] = sum;
-    }
-  for (std::size_t i = 0; i < 3; ++i) out.com_error_m[i] = std::sqrt(std::max(out.com_covariance[4 * i], 0.0));
+  const auto of_com = [&slope](const Square4& covariance, std::size_t i, std::size_t j) noexcept {
+    double sum = 0;
+    for (std::size_t a = 0; a < 4; ++a)
+      for (std::size_t b = 0; b < 4; ++b) sum += slope[i][a] * covariance[4 * a + b] * slope[j][b];
+    return sum;
+  };
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 3; ++j) out.com_covariance[3 * i + j] = of_com(fit.covariance, i, j);
+    out.com_error_m[i] = std::sqrt(std::max(out.com_covariance[4 * i] + of_com(constants, i, i), 0.0));
+  }
   const SymmetricAxes axes = symmetric_axes(out.com_covariance, 3);
   const double seen = kUnseenShare * reach_m / 2;
   for (std::size_t m = 0; m < 3; ++m)
@@ -493,10 +527,10 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
   for (double& scale : noise.scale) scale = std::min(scale, kMostScale);
   for (int cause = 0; cause < kLoadCauses; ++cause)
     out.fits[static_cast<std::size_t>(cause)] = solve_load(sums, static_cast<LoadCause>(cause), about, last, noise);
-  report(fit, now, settings.reach_m, out);
-  out.misfit = fit_of(out, LoadCause::load).misfit;
   LoadParameters whole = parameters_of(set);
   for (std::size_t k = 0; k < whole.size(); ++k) whole[k] += now[k];
+  report(fit, now, of_constants(sums, settings, fit, about, last, whole), settings.reach_m, out);
+  out.misfit = fit_of(out, LoadCause::load).misfit;
   out.load = load_of(whole, error_share(out, whole[0]));
   out.at_bound = length(set.mass > 0 ? out.load.com : out.com_m) >= settings.reach_m * (1 - 1e-9);
   out.verdict = verdict(out, fit.values[0], set, settings.gravity);

@@ -36,11 +36,13 @@ Weighing::Weighing(const Bundle& bundle)
 WeighSettings Weighing::settings_of(const Bundle& bundle) {
   WeighSettings settings;
   settings.gravity = bundle.gravity;
+  settings.common_share = bundle.wrench.common_share;
   settings.row_s = 1e-9 * static_cast<double>(bundle.observer.sample_period_ns * bundle.observer.network_stride);
   for (std::size_t j = 0; j < bundle.links.size(); ++j) {
     const double drift = bundle.drift.on() ? bundle.drift.size_nm[j] : kDriftOfLimit * bundle.limits.collision.sliding_nm[j];
     settings.offset_nm[j] = kOffsetShare * drift;
     settings.coulomb_nm[j] = kCoulombShare * drift;
+    settings.torque_share[j] = bundle.wrench.own_share(j);
   }
   return settings;
 }

@@ -289,24 +289,30 @@ void WrenchModel::pose(int frame, std::span<const double> q, std::array<double, 
   origin = {at.x, at.y, at.z};
 }
 
+namespace {
+
+// Variance that a contact adds to a joint's torque, without that of its constant, which covariance() has for all joints.
+double of_contact(const WrenchSettings& settings, std::size_t joint, double tau_ext, double sigma_nm, double contact_sigma_nm) noexcept {
+  const double constant = settings.share(joint) * tau_ext;
+  return std::max(contact_sigma_nm * contact_sigma_nm - sigma_nm * sigma_nm - constant * constant, 0.0);
+}
+
+}  // namespace
+
 void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                              std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept {
   const auto n = links_.size();
   const double radius = settings_.radius[static_cast<std::size_t>(kind)];
   const double common = settings_.common_share * settings_.common_share;
-  const bool together = !settings_.correlation.empty(), shares = !settings_.torque_share.empty();
+  const bool together = !settings_.correlation.empty();
   for (std::size_t i = 0; i < n; ++i)
     for (std::size_t j = 0; j < n; ++j) {
       const double alike = together ? settings_.correlation[i * n + j] : (i == j ? 1.0 : 0.0);
-      double of_constants = common;
-      if (i == j) {
-        const double own = shares ? settings_.torque_share[i] : WrenchSettings::kUsualTorqueShare;
-        of_constants += own * own;
-      }
+      const double own = i == j ? settings_.own_share(i) : 0.0, of_constants = common + own * own;
       into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + of_constants * tau_ext[i] * tau_ext[j];
     }
   for (std::size_t i = 0; i < contact_sigma_nm.size(); ++i)
-    into[i * n + i] += contact_sigma_nm[i] * contact_sigma_nm[i] - sigma_nm[i] * sigma_nm[i];
+    into[i * n + i] += of_contact(settings_, i, tau_ext[i], sigma_nm[i], contact_sigma_nm[i]);
 }
 
 void WrenchModel::take_off_rubbing(WrenchKind kind, std::span<const double> q, std::span<const double> dq,
@@ -326,7 +332,7 @@ void WrenchModel::take_off_rubbing(WrenchKind kind, std::span<const double> q, s
   }
   covariance(kind, tau_ext, sigma_nm, contact_sigma_nm, into);
   for (std::size_t j = 0; j < contact_sigma_nm.size(); ++j) {
-    const double contact = contact_sigma_nm[j] * contact_sigma_nm[j] - sigma_nm[j] * sigma_nm[j];
+    const double contact = of_contact(settings_, j, tau_ext[j], sigma_nm[j], contact_sigma_nm[j]);
     into[j * n + j] -= std::min(contact, (1 - kRubbingDoubt * kRubbingDoubt) * taken[j] * taken[j]);
   }
 }

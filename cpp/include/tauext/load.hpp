@@ -117,9 +117,10 @@ struct LoadFound {
   LoadVerdict verdict = LoadVerdict::too_little;
   Load load;  // both loads together, for set_load(): inertia of a ball, error_share from the standard errors
   double mass_kg = 0;       // negative if the arm carries less than the load that is set
-  double mass_error_kg = 0; // standard error
-  std::array<double, 3> com_m{}, com_error_m{};
-  std::array<double, 9> com_covariance{};   // (3, 3), row-major, [m^2]
+  double mass_error_kg = 0; // standard error from the errors of tau_ext in this motion
+  double constants_error_kg = 0;  // standard error from the torque constants, about the same share of every weight
+  std::array<double, 3> com_m{}, com_error_m{};  // the errors contain both
+  std::array<double, 9> com_covariance{};   // (3, 3), row-major, [m^2]; this and `covariance` without the constants
   std::array<double, 16> covariance{};      // (4, 4) of mass and first moment
   LoadParameters phi{};     // mass, first moment and inertia about the frame's origin
   double seconds = 0;       // duration of the motion, [s]

@@ -149,15 +149,16 @@ typedef struct tauext_load_found {
   int32_t mass_seen;         /* 0: the motion does not separate the mass from its lever */
   tauext_load load;          /* both loads together, for tauext_monitor_set_load */
   double mass_kg;            /* negative if the arm carries less than the load that is set */
-  double mass_error_kg;      /* standard error */
+  double mass_error_kg;      /* standard error from the errors of tau_ext in this motion */
   double com_m[3];           /* centre of mass, [m] */
-  double com_error_m[3];     /* its standard errors, [m] */
-  double com_covariance[9];  /* (3, 3), [m^2] */
+  double com_error_m[3];     /* its standard errors, with those of the torque constants, [m] */
+  double com_covariance[9];  /* (3, 3), without the torque constants, [m^2] */
   double seconds;            /* duration of the motion, [s] */
   double misfit;             /* squared standard errors per row that the load leaves: 1 if nothing else acts */
   int32_t unseen_count;      /* number of directions of the centre of mass that the motion does not determine */
   int32_t at_bound;          /* 1: the centre of mass is at reach_m */
   double unseen[9];          /* (unseen_count, 3), unit vectors */
+  double constants_error_kg; /* standard error from the torque constants, about the same share of every weight */
 } tauext_load_found;
 
 #define TAUEXT_USUAL_REACH_M 0.3

@@ -1,6 +1,8 @@
 // Estimates the external wrench at a frame of the arm, with its covariance, from tau_ext.
 #pragma once
 #include <array>
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -41,6 +43,11 @@ struct WrenchSettings {
   // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.
   std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
 
+  // Relative standard error of a joint's torque constant beside the common factor, and with it.
+  double own_share(std::size_t joint) const noexcept {
+    return torque_share.empty() ? kUsualTorqueShare : torque_share[joint];
+  }
+  double share(std::size_t joint) const noexcept { return std::hypot(common_share, own_share(joint)); }
   // Throws Error with the field that is invalid for this number of joints.
   void validate(int joints) const;
 };
@@ -66,10 +73,11 @@ struct Wrench {
 // Estimates wrenches at the frames of a bundle's arm by least squares with a prior:
 //
 //   tau_ext = J^T w + e,  e ~ N(0, S),  w ~ N(0, P),  w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext,
-//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j + delta_ij (contact_sigma_i^2 - sigma_i^2).
+//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j
+//          + delta_ij max(contact_sigma_i^2 - sigma_i^2 - (c^2 + c_i^2) tau_i^2, 0).
 //
 // R is the correlation, c_i the relative error of a joint's torque constant, and c that of the common factor. The last
-// term is the additional error during a contact (ContactErrors). P has kLargestForce_n for forces and kLength_m times
+// term is the additional error during a contact (ContactErrors) beside that of the constants. P has kLargestForce_n for forces and kLength_m times
 // that for moments; it keeps the result continuous through singularities. P shrinks a direction whose standard error is
 // kBlindForce_n by at most 1 %, one with 10 N by 0.01 %. Directions with a larger error are reported as blind; they are
 // eigenvectors of the whitened J S^-1 J^T. Joints that do not answer in N m have no row.

@@ -39,6 +39,12 @@ def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ..
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
 
 
+def own_shares(bundle: Bundle) -> list[float]:
+    """Relative standard error of each joint's torque constant beside the common factor."""
+    settings = bundle.wrench_settings
+    return [settings.own_share(joint) for joint in range(bundle.joints)]
+
+
 # --- How sure a bundle with an error scale is, in typical motions, for `tauext show`.
 
 

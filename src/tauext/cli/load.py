@@ -36,7 +36,7 @@ def set_constants(
     Raises:
         ConfigError: the weight does not determine the factors, or the new bundle cannot be written.
     """
-    from tauext.monitor.known_load import scaled_bundle, weigh_constants, with_provenance
+    from tauext.monitor.known_load import corrected_bundle, weigh_constants, with_provenance
 
     if out is not None:  # refused before anything is computed
         expect_another(out, path, "correct")
@@ -49,7 +49,7 @@ def set_constants(
         for line in known_sentences(known, joints, mass_kg, constants):
             print(line)
     if out is not None:
-        new = scaled_bundle(bundle, known.common)
+        new = corrected_bundle(bundle, known)
         with_provenance(new, known, mass_kg, [part.recording.name for part in parts])
         write_another(new, path, out)
         if not as_json:
@@ -159,7 +159,7 @@ def load(
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
     """Print the load from all of the motion, and from each window alone."""
-    from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, weighing_joints
+    from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, mass_words, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
@@ -179,11 +179,11 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, 
         print(scatter_sentence(alone))
         for name, start, own in alone:
             com = ", ".join(f"{1e3 * c:.0f}" for c in own.com_m)
-            mass = f"{own.mass_kg:.2f} ± {own.mass_error_kg:.2f} kg"
+            mass = mass_words(own.mass_kg, own.mass_error_kg)
             print(f"  {name} from {start:.1f} s: {mass} at ({com}) mm, {own.verdict}")
 
 
 def scatter_sentence(alone: list[tuple[str, float, LoadEstimate]]) -> str:
     """How the windows agree."""
     masses = sorted(own.mass_kg for _, _, own in alone)
-    return f"by windows of 4 s each alone: {len(masses)} give {masses[0]:.2f} to {masses[-1]:.2f} kg"
+    return f"by windows of 4 s each alone, ± from motion: {len(masses)} give {masses[0]:.2f} to {masses[-1]:.2f} kg"

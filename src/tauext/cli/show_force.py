@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.evaluate.results import NoticedAt, NoticedForce
 
-USUAL_TORQUE_SHARE = 0.05
-"""Torque error of bundles without wrench settings, as a share (WrenchSettings::kUsualTorqueShare)."""
 BLIND = "blind"
 
 
@@ -47,6 +46,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         ConfigError: there is no such frame or recording.
     """
     from tauext.bundle.bundle_file import load_bundle
+    from tauext.bundle.units import own_shares
     from tauext.evaluate.noticed_force import noticed_in_usual_motion
     from tauext.train.wrench import points
 
@@ -61,7 +61,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
             "that the bundle keeps of its training's motion, with its limits in usual motion (after a stop or while it "
             "speeds up they are higher; --data shows them)"
         )
-    share = max(bundle.wrench_settings.torque_share or [USUAL_TORQUE_SHARE])
+    share = math.hypot(bundle.wrench_settings.common_share, max(own_shares(bundle)))
     return {"bundle": bundle.name, "poses_of": of, "torque_share": share}, found
 
 

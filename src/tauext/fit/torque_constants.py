@@ -46,6 +46,11 @@ with the sign inverted."""
 LEAST_NOISE = 1e-6
 ROUNDS = 8
 DELTA = 1e-4
+FILE_MASS, FILE_CENTRE, FILE_INERTIA, FILE_COMMON = 0.12, 0.03, 0.05, 0.04
+"""Standard errors of a robot file of which nothing is known: mass of a link (0.12: within 20 %), its centre of mass
+and its inertia about it, as shares of its size, and a factor common to all masses: covers and cables are left out."""
+LEAST_OWN = 0.02
+"""Least standard error of a joint's constant: magnets and gears change with temperature and load."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +58,13 @@ class ScaledArm:
     """Torque constants and how well they are known."""
 
     nm_per_unit: np.ndarray  # (n,)
-    log_errors: np.ndarray
-    """(n,) standard errors of their logarithms."""
+    covariance: np.ndarray
+    """(n, n) of their logarithms."""
     doubt: float
     """Estimated model error: 1 if masses are off by MASS_OFF."""
 
 
-def fit_scaled_arm(
-    sample: KinematicSample, tree: _core.Tree, log_spread: float, start: np.ndarray | None = None
-) -> ScaledArm:
+def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray | None = None) -> ScaledArm:
     r"""Constants k at the maximum of the evidence, over all inertial parameters that the arm may have.
 
     .. math:: r_j = s_j Z_j \theta + F_j w_j + \epsilon_j, \quad s_j = e^{-x_j} / k_{0,j}, \quad
@@ -73,9 +76,11 @@ def fit_scaled_arm(
     its best value alone, constants would shrink to nothing where the model fits badly. The noise of a joint is what its
     fit leaves; INDEPENDENT_S of it counts as one sample.
 
+    The curvature of the evidence would understate the errors: motion confirms how the masses compare, so tau is small,
+    but not their common scale, which goes into every constant. See Evidence.errors().
+
     Args:
         sample: without a model.
-        log_spread: sigma_x.
         start: (n,) k_0, with sign; None: from the model as it is, but with the sign that is more likely where it is < 0
             there: what hangs at a wrist may weigh more than the wrist.
     """
@@ -92,18 +97,15 @@ def fit_scaled_arm(
     # A joint whose torque friction explains to the last bit, as one of 0 throughout, does not determine its constant.
     grams[grams[:, -1, -1] <= LEAST_NOISE**2 * sample.rows] = 0.0
     start = as_it_is(grams, model, count) if start is None else start
-    evidence = Evidence(grams, model, spread, start, log_spread)
+    evidence = Evidence(grams, model, spread, start, UNKNOWN_TO)
     at, weights, cost = most_likely(evidence, sample.rows, count)
     for k in np.flatnonzero(start < 0) if begun else ():
         turned = replace(evidence, start=np.where(np.arange(n) == k, -evidence.start, evidence.start))
         other = most_likely(turned, sample.rows, count)
         if other[2] < cost + SIGN_TIE:
             evidence, (at, weights, cost) = turned, other
-    steps = DELTA * np.eye(n + 1)
-    slopes = [evidence.cost(at + h, weights)[1] - evidence.cost(at - h, weights)[1] for h in steps]
-    curvature = np.array(slopes) / (2 * DELTA)
-    variances = np.diag(np.linalg.pinv((curvature + curvature.T) / 2))[:n]
-    return ScaledArm(evidence.constants(at), np.sqrt(np.maximum(variances, 0.0)), float(np.exp(at[-1])))
+    covariance = evidence.errors(at, weights, file_covariance(tree)) + LEAST_OWN**2 * np.eye(n)
+    return ScaledArm(evidence.constants(at), covariance, float(np.exp(at[-1])))
 
 
 def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -154,6 +156,34 @@ def spreads(tree: _core.Tree) -> np.ndarray:
     return np.concatenate(rows)
 
 
+def file_covariance(tree: _core.Tree) -> np.ndarray:
+    """Covariance of the parameters, (10 n, 10 n), of a robot file of which nothing is known."""
+    n, columns = tree.size, []
+    for k, link in enumerate(tree.links):
+        p, centre = inertial_parameters(link)[:ROTOR], np.array(link.com)
+        size = np.sqrt(max(p[4:7].sum(), 0.0) / (2 * max(link.mass, 1e-9)))
+        off = [FILE_MASS * p]
+        for step in FILE_CENTRE * size * np.eye(3):
+            link.com = (centre + step).tolist()
+            off.append(inertial_parameters(link)[:ROTOR] - p)
+        off += list(FILE_INERTIA * link.mass * size**2 * np.eye(ROTOR)[4:])
+        columns += [np.kron(np.eye(n)[k], one) for one in off]
+    columns.append(FILE_COMMON * np.concatenate([inertial_parameters(link)[:ROTOR] for link in tree.links]))
+    return np.asarray(np.transpose(columns) @ columns)
+
+
+def common_and_own(covariance: np.ndarray) -> tuple[float, np.ndarray]:
+    """Standard errors of a common factor and of each joint beside it, (n,), of constants whose logs vary like this.
+
+    Joints whose constants are no better than a guess have no part in the common factor.
+    """
+    variances = np.diag(covariance)
+    known = np.flatnonzero(variances <= GUESS**2)
+    alike = covariance[np.ix_(known, known)][~np.eye(len(known), dtype=bool)]
+    common = max(float(np.median(alike)), 0.0) if len(alike) else 0.0
+    return float(np.sqrt(common)), np.sqrt(np.maximum(variances - common, LEAST_OWN**2))
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Of constants and doubt, for columns of which friction and rotors were taken out."""
@@ -197,13 +227,42 @@ class Evidence:
         sides = np.column_stack([-scales[:, None] * theta, np.ones(len(scales))])
         return np.einsum("ji,jik,jk->j", sides, self.grams, sides)
 
+    def errors(self, at: np.ndarray, weights: np.ndarray, of_file: np.ndarray) -> np.ndarray:
+        """Covariance of the x found, (n, n): errors of noise, of the model and of the prior, to first order.
+
+        The gradient is linear in each joint's Z^T r. Noise and the true arm's parameters move that, and the most likely
+        x follows by the inverse curvature.
+
+        Args:
+            of_file: covariance of the true parameters about the model's, (10 n, 10 n).
+        """
+        n = len(self.start)
+        scales, spread = 1 / self.constants(at), np.exp(at[-1]) * self.spread
+        Q, q = self.grams[:, :-1, :-1], self.grams[:, :-1, -1]
+        gram, moment = np.tensordot(weights * scales**2, Q, 1), (weights * scales) @ q
+        inverse = np.linalg.inv(np.eye(len(spread)) + spread[:, None] * gram * spread)
+        u = inverse @ (spread * (moment - gram @ self.model))
+        theta = self.model + spread * u
+        of_theta = -(weights * scales)[:, None] * (2 * scales[:, None] * (Q @ theta) - q)
+        of_moment = np.vstack([of_theta @ (spread[:, None] * inverse * spread), -2 * (u @ inverse) * spread])
+        moved, of_parameters = np.diag(np.r_[np.full(n, self.log_spread**-2.0), 0.0]), np.zeros_like(of_moment)
+        for j, (weight, scale) in enumerate(zip(weights, scales, strict=True)):
+            of_joint = weight * scale * (of_moment + np.outer(np.arange(n + 1) == j, theta))
+            moved += of_joint @ Q[j] @ of_joint.T / weight
+            of_parameters += scale * of_joint @ Q[j]
+        moved += of_parameters @ of_file @ of_parameters.T
+        slopes = [self.cost(at + h, weights)[1] - self.cost(at - h, weights)[1] for h in DELTA * np.eye(n + 1)]
+        curvature = np.array(slopes) / (2 * DELTA)
+        follows = np.linalg.pinv((curvature + curvature.T) / 2)
+        return np.asarray((follows @ moved @ follows.T)[:n, :n])
+
 
 # --- Torque constants of arms that report motor currents: one factor a joint.
 
 
 PIECES = 10
 WELL_DETERMINED = 0.15
-"""A constant counts as known up to this relative standard error; masses are seldom known better."""
+"""A constant counts as known up to this relative standard error beside the common factor."""
 GUESS = 0.5
 """One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
 it must meet, than amperes are."""
@@ -211,13 +270,13 @@ LEAST_SHARE = 0.05
 """Without a model: least share of the current's friction residual explained by the found arm's gravity and inertia."""
 UNKNOWN_TO = 1.0
 """Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
-GIVEN_TO = 0.1
-"""The same for a given constant: makers' numbers and gear losses are right to about 10 %."""
+GIVEN_TO = 0.06
+"""The same for a given constant: makers' numbers and gear losses are right within 10 %."""
 KEPT = 0.75
 """A given constant is kept if the motion leaves this share of its uncertainty or more."""
 UNIT_TIE = 0.01
 """Of a standard error from PIECES parts: among joints known this similarly, the first one's unit is used for all."""
-ARM_OFF = 0.05
+ARM_OFF = 0.03
 """Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
 
@@ -226,7 +285,8 @@ class TorqueConstants:
     """One constant a joint, in N m a unit of the recordings' tau; negative: the sign is inverted."""
 
     nm_per_unit: np.ndarray  # (n,)
-    standard_errors: np.ndarray  # (n,)
+    standard_errors: np.ndarray
+    """(n,) beside the common factor."""
     determined: np.ndarray  # (n,) bool
     relative_to: int | None = None
     """Joint in whose recorded unit all torques are then, where no model defines the N m; None: they are in N m."""
@@ -234,6 +294,14 @@ class TorqueConstants:
     """They correct constants that the recordings were multiplied by; one that is not determined is kept."""
     kinematics: Kinematics | None = None
     """Of the arm found in the motion, where there is no model."""
+    common_share: float = 0.0
+    """Relative standard error of a factor common to all joints: motion does not show the scale of the masses."""
+
+    @property
+    def shares(self) -> np.ndarray:
+        """(n,) relative standard errors beside the common factor; NaN where there is no constant."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.abs(self.standard_errors / self.nm_per_unit)
 
     @property
     def guessed(self) -> np.ndarray:
@@ -257,6 +325,7 @@ class TorqueConstants:
         """For provenance: the constants used, in the order of the joints, and each joint's result."""
         facts: dict = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
         facts |= {"given": True} if self.given else {}
+        facts |= {"common_share": self.common_share} if self.common_share else {}
         return facts | {
             "used": self.used,
             "found": {
@@ -279,20 +348,27 @@ class TorqueConstants:
         def listed(which: np.ndarray, texts: Sequence[str]) -> str:
             return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
 
+        together = (
+            f"; all together ± {self.common_share:.0%}, beside each one's own error: a known weight shows that "
+            "factor (tauext load --known-kg)"
+            if self.common_share
+            else ""
+        )
         if self.given:
             kept = f"; kept for {listed(~self.determined, joints)}, whose motion does not improve them"
             if not self.determined.any():
                 return ["torque constants of the import are kept: the motion does not improve them"]
             return [
                 f"torque constants of the import, corrected by a factor: {listed(self.determined, words)}"
-                f"{kept if not self.determined.all() else ''}. The bundle applies them, a loop gives what it recorded"
+                f"{kept if not self.determined.all() else ''}{together}. The bundle applies them, a loop gives what "
+                "it recorded"
             ]
         unit, sentences, unknown = "Nm", [], ~(self.determined | self.guessed)
         if self.relative_to is not None:
             unit = f"units of {joints[self.relative_to]}"
             sentences.append(f"without a model the Nm is undefined: torques, estimates and limits are in {unit}")
         if self.determined.any():
-            sentences.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}")
+            sentences.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}{together}")
         if self.guessed.any():
             sentences.append(
                 f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
@@ -333,10 +409,11 @@ def fit_torque_constants(
     if not sample.rows:
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
     if given:
-        arm = fit_scaled_arm(sample, tree, GIVEN_TO, np.ones(tree.size))
-        return given_constants(arm.nm_per_unit, arm.log_errors)
-    arm = fit_scaled_arm(sample, tree, UNKNOWN_TO)
-    return TorqueConstants(arm.nm_per_unit, arm.log_errors * np.abs(arm.nm_per_unit), arm.log_errors <= WELL_DETERMINED)
+        return between_given(fit_scaled_arm(sample, tree, np.ones(tree.size)))
+    arm = fit_scaled_arm(sample, tree)
+    common, shares = common_and_own(arm.covariance)
+    errors = shares * np.abs(arm.nm_per_unit)
+    return TorqueConstants(arm.nm_per_unit, errors, shares <= WELL_DETERMINED, common_share=common)
 
 
 def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float]) -> _core.ObserverSettings:
@@ -346,11 +423,24 @@ def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float
     return _core.ObserverSettings(**settings, nm_per_unit=[float(constant) for constant in nm_per_unit])
 
 
-def given_constants(factors: np.ndarray, log_errors: np.ndarray) -> TorqueConstants:
-    """Corrections of given constants; 1 if the data add little information."""
+def between_given(arm: ScaledArm) -> TorqueConstants:
+    """Corrections of given constants: the most likely ones between those found and 1, each by its error."""
+    known = np.linalg.inv(arm.covariance)
+    covariance = np.linalg.inv(known + np.eye(len(known)) / GIVEN_TO**2)
+    common, own = common_and_own(covariance)
+    return given_constants(np.exp(covariance @ known @ np.log(arm.nm_per_unit)), own, common)
+
+
+def given_constants(factors: np.ndarray, log_errors: np.ndarray, common_share: float = 0.0) -> TorqueConstants:
+    """Corrections of given constants; 1 if the data add little information.
+
+    Args:
+        log_errors: (n,) beside the common factor.
+    """
     determined = (log_errors <= KEPT * GIVEN_TO) & (factors > 0)
     factors, errors = np.where(determined, factors, 1.0), np.where(determined, log_errors, GIVEN_TO)
-    return TorqueConstants(factors, errors * factors, determined, given=True)
+    common_share = common_share if determined.any() else 0.0
+    return TorqueConstants(factors, errors * factors, determined, given=True, common_share=common_share)
 
 
 def _relative_constants(

@@ -17,7 +17,7 @@ from tauext.monitor.changes import with_article
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words, strongest_place
-from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame
+from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.
 
@@ -314,8 +314,9 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     before = next(load for row, load in reversed(carried(flight)) if row <= flight["event_row"])
     beside = f", beside the {before.mass:.3g} kg that was set" if before.mass > 0 else ""
     return (
-        f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a load of {found.mass_kg:.2f} ± "
-        f"{found.mass_error_kg:.2f} kg at {frame.name}{beside}: if the arm picked something up, set its load."
+        f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a load of "
+        f"{mass_words(found.mass_kg, mass_error(found))} at {frame.name}{beside}: if the arm picked something up, set "
+        "its load."
     )
 
 

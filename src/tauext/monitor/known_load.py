@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.units import own_shares
 from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
 from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, load_sentences, sums_about, weighing_joints
@@ -16,9 +17,8 @@ from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, load_sen
 # --- Error factor of the torque constants from a known weight.
 
 
-SPREAD = 0.06
-"""Relative standard deviation of one joint's constant about the common factor: makers' constants are right to about 10
-%."""
+LEAST_SPREAD = 1e-3
+"""Least relative standard deviation of one joint's constant about the common factor."""
 ANY = 0.5
 """Relative standard deviation of the common factor, which is unknown."""
 COM_KNOWN_M = 0.005
@@ -63,6 +63,15 @@ class KnownWeight:
         constants = np.array(bundle.observer.nm_per_unit or [1.0] * bundle.joints)
         return np.where(self.skipped, constants, constants * self.factors).tolist()
 
+    def shares(self, own: np.ndarray) -> np.ndarray:
+        """Relative standard errors of the constants beside the common factor, (n,), once all are scaled by it.
+
+        Args:
+            own: (n,) before; joints that the weight does not show keep them.
+        """
+        left = np.hypot(self.factors / self.common - 1, self.errors / self.factors)
+        return np.where(self.shows, np.minimum(left, 1.0), own)
+
     @property
     def one_factor(self) -> bool:
         """Whether one factor fits all joints: no estimated one is off by more than two standard errors."""
@@ -99,11 +108,12 @@ def weigh_constants(
     a, h = np.full(bundle.joints, common), first.phi[1:4] / common
     phi = _core.load_parameters([mass_kg, *h], reach_m)
     covariance, sizes = np.zeros((3 + bundle.joints,) * 2), _core.weigh_sizes(bundle)
+    spread = np.maximum(own_shares(bundle), LEAST_SPREAD)
     for _ in range(ROUNDS):
         sums, target = sums_about(bundle, frame.frame, parts, phi), targets(a, phi)
-        a, h, covariance = solve_known(sums, target, sizes, mass_kg, com_m, reach_m, a, h)
+        a, h, covariance = solve_known(sums, target, sizes, spread, mass_kg, com_m, reach_m, a, h)
         phi = _core.load_parameters([mass_kg, *h], reach_m)
-    known = known_weight(a, h / mass_kg, covariance, ~weighing_joints(bundle))
+    known = known_weight(a, h / mass_kg, covariance, spread, ~weighing_joints(bundle))
     if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "
@@ -122,14 +132,14 @@ def targets(a: np.ndarray, phi: np.ndarray) -> np.ndarray:
 
 
 def solve_known(
-    sums: _core.LoadSums, target: np.ndarray, sizes: np.ndarray, mass_kg: float, com_m: Sequence[float] | None,
-    reach_m: float, a: np.ndarray, h: np.ndarray,
+    sums: _core.LoadSums, target: np.ndarray, sizes: np.ndarray, spread: np.ndarray, mass_kg: float,
+    com_m: Sequence[float] | None, reach_m: float, a: np.ndarray, h: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Gauss-Newton in h and every a_j; both and their covariance, (3 + n, 3 + n), h first."""
     n, whole, noise = len(a), sums.whole, Noise(np.ones(len(a)), float(sums.BLOCK_ROWS))
     start = float(a.mean())
-    spread = (SPREAD * start) ** 2 * np.eye(n) + (ANY * start) ** 2 * np.ones((n, n))
-    about_a, centre = np.linalg.inv(spread), np.zeros(3)
+    before = np.diag((spread * start) ** 2) + (ANY * start) ** 2 * np.ones((n, n))
+    about_a, centre = np.linalg.inv(before), np.zeros(3)
     prior_h = np.eye(3) / (max(mass_kg, LEAST_MASS_KG) * reach_m / 2) ** 2
     if com_m is not None:
         prior_h, centre = np.eye(3) / (mass_kg * COM_KNOWN_M) ** 2, mass_kg * np.array(com_m)
@@ -180,10 +190,13 @@ def known_noise(
     return Noise(scale, float(np.clip(correlation, LEAST_CORRELATION, sums.BLOCK_ROWS)))
 
 
-def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipped: np.ndarray) -> KnownWeight:
+def known_weight(
+    a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, spread: np.ndarray, skipped: np.ndarray
+) -> KnownWeight:
     """Factors 1 / a, each with its error; the common one is their weighted mean.
 
     Args:
+        spread: (n,) relative standard deviations about the common factor before the weighing.
         skipped: (n,) bool: joints whose rows had no weight.
 
     Raises:
@@ -200,7 +213,7 @@ def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipp
             f"where {WELL:.0%} is needed; move more, with the weight farther from the joints"
         )
     errors = np.sqrt(np.diag(of_a)) / a**2
-    shows = np.sqrt(np.diag(of_a)) <= OF_ITS_OWN * np.hypot(SPREAD * mean, error)
+    shows = np.sqrt(np.diag(of_a)) <= OF_ITS_OWN * np.hypot(spread * mean, error)
     shows &= ~skipped
     factors = np.where(shows, 1 / a, 1 / mean)
     return KnownWeight(factors, errors, shows, skipped, 1 / mean, error / mean**2, com_m)
@@ -233,6 +246,16 @@ def scaled_bundle(bundle: _core.Bundle, factor: float) -> _core.Bundle:
         for name in names:
             setattr(part, name, times(factor, getattr(part, name)))
     new.answer_reference()
+    return new
+
+
+def corrected_bundle(bundle: _core.Bundle, known: KnownWeight) -> _core.Bundle:
+    """The bundle scaled by the common factor, which is then known to the error of the weighing."""
+    new = scaled_bundle(bundle, known.common)
+    settings = new.wrench_settings
+    settings.common_share = known.common_error / known.common
+    settings.torque_share = known.shares(np.array(own_shares(bundle))).tolist()
+    new.wrench_settings = settings
     return new
 
 

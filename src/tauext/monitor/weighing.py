@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -300,6 +301,10 @@ UNKNOWN_KG = 100.0
 """Largest standard error of a reported mass; without motion it is 1000 kg."""
 ALONG = 0.9
 """Least cosine at which a direction is named after the nearest axis of the frame."""
+OF_CONSTANTS = 0.5
+"""Least error by the torque constants, over that of the motion, that is reported apart: below, it adds a tenth."""
+CORRECTED_TO = 0.03
+"""Largest relative error of the torque constants at which no known weight is advised; it must be found to 3 %."""
 
 
 def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
@@ -310,7 +315,7 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
         unit: unit of the bundle's estimates; a mass is in kg only if that is N m.
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
-    mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
+    mass = mass_words(found.mass_kg, found.mass_error_kg, kg)
     if found.mass_error_kg > UNKNOWN_KG:
         return [
             f"no weight is visible there: gravity never pulls a load at {where} against a joint that weighs it; is the "
@@ -331,11 +336,35 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
             f"neither a load nor a constant force explains it: the best load, {mass}, leaves {left:.1f} times the "
             "bundle's error; several contacts, a force that changes, or an arm that has changed itself"
         ]
-    return [*weighed(found, where, mass, kg), *unseen_sentences(found)]
+    return [*weighed(found, where, kg), *unseen_sentences(found)]
 
 
-def weighed(found: LoadEstimate, where: str, mass: str, kg: str) -> list[str]:
+def mass_error(found: LoadEstimate) -> float:
+    """Standard error of the mass from motion and torque constants, [kg]."""
+    return math.hypot(found.mass_error_kg, found.constants_error_kg)
+
+
+def mass_words(mass_kg: float, error_kg: float, kg: str = "kg") -> str:
+    """A mass with its standard error, to the error's first digits: `3.2 ± 0.4 kg`, `2.61 ± 0.02 kg`."""
+    digits = 1 if error_kg >= 0.1 else 2
+    return f"{mass_kg:.{digits}f} ± {error_kg:.{digits}f} {kg}"
+
+
+def weighed_words(found: LoadEstimate, kg: str) -> str:
+    """A mass with both of its errors: that of the torque constants changes all weights alike."""
+    if found.constants_error_kg < OF_CONSTANTS * found.mass_error_kg:
+        return mass_words(found.mass_kg, mass_error(found), kg)
+    share = found.constants_error_kg / max(abs(found.mass_kg), 1e-9)
+    advice = " (weigh a known load: tauext load --known-kg)" if share > CORRECTED_TO else ""
+    return (
+        f"{found.mass_kg:.2f} {kg} ± {100 * share:.2g} % common to all weights of this bundle{advice}, "
+        f"± {found.mass_error_kg:.2f} {kg} from motion"
+    )
+
+
+def weighed(found: LoadEstimate, where: str, kg: str) -> list[str]:
     """Sentences on mass and centre of mass, as far as the motion determines them."""
+    mass = weighed_words(found, kg)
     if not found.mass_seen:
         return [
             f"a load, but this motion does not separate its mass from its lever: {mass}. Only its pull at the joints "
@@ -396,6 +425,7 @@ def load_facts(found: LoadEstimate) -> dict:
         "verdict": found.verdict,
         "mass_kg": found.mass_kg,
         "mass_error_kg": found.mass_error_kg,
+        "constants_error_kg": found.constants_error_kg,
         "com_m": found.com_m.tolist(),
         "com_error_m": found.com_error_m.tolist(),
         "inertia_kg_m2": found.phi[4:].tolist(),

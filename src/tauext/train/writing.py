@@ -57,13 +57,6 @@ def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
 # --- Accuracy of forces: the robot file's frames, and errors of the torque constants.
 
 
-MODEL_SHARE = 0.05
-"""Common error of constants found with a model's masses, which share an error: data sheets omit cables, covers and
-tools."""
-LEAST_SHARE = 0.01
-"""Smallest error of a constant, since constants change with the magnets' temperature."""
-
-
 def put_wrench(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:
     """Add the robot file's frames for forces, and the errors of the torque constants.
 
@@ -71,13 +64,11 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> No
     be off by config.torque_share each. The friction of gears under a push is part of `contact_sigma_nm`.
     """
     settings = bundle.wrench_settings
-    constants = job.constants
     share = np.full(len(job.joints), job.config.torque_share)
-    if constants is not None:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found = np.abs(constants.standard_errors / constants.nm_per_unit)
-        share = np.where(np.isfinite(found) & (found > 0), np.clip(found, LEAST_SHARE, 1.0), share)
-        settings.common_share = MODEL_SHARE if (found > 0).any() else 0.0
+    if job.constants is not None:
+        found = job.constants.shares
+        share = np.where(np.isfinite(found) & (found > 0), np.minimum(found, 1.0), share)
+        settings.common_share = min(job.constants.common_share, 1.0)
     settings.torque_share = share.tolist()
     if any(link.mass > 0 for link in bundle.links):
         try:
@@ -87,6 +78,7 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> No
             job.notes.append(f"forces are available at links only: {error}")
     bundle.wrench_settings = settings
     job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
+    job.facts["wrench"] |= {"common_share": round(settings.common_share, 4)} if settings.common_share else {}
 
 
 def put_shapes(job: Job, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:

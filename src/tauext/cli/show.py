@@ -160,7 +160,7 @@ def aligned(words: Mapping[str, str]) -> list[str]:
 def describe_bundle(file: Place) -> Content:
     """Content of a bundle; loading it also replays its reference."""
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.units import left_out, situations
+    from tauext.bundle.units import left_out, own_shares, situations
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -215,6 +215,8 @@ def describe_bundle(file: Place) -> Content:
             content[f"temperature_{name}"] = of_joints(getattr(warm, name))
     if bundle.observer.nm_per_unit:
         content["torque_constants"] = of_joints(bundle.observer.nm_per_unit)
+        content["torque_constants_own_error"] = of_joints(own_shares(bundle))
+        content["torque_constants_common_error"] = bundle.wrench_settings.common_share
     if (names_left := left_out(bundle)) and not bundle.too_few_in_newtons(""):
         content["without_loads_and_forces"] = names_left
     content |= describe_servo(bundle, names) | describe_drift(bundle, names) | describe_coverage(bundle, names)

@@ -231,7 +231,7 @@ class Evidence:
         """Covariance of the x found, (n, n): errors of noise, of the model and of the prior, to first order.
 
         The gradient is linear in each joint's Z^T r. Noise and the true arm's parameters move that, and the most likely
-        x follows by the inverse curvature.
+        x follows by the inverse curvature. No variance is below that of the evidence itself.
 
         Args:
             of_file: covariance of the true parameters about the model's, (10 n, 10 n).
@@ -254,7 +254,9 @@ class Evidence:
         slopes = [self.cost(at + h, weights)[1] - self.cost(at - h, weights)[1] for h in DELTA * np.eye(n + 1)]
         curvature = np.array(slopes) / (2 * DELTA)
         follows = np.linalg.pinv((curvature + curvature.T) / 2)
-        return np.asarray((follows @ moved @ follows.T)[:n, :n])
+        covariance = (follows @ moved @ follows.T)[:n, :n]
+        more = np.diag(follows)[:n] - np.diag(covariance)  # where the prior on x limits what is found
+        return np.asarray(covariance + np.diag(np.maximum(more, 0.0)))
 
 
 # --- Torque constants of arms that report motor currents: one factor a joint.

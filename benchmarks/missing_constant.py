@@ -38,7 +38,7 @@ from tauext.cli import main as run_tauext
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.torque_constants import TorqueConstants
-from tauext.monitor.weighing import identify, load_frame, see
+from tauext.monitor.weighing import identify, load_frame, mass_error, see
 from tauext.robot.load import load_tree
 
 UR3_NM_PER_AMPERE = np.array([12.925, 13.088, 9.358, 4.572, 4.572, 4.548])
@@ -141,7 +141,7 @@ def weighed(bundle: Bundle, loaded: list[tuple[Recording, dict]]) -> dict[str, A
             found = identify(bundle, frame, [part])
             off.append(found.mass_kg - truth["mass_kg"])
             apart.append(float(np.linalg.norm(found.com_m - np.array(truth["com_m"]))))
-            held.append(abs(off[-1]) <= 2 * found.mass_error_kg)
+            held.append(abs(off[-1]) <= 2 * mass_error(found))
     return {
         "windows": len(off),
         "mass_off_kg": float(np.median(np.abs(off))),

@@ -45,6 +45,12 @@ def own_shares(bundle: Bundle) -> list[float]:
     return [settings.own_share(joint) for joint in range(bundle.joints)]
 
 
+def largest_share(bundle: Bundle) -> float:
+    """Relative standard error of the least known torque constant among joints in N m, with the common factor."""
+    known = [own for own, newtons in zip(own_shares(bundle), bundle.in_newtons, strict=True) if newtons]
+    return math.hypot(bundle.wrench_settings.common_share, max(known, default=0.0))
+
+
 # --- How sure a bundle with an error scale is, in typical motions, for `tauext show`.
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -46,7 +45,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         ConfigError: there is no such frame or recording.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.units import own_shares
+    from tauext.bundle.units import largest_share
     from tauext.evaluate.noticed_force import noticed_in_usual_motion
     from tauext.train.wrench import points
 
@@ -61,8 +60,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
             "that the bundle keeps of its training's motion, with its limits in usual motion (after a stop or while it "
             "speeds up they are higher; --data shows them)"
         )
-    share = math.hypot(bundle.wrench_settings.common_share, max(own_shares(bundle)))
-    return {"bundle": bundle.name, "poses_of": of, "torque_share": share}, found
+    return {"bundle": bundle.name, "poses_of": of, "torque_share": largest_share(bundle)}, found
 
 
 def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> NoticedForce:
@@ -115,9 +113,9 @@ def force_lines(conditions: dict, found: NoticedForce) -> list[str]:
         "",
         f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found.gain_per_s:g} 1/s. "
         f"Twice such a force is reported as a {' and as a '.join(levels)}. A shorter impact may peak higher unnoticed.",
-        f"The estimate errs, by {error_share:.0%} of a limit (one standard error): 19 of 20 forces go over it "
-        f"from {surely(error_share):.2g} times these on. Torque constants and gears: up to "
-        f"{conditions['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",
+        f"The estimate of such a force errs by {error_share:.0%} of it (one standard error; the torque constants alone "
+        f"by {conditions['torque_share']:.0%}): 19 of 20 forces go over the limit from {surely(error_share):.2g} times "
+        "these on. A joint at rest may hide a push behind its friction.",
         *([without] if (without := left_out_words(found.left_out)) else []),
         CLOSING,
     ]

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.units import left_out, situations
+from tauext.bundle.units import largest_share, left_out, situations
 from tauext.errors import BundleError
 from tauext.evaluate.results import EveryWay, NoticedAt, NoticedForce, OverPoses
 from tauext.train.wrench import Point, even_ways, points
@@ -127,7 +127,7 @@ def noticed(
     return NoticedForce(
         poses=len(q),
         limits={name: noticed_force(bundle, q, limit, at) for name, limit in limits.items()},
-        error_share=error_share,
+        error_share=math.hypot(error_share, largest_share(bundle)),
         left_out=left_out(bundle),
         gain_per_s=gain_per_s,
         hold_s=hold_s,

@@ -350,7 +350,7 @@ class NoticedForce:
     poses: int = 0
     limits: dict[str, tuple[NoticedAt, ...]] = field(default_factory=dict)
     error_share: Number = None
-    """Standard error of the estimate as a share of the limit, in the median."""
+    """Standard error of such a force's estimate as a share of it, in the median, torque constants included."""
     left_out: tuple[str, ...] = ()
     """Joints without answers in N m; the numbers leave them out."""
     gain_per_s: Number = None

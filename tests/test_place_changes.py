@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.cli.json_lines import change_facts
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
-from tauext.monitor.places import FrameForce, PlaceFinder, frame_force_words, place_facts, place_words
+from tauext.monitor.places import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.sink import Event, EventFinder, Verdict
@@ -119,13 +119,47 @@ def test_words_and_facts(bundle, signals):
     words = place_words(replace(change, consistent=0.5), JOINTS)
     assert "no single force" in place_words(replace(change, consistent=0.001), JOINTS)
     best = JOINTS[change.links[0][0]]
-    assert words.startswith(f"the touch is on the link of {best} (") and " N within " in words
+    links = links_words(change.links, JOINTS)
+    assert best in links and words.startswith(f"the touch is on {links}: ") and " N within " in words
     facts = place_facts(change, JOINTS)
     assert facts["links"][0]["joint"] == best and len(facts["places"]) == len(change.places)
     assert len(facts["places"][0]["force_n"]) == 3
     event, content = change_facts(change, JOINTS)
     assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
+    assert content["shapes_guessed"] is False
     json.dumps(content, allow_nan=False)
+
+
+def test_words_and_facts_say_that_shapes_are_guessed(bundle, signals, monkeypatch):
+    monkeypatch.setattr(bundle, "capsules", [])
+    change = found(bundle, signals, 1200)[0]
+    assert "; shapes guessed): " in place_words(change, JOINTS)
+    assert place_facts(change, JOINTS)["shapes_guessed"] is True
+
+
+WRISTS = ("pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
+@pytest.mark.parametrize(
+    ("shares", "guessed", "words"),
+    [
+        ({2: 0.93, 3: 0.04, 1: 0.03}, False, "the link of elbow (93%)"),
+        ({2: 0.92, 3: 0.08}, True, "the link of elbow (92%; wrist_1 8%; shapes guessed)"),
+        ({2: 0.83, 3: 0.12, 1: 0.05}, False, "the links of elbow and wrist_1 (95%; elbow 83%)"),
+        (
+            {4: 0.5, 3: 0.25, 5: 0.2, 0: 0.05},
+            True,
+            "the links of wrist_1 to wrist_3 (95%; wrist_2 50%; shapes guessed)",
+        ),
+        ({0: 0.5, 3: 0.45, 5: 0.05}, False, "the link of pan (50%; wrist_1 45%; wrist_3 5%)"),
+        ({5: 0.72, 4: 0.2, 3: 0.08}, False, "the links of wrist_2 and wrist_3 (92%; wrist_3 72%)"),
+        ({1: 0.42, 2: 0.3, 3: 0.2, 4: 0.08}, False, "the links of lift to wrist_1 (92%; lift 42%)"),
+        ({0: 0.3, 1: 0.25, 2: 0.25, 3: 0.2}, False, "the link of pan (30%; lift 25%; elbow 25%)"),
+    ],
+)
+def test_the_shortest_run_of_links_that_is_probable_is_stated(shares, guessed, words):
+    links = [(link, shares.get(link, 0.0)) for link in (*shares, *(k for k in range(6) if k not in shares))]
+    assert links_words(links, WRISTS, guessed) == words
 
 
 def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):

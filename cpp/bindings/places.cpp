@@ -27,6 +27,24 @@ void check(const PlaceModel& model, const std::vector<double>& q, const std::vec
     if (one->size() != n) throw Error("q, tau_ext and sigma_nm must hold " + std::to_string(n) + " values");
 }
 
+void check_points(int points) {
+  if (points < 1 || points > 100'000) throw Error("points = " + std::to_string(points) + " must be 1 to 100000");
+}
+
+ArrayDict arrays_of(LinkSurface surface) {
+  ArrayDict out;
+  const std::size_t size = surface.size();
+  std::vector<double> at, inwards;
+  for (std::size_t i = 0; i < size; ++i) {
+    at.insert(at.end(), {surface.x[i], surface.y[i], surface.z[i]});
+    inwards.insert(inwards.end(), {surface.nx[i], surface.ny[i], surface.nz[i]});
+  }
+  out["points"] = to_numpy(std::move(at), {size, 3});
+  out["inwards"] = to_numpy(std::move(inwards), {size, 3});
+  out["share"] = to_numpy(std::move(surface.share), {size});
+  return out;
+}
+
 }  // namespace
 
 void bind_places(nb::module_& m) {
@@ -49,7 +67,8 @@ void bind_places(nb::module_& m) {
       .def_ro("on_link", &TouchPlace::on_link, "Point in the link's frame, [m].")
       .def_ro("force", &TouchPlace::force, "Force that the environment exerts on the arm, along the base's axes, [N].")
       .def_ro("spread_m", &TouchPlace::spread_m,
-           "Root mean square distance from the point, if the touch is at this place, [m].");
+           "Root mean square distance from the point, if the touch is at this place, [m].")
+      .def_ro("guessed", &TouchPlace::guessed, "Whether the shape of the link is guessed.");
   nb::class_<Found>(m, "TouchPlaces", "Links and places that explain tau_ext, the most probable first.")
       .def_prop_ro("known", [](const Found& f) { return f.told.known; },
            "Whether the sample had torques with a standard error.")
@@ -89,7 +108,15 @@ void bind_places(nb::module_& m) {
       "Estimates which link is touched, and where; equations in touch_place.hpp. Use it from one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"), nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("refused", &PlaceModel::refused, "Reason for which places cannot be estimated; empty: none.")
-      .def_prop_ro("capsules", &PlaceModel::capsules, "Shapes of the links.")
+      .def_prop_ro(
+          "guessed",
+          [](const PlaceModel& self) {
+            std::vector<int> links;
+            for (int link = 0; link < self.joints(); ++link)
+              if (self.guessed(link)) links.push_back(link);
+            return links;
+          },
+          "Numbers of the links whose shapes are guessed, because the bundle has no capsule of them.")
       .def(
           "find",
           [](PlaceModel& self, const std::vector<double>& q, const std::vector<double>& tau_ext,
@@ -117,24 +144,22 @@ void bind_places(nb::module_& m) {
   m.def(
       "surface_of",
       [](const std::vector<Capsule>& capsules, int points) {
-        if (points < 1 || points > 100'000) throw Error("points = " + std::to_string(points) + " must be 1 to 100000");
-        LinkSurface surface = surface_of(capsules, points);
-        ArrayDict out;
-        const std::size_t size = surface.size();
-        std::vector<double> at, inwards;
-        for (std::size_t i = 0; i < size; ++i) {
-          at.insert(at.end(), {surface.x[i], surface.y[i], surface.z[i]});
-          inwards.insert(inwards.end(), {surface.nx[i], surface.ny[i], surface.nz[i]});
-        }
-        out["points"] = to_numpy(std::move(at), {size, 3});
-        out["inwards"] = to_numpy(std::move(inwards), {size, 3});
-        out["share"] = to_numpy(std::move(surface.share), {size});
-        return out;
+        check_points(points);
+        return arrays_of(surface_of(capsules, points));
       },
       nb::arg("capsules"), nb::arg("points"),
       "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
-  m.def("capsules_or_guess", &capsules_or_guess, nb::arg("bundle"),
-      "A bundle's capsules, with a guess for each link that has none.");
+  m.def(
+      "guessed_surface",
+      [](const Bundle& bundle, int link, int points) {
+        check_points(points);
+        if (link < 0 || link >= bundle.joints())
+          throw Error("link = " + std::to_string(link) + " must be 0 to " + std::to_string(bundle.joints() - 1));
+        return arrays_of(guessed_surface(bundle, link, points));
+      },
+      nb::arg("bundle"), nb::arg("link"), nb::arg("points"),
+      "Points of shapes that a link may have, at most as many as given: points (n, 3), inwards (n, 3), share (n,), the "
+      "probability of each.");
 }
 
 }  // namespace tauext::bindings

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <numeric>
 
 #include "linear.hpp"
@@ -13,107 +12,6 @@
 namespace tauext {
 namespace {
 
-constexpr double kPi = std::numbers::pi;
-
-struct Line {
-  Vector3 start, along;  // along: unit vector
-  double length_m, radius_m;
-};
-
-Line line_of(const Capsule& capsule) {
-  const Vector3 start = vector3(capsule.start), way = vector3(capsule.end) - start;
-  const double length = std::sqrt(dot(way, way));
-  return {start, length > 0 ? (1 / length) * way : Vector3{0, 0, 1}, length, capsule.radius_m};
-}
-
-Vector3 nearest(const Line& line, Vector3 p) {
-  return line.start + std::clamp(dot(p - line.start, line.along), 0.0, line.length_m) * line.along;
-}
-
-double area_of(const Line& line) { return 2 * kPi * line.radius_m * line.length_m + 4 * kPi * line.radius_m * line.radius_m; }
-
-// Share of the radius inside which a point counts as covered: points on the surface never do, despite rounding.
-constexpr double kWithin = 0.999;
-
-bool hidden(const std::vector<Line>& lines, std::size_t own, Vector3 p) {
-  for (std::size_t k = 0; k < lines.size(); ++k) {
-    const Vector3 off = p - nearest(lines[k], p);
-    if (k != own && std::sqrt(dot(off, off)) < kWithin * lines[k].radius_m) return true;
-  }
-  return false;
-}
-
-// Rows around the capsule, at equal arc steps from pole to pole; each row has as many points as steps fit its length.
-void add_rows(const std::vector<Line>& lines, std::size_t own, double step_m, LinkSurface& into) {
-  const Line& line = lines[own];
-  const double r = line.radius_m, arc = line.length_m + kPi * r;
-  const int rows = std::max(2, static_cast<int>(std::lround(arc / step_m)));
-  const Vector3 aside = std::fabs(line.along.x) < 0.6 ? Vector3{1, 0, 0} : Vector3{0, 1, 0};
-  Vector3 u = cross(line.along, aside);
-  u = (1 / std::sqrt(dot(u, u))) * u;
-  const Vector3 v = cross(line.along, u);
-  for (int row = 0; row < rows; ++row) {
-    const double at = (row + 0.5) * arc / rows - 0.5 * kPi * r, over = at < 0 ? at : std::max(at - line.length_m, 0.0);
-    const double along = std::clamp(at, 0.0, line.length_m) + r * std::sin(over / r), across = r * std::cos(over / r);
-    const int around = std::max(3, static_cast<int>(std::lround(2 * kPi * across / step_m)));
-    for (int k = 0; k < around; ++k) {
-      const double turned = 2 * kPi * (k + 0.5 * (row % 2)) / around;
-      const Vector3 p = line.start + along * line.along + across * (std::cos(turned) * u + std::sin(turned) * v);
-      if (hidden(lines, own, p)) continue;
-      const Vector3 inwards = (1 / r) * (nearest(line, p) - p);
-      into.x.push_back(p.x);
-      into.y.push_back(p.y);
-      into.z.push_back(p.z);
-      into.nx.push_back(inwards.x);
-      into.ny.push_back(inwards.y);
-      into.nz.push_back(inwards.z);
-      into.share.push_back(2 * kPi * across * arc / rows / around);
-    }
-  }
-}
-
-// Extent of a link in its own frame.
-std::vector<std::array<double, 3>> ends_of(const Bundle& bundle, int link) {
-  std::vector<std::array<double, 3>> ends;
-  for (const Link& other : bundle.links)
-    if (other.parent == link) ends.push_back(other.translation);
-  if (!ends.empty()) return ends;
-  if (bundle.load.link == link) return {bundle.load.translation};
-  std::array<double, 3> furthest{};
-  for (const WrenchFrame& frame : bundle.wrench.frames)
-    if (frame.link == link && dot(vector3(frame.translation), vector3(frame.translation)) > dot(vector3(furthest), vector3(furthest)))
-      furthest = frame.translation;
-  return {furthest};
-}
-
-}  // namespace
-
-LinkSurface surface_of(std::span<const Capsule> capsules, int points) {
-  std::vector<Line> lines;
-  double area = 0;
-  for (const Capsule& capsule : capsules) {
-    lines.push_back(line_of(capsule));
-    area += area_of(lines.back());
-  }
-  LinkSurface surface;
-  for (std::size_t k = 0; k < lines.size(); ++k) add_rows(lines, k, std::sqrt(area / points), surface);
-  double sum = 0;
-  for (double share : surface.share) sum += share;
-  for (double& share : surface.share) share /= sum;
-  return surface;
-}
-
-std::vector<Capsule> capsules_or_guess(const Bundle& bundle) {
-  std::vector<Capsule> all = bundle.capsules;
-  for (int link = 0; link < bundle.joints(); ++link) {
-    if (std::ranges::any_of(bundle.capsules, [link](const Capsule& one) { return one.link == link; })) continue;
-    for (const std::array<double, 3>& end : ends_of(bundle, link)) all.push_back({link, {}, end, kGuessedRadius_m});
-  }
-  return all;
-}
-
-namespace {
-
 // Component of a mixture: f ~ N(mean n, P), 1 / P is `across` plus `more` along the normal n.
 struct Size {
   double mean_n, across, more, weight;
@@ -121,19 +19,19 @@ struct Size {
 
 constexpr std::size_t kParts = PlaceModel::kSizes_n.size() + 1;
 
-constexpr std::array<Size, kParts> sizes() noexcept {
+constexpr std::array<Size, kParts> sizes(double across_share) noexcept {
   std::array<Size, kParts> all{};
   for (std::size_t k = 0; k + 1 < kParts; ++k) {
     const double s = PlaceModel::kSizes_n[k];
     const double along = 1 / (PlaceModel::kAlong * PlaceModel::kAlong * s * s);
-    const double across = 1 / (PlaceModel::kAcross * PlaceModel::kAcross * s * s);
+    const double across = 1 / (across_share * across_share * s * s);
     all[k] = {s, across, along - across, (1 - PlaceModel::kHolds) / static_cast<double>(kParts - 1)};
   }
   all[kParts - 1] = {0, 1 / (PlaceModel::kHolds_n * PlaceModel::kHolds_n), 0, PlaceModel::kHolds};
   return all;
 }
 
-constexpr std::array<Size, kParts> kMixture = sizes();
+constexpr std::array<std::array<Size, kParts>, 2> kMixtures{sizes(PlaceModel::kAcross), sizes(PlaceModel::kAcrossGuess)};
 
 // Logarithm of |P|^-1/2 times exp(-m^T P^-1 m / 2) times the weight.
 double before(const Size& size) noexcept {
@@ -216,14 +114,15 @@ constexpr double kFarBelow = -40;  // smaller exponentials do not change a sum o
 
 }  // namespace
 
-PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle), capsules_(capsules_or_guess(bundle)) {
+PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle) {
   std::size_t most = 0;
   for (int link = 0; link < bundle.joints(); ++link) {
     std::vector<Capsule> own;
-    for (const Capsule& one : capsules_)
+    for (const Capsule& one : bundle.capsules)
       if (one.link == link) own.push_back(one);
-    coarse_.push_back(surface_of(own, kRankingPoints));
-    fine_.push_back(surface_of(own, kPlacePoints));
+    guessed_.push_back(own.empty());
+    coarse_.push_back(own.empty() ? guessed_surface(bundle, link, kGuessPoints) : surface_of(own, kRankingPoints));
+    fine_.push_back(own.empty() ? coarse_.back() : surface_of(own, kPlacePoints));
     near_.push_back(neighbours(fine_.back(), 0.5 * kApart_m));
     most = std::max({most, coarse_.back().size(), fine_.back().size()});
   }
@@ -239,7 +138,9 @@ PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle), capsules_(capsul
 
 // Integral over forces for each point, and the log of its sum over components. The loops have no branches or calls, so
 // that compilers vectorise them.
-double PlaceModel::evidence(const LinkSurface& surface, const Information& of, std::span<double> logs) noexcept {
+double PlaceModel::evidence(std::size_t link, const LinkSurface& surface, std::span<double> logs) noexcept {
+  const Information& of = seen_[link];
+  const std::array<Size, kParts>& mixture = kMixtures[guessed_[link]];
   const std::size_t points = surface.size();
   double* const seen = seen_at_.data();
   for (std::size_t i = 0; i < points; ++i) {
@@ -248,7 +149,7 @@ double PlaceModel::evidence(const LinkSurface& surface, const Information& of, s
     for (std::size_t k = 0; k < kSeenAt; ++k) seen[k * points + i] = all[k];
   }
   for (std::size_t part = 0; part < kParts; ++part) {
-    const Size size = kMixture[part];
+    const Size size = mixture[part];
     double* const quadratic = quadratic_.data() + part * points;
     double* const scale = scale_.data() + part * points;
     for (std::size_t i = 0; i < points; ++i) {
@@ -264,7 +165,7 @@ double PlaceModel::evidence(const LinkSurface& surface, const Information& of, s
     }
   }
   std::array<double, kParts> start;
-  for (std::size_t part = 0; part < kParts; ++part) start[part] = before(kMixture[part]);
+  for (std::size_t part = 0; part < kParts; ++part) start[part] = before(mixture[part]);
   double best = -std::numeric_limits<double>::infinity();
   for (std::size_t i = 0; i < points; ++i) {
     double most = -std::numeric_limits<double>::infinity(), sum = 0;
@@ -283,15 +184,17 @@ double PlaceModel::evidence(const LinkSurface& surface, const Information& of, s
 }
 
 // Posterior mean, averaged over the mixture.
-std::array<double, 3> PlaceModel::force_at(const LinkSurface& surface, std::size_t point, const Information& of) const noexcept {
+std::array<double, 3> PlaceModel::force_at(std::size_t link, std::size_t point) const noexcept {
+  const LinkSurface& surface = fine_[link];
+  const std::array<Size, kParts>& mixture = kMixtures[guessed_[link]];
   const double nx = surface.nx[point], ny = surface.ny[point], nz = surface.nz[point];
-  const SeenAt alone = seen_at(of, surface.x[point], surface.y[point], surface.z[point]);
+  const SeenAt alone = seen_at(seen_[link], surface.x[point], surface.y[point], surface.z[point]);
   std::array<double, kParts> logs;
   std::array<std::array<double, 3>, kParts> means;
   for (std::size_t part = 0; part < kParts; ++part) {
-    const SeenAt at = with(alone, kMixture[part], nx, ny, nz);
+    const SeenAt at = with(alone, mixture[part], nx, ny, nz);
     const Solved solved = solve(at.m, at.bx, at.by, at.bz);
-    logs[part] = before(kMixture[part]) + 0.5 * solved.quadratic - 0.5 * std::log(solved.determinant);
+    logs[part] = before(mixture[part]) + 0.5 * solved.quadratic - 0.5 * std::log(solved.determinant);
     std::array<double, 9> k{at.m.xx, 0, 0, at.m.xy, at.m.yy, 0, at.m.xz, at.m.yz, at.m.zz};
     means[part] = {at.bx, at.by, at.bz};
     if (!cholesky(k, 3)) means[part] = {0, 0, 0};
@@ -349,7 +252,7 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
       of.f[i] = std::inner_product(&columns[i * rows], &columns[i * rows] + rows, y.data(), 0.0);
       of.m[i] = std::inner_product(&columns[(3 + i) * rows], &columns[(3 + i) * rows] + rows, y.data(), 0.0);
     }
-    logs[link] = evidence(coarse_[link], of, logs_);
+    logs[link] = evidence(link, coarse_[link], logs_);
   }
   const double best = *std::max_element(logs.begin(), logs.begin() + static_cast<std::ptrdiff_t>(n));
   if (!std::isfinite(best)) return;
@@ -400,7 +303,7 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
 void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& into) noexcept {
   const LinkSurface& surface = fine_[link];
   const std::size_t points = surface.size();
-  const double sum = evidence(surface, seen_[link], logs_);
+  const double sum = evidence(link, surface, logs_);
   for (std::size_t i = 0; i < points; ++i) weights_[i] = std::exp(logs_[i] - sum);
   const auto at = [&surface](std::size_t i) noexcept { return Vector3{surface.x[i], surface.y[i], surface.z[i]}; };
   std::array<double, 9> rotation;
@@ -437,9 +340,10 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
         spread += weights_[i] * squared_distance(surface, i, at(nearest));
         weights_[i] = 0;
       }
-    const Vector3 p = vector3(origin) + out.out(at(nearest)), f = out.out(vector3(force_at(surface, nearest, seen_[link])));
+    const Vector3 p = vector3(origin) + out.out(at(nearest)), f = out.out(vector3(force_at(link, nearest)));
     add({static_cast<int>(link), mass * probability, {p.x, p.y, p.z},
-         {surface.x[nearest], surface.y[nearest], surface.z[nearest]}, {f.x, f.y, f.z}, std::sqrt(spread / mass)},
+         {surface.x[nearest], surface.y[nearest], surface.z[nearest]}, {f.x, f.y, f.z}, std::sqrt(spread / mass),
+         guessed(static_cast<int>(link))},
         into);
     left -= mass;
   }

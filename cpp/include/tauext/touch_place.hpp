@@ -12,11 +12,11 @@
 
 namespace tauext {
 
-// Points spread evenly over a link's surface, in the link's frame; one element per point.
+// Points spread over a link's surface, in the link's frame; one element per point.
 struct LinkSurface {
   std::vector<double> x, y, z;     // [m]
   std::vector<double> nx, ny, nz;  // unit vectors into the link
-  std::vector<double> share;       // share of the surface's area that the point represents; they sum to 1
+  std::vector<double> share;       // probability that a touch on the link is at this point; they sum to 1
 
   std::size_t size() const noexcept { return x.size(); }
 };
@@ -24,10 +24,13 @@ struct LinkSurface {
 // About `points` points on the union of capsules of one link. Parts inside another capsule are no surface.
 LinkSurface surface_of(std::span<const Capsule> capsules, int points);
 
-// The bundle's capsules, with a guess for each link that has none: kGuessedRadius_m wide, from its joint to the joints
-// that it carries, else to the load frame, else to the farthest frame that the robot file fixes to it.
-inline constexpr double kGuessedRadius_m = 0.05;
-std::vector<Capsule> capsules_or_guess(const Bundle& bundle);
+// Points of as many shapes that the link may have, one of each; some are dropped, as they are inside their shape. Shapes
+// are capsules from the link's joint along its axis to where the next axis is nearest, and along that axis to the next
+// joint; at the end of the arm, to the load frame, else to the farthest frame that the robot file fixes to the link.
+// Uncertain are the radius (2 to 8 % of the arm's length), where on its axis a joint is (in half of the shapes at its
+// frame's origin), and how far the shape extends beyond (one radius; at the end, a tool). Points that do not agree with
+// the file's centre of mass and inertia have a smaller share.
+LinkSurface guessed_surface(const Bundle& bundle, int link, int points);
 
 // A force at a point of a link's surface that explains tau_ext.
 struct TouchPlace {
@@ -37,6 +40,7 @@ struct TouchPlace {
   std::array<double, 3> on_link{};  // in the link's frame, [m]
   std::array<double, 3> force{};   // that the environment exerts on the arm, along the base's axes, [N]
   double spread_m = 0;             // root mean square distance from the point, if the touch is at this place
+  bool guessed = false;            // whether the shape of the link is guessed
 };
 
 // Links and places that explain tau_ext, the most probable first.
@@ -63,14 +67,16 @@ struct TouchPlaces {
 // unknown; the sizes are a constant factor apart. One touch in ten holds the link and may pull in any direction. All
 // integrals have a closed form. A link farther out explains all torques that a nearer one explains; its probability is
 // lower because it could also have caused torques that are not there (Occam). Ranking uses about 60 points per link,
-// places many more.
+// places many more. A link of which the bundle has no capsule gets guessed_surface(), and a force spread wider about the
+// normal, because the normal is uncertain, too.
 class PlaceModel {
  public:
   static constexpr int kRankingPoints = 64, kPlacePoints = 320;  // per link
+  static constexpr int kGuessPoints = 512;                       // per link with a guessed shape, for both
   static constexpr std::array<double, 5> kSizes_n{3, 9, 27, 81, 243};
   // Standard deviations of the force, as shares of the size: along the normal from one size to the next, and across it
-  // as for directions spread evenly within 45 degrees.
-  static constexpr double kAlong = 0.5, kAcross = 0.4;
+  // as for directions spread evenly within 45 degrees. Guessed normals are wrong by another 17 degrees about each axis.
+  static constexpr double kAlong = 0.5, kAcross = 0.4, kAcrossGuess = 0.5;
   static constexpr double kHolds = 0.1, kHolds_n = 50;  // share of touches that may pull, and their standard deviation
                                                         // per axis
   static constexpr double kLeast = 0.02;                // less probable links and places are not reported
@@ -82,7 +88,8 @@ class PlaceModel {
   // Reason for which places cannot be estimated; empty: none.
   const std::string& refused() const noexcept { return wrench_.refused(); }
   int joints() const noexcept { return wrench_.joints(); }
-  const std::vector<Capsule>& capsules() const noexcept { return capsules_; }
+  // Whether the shape of a link is guessed, because the bundle has no capsule of it.
+  bool guessed(int link) const noexcept { return guessed_[static_cast<std::size_t>(link)] != 0; }
 
   // Estimates the links and their probabilities for a sample. Spans have one value per joint; contact_sigma_nm: empty
   // in free motion. dq: the friction that a touch adds to moving joints is subtracted (WrenchModel); empty: joints at
@@ -104,13 +111,13 @@ class PlaceModel {
     std::array<double, 9> ff, fm, mm;
     std::array<double, 3> f, m;
   };
-  double evidence(const LinkSurface& surface, const Information& of, std::span<double> logs) noexcept;
-  std::array<double, 3> force_at(const LinkSurface& surface, std::size_t point, const Information& of) const noexcept;
+  double evidence(std::size_t link, const LinkSurface& surface, std::span<double> logs) noexcept;
+  std::array<double, 3> force_at(std::size_t link, std::size_t point) const noexcept;
   void place_on(std::size_t link, double probability, TouchPlaces& into) noexcept;
   void add(const TouchPlace& place, TouchPlaces& into) const noexcept;
 
   WrenchModel wrench_;
-  std::vector<Capsule> capsules_;
+  std::vector<std::uint8_t> guessed_;       // per link
   std::vector<LinkSurface> coarse_, fine_;  // per link
   std::vector<std::vector<std::vector<std::uint32_t>>> near_;  // per link and fine point: the points within half of
                                                                // kApart_m

@@ -90,7 +90,7 @@ class AlarmBook:
         return {
             "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
             "newtons": finite(newtons(change.best)),
-            "on": links_words(change.links, self.joints),
+            "on": links_words(change.links, self.joints, change.guessed),
             "place": {
                 "link": change.best.link,
                 "point": list(change.best.point),

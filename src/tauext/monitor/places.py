@@ -159,6 +159,11 @@ class PlaceChange(Change):
         places, consistent = tuple(found.places), found.consistent
         return cls(row, t_ns, alarm, joint, since_s, links, places, found.best, consistent, force)
 
+    @property
+    def guessed(self) -> bool:
+        """Whether the shape of a link that may be touched is guessed."""
+        return any(place.guessed for place in self.places)
+
 
 def strength(tau_ext: np.ndarray, sigma_nm: np.ndarray) -> np.ndarray:
     """Sum over the joints of (tau_ext / sigma)^2, (samples,); 0 where a torque or its standard error is unknown."""
@@ -269,32 +274,63 @@ class PlaceFinder:
         return PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
 
 
+STATED = 0.9
+"""Probability from which a link, or a run of links, is stated."""
+LONGEST_RUN = 3
+"""Most links of a run."""
+
+
 def newtons(place: TouchPlace) -> float:
     """Size of the force."""
     return float(np.linalg.norm(place.force))
 
 
-def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...]) -> str:
-    """Describe links: `the link of elbow (83%; wrist_1 12%)`.
+def run_of(links: Sequence[tuple[int, float]]) -> tuple[int, int, float]:
+    """Number of the first and last link of the shortest run of neighbours whose probability is STATED, and its
+    probability.
 
     Args:
-        links: number of the joint that carries the link, and its probability; the most probable first.
+        links: number of the joint that carries the link, and its probability; the most probable first, which the run
+            contains. It is the run if no other of at most LONGEST_RUN links is probable enough.
     """
-    (first, probability), *others = links
-    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
-    return f"the link of {joints[first]} ({probability:.0%}{rivals})"
+    probability = dict(links)
+    best = links[0][0]
+    runs = [
+        (count, -sum(probability.get(link, 0.0) for link in range(first, first + count)), first)
+        for count in range(1, LONGEST_RUN + 1)
+        for first in range(best - count + 1, best + 1)
+        if first in probability and first + count - 1 in probability
+    ]
+    count, less, first = min((run for run in runs if -run[1] >= STATED), default=(1, -links[0][1], best))
+    return first, first + count - 1, -less
+
+
+def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...], guessed: bool = False) -> str:
+    """Describe links: `the link of elbow (93%)`, `the links of wrist_1 to wrist_3 (94%; wrist_2 51%)`.
+
+    Args:
+        links: as run_of() takes them.
+        guessed: the shape of a link that may be touched is guessed.
+    """
+    first, last, probability = run_of(links)
+    if first == last:
+        name = f"link of {joints[first]}"
+        others = [f"{joints[link]} {share:.0%}" for link, share in links[1:3] if share >= 0.05]
+    else:
+        name = f"links of {joints[first]} {'to' if last > first + 1 else 'and'} {joints[last]}"
+        others = [f"{joints[links[0][0]]} {links[0][1]:.0%}"]
+    return f"the {name} ({'; '.join([f'{probability:.0%}', *others, *['shapes guessed'] * guessed])})"
 
 
 def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
-    """Describe a place: `the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55)
-    m`."""
+    """Describe a place: `the touch is on the link of elbow (93%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
     at_frame = "" if change.force is None else f"; {frame_force_words(change.force)}"
     if change.consistent < INCONSISTENT:
         return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
     place = change.best
     where = ", ".join(f"{value:.2f}" for value in place.point)
     return (
-        f"the touch is on {links_words(change.links, joints)}: {newtons(place):.0f} N within "
+        f"the touch is on {links_words(change.links, joints, change.guessed)}: {newtons(place):.0f} N within "
         f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m{at_frame}"
     )
 
@@ -315,4 +351,5 @@ def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
             for place in change.places
         ],
         "consistent": change.consistent,
+        "shapes_guessed": change.guessed,
     }

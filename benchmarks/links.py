@@ -1,16 +1,17 @@
 """Which link is touched and where: touches on every link of simulated arms, with bundles as users have them.
 
-    python benchmarks/links.py MODELS UNSEEN OUT [--arms panda kinova seven_axis] [--touches 200] [--seed 0]
+    python benchmarks/links.py MODELS UNSEEN OUT [--arms panda kinova seven_axis] [--meshes panda=ROBOT ...]
+      [--touches 200] [--seed 0]
 
 MODELS: folder of the robot files. UNSEEN: what `benchmarks/unseen_arms.py` wrote; a bundle is trained on each arm's
-datasets where OUT has none. OUT gets the bundles, links.json and README.md.
+datasets where OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes
+instead of cylinders, too. OUT gets the bundles, links.json and README.md.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +19,20 @@ from common import arguments, head, table_row, trained, write_page
 from scipy.optimize import minimize
 from unseen.arms import Maker, arm_of, makers
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
-from unseen.surfaces import SURFACES, capsules_of, draw_touch
-from wrench import WARM_S, logged, told
+from unseen.surfaces import SURFACES, Part, capsules_of, draw_touch, triangles_of
+from wrench import WARM_S, as_text, logged, told
 
 from tauext import _core
-from tauext.monitor.places import PlaceChange, PlaceFinder
+from tauext.monitor.places import STATED, PlaceChange, PlaceFinder, run_of
 from tauext.monitor.replay import replay
+from tauext.robot.capsules import link_capsules
 from tauext.robot.load import load_tree
-
-FIXED_ON = "ur5"
-"""The method's numbers were looked at on this arm alone."""
 
 
 def main() -> None:
     parser = arguments(__doc__, "models", "unseen", "out")
     parser.add_argument("--arms", nargs="+", default=["panda", "kinova", "seven_axis"])
+    parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -40,21 +40,54 @@ def main() -> None:
     rows: list[dict] = []
     for name in options.arms:
         rows += judged(ready(options.models, options.unseen, options.out, name), options)
-        (options.out / "links.json").write_text(json.dumps(rows, indent=1) + "\n")
+    for name, _, model in (one.partition("=") for one in options.meshes):
+        rows += judged(meshed(ready(options.models, options.unseen, options.out, name), Path(model)), options)
+    (options.out / "links.json").write_text(as_text(rows))
+    meshes = [f"{one.partition('=')[0]}=ROBOT" for one in options.meshes]
     words = " ".join(["python benchmarks/links.py MODELS UNSEEN OUT --arms", *options.arms])
+    words += " ".join(["", "--meshes", *meshes]) if meshes else ""
     text = markdown(rows, f"{words} --touches {options.touches} --seed {options.seed}")
     write_page(options.out / "README.md", text)
 
 
 def judged(arm: Arm, options: argparse.Namespace) -> list[dict]:
-    """One row a touch that raised an alarm, with what is said of it."""
+    """One row a touch and kind of shapes, with what is said of it."""
     rng = np.random.default_rng([options.seed, 61, len(arm.names)])
-    looks = look_at(arm, *touched(arm, options.touches, rng))
-    bayes = Bayes(arm, errors_of(looks), rng)
-    for look in looks:
-        if look["seen"]:
-            look["bayes"] = bayes.probability(look).tolist()
-    return [{key: value for key, value in look.items() if not key.startswith("_")} for look in looks]
+    touches, samples = touched(arm, options.touches, rng)
+    said = _core.estimate(arm.bundle, samples.t_ns, samples.q, samples.dq, samples.tau, 1)
+    rows = []
+    for shapes, capsules in arm.shapes.items():
+        arm.bundle.capsules = capsules
+        looks = [look | {"shapes": shapes} for look in look_at(arm, touches, samples, said)]
+        if shapes == GIVEN:
+            bayes = Bayes(arm, errors_of(looks), rng)
+            for look in looks:
+                if look["seen"]:
+                    look["bayes"] = bayes.probability(look).tolist()
+        rows += looks
+    return [{key: row[key] for key in row if key in KEPT or (row["shapes"] == GIVEN and key[0] != "_")} for row in rows]
+
+
+KEPT = ("arm", "shapes", "link", "force_n", "angle_deg", "flange", "seen", "probability", "off_m", "spread_m")
+"""Columns of all rows; those of the given shapes keep all columns."""
+
+
+GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
+
+
+def thin_capsules(bundle: _core.Bundle) -> list[_core.Capsule]:
+    """A guess without a spread, to compare with: capsules of 5 cm from each joint to the joints that it carries, else
+    to the load frame, else to the farthest frame that the robot file fixes to the link."""
+    found, origin = [], [0.0, 0.0, 0.0]
+    for number in range(bundle.joints):
+        ends = [link.translation for link in bundle.links if link.parent == number]
+        if not ends and bundle.load_settings.link == number:
+            ends = [bundle.load_settings.translation]
+        if not ends:
+            fixed = [frame.translation for frame in bundle.wrench_settings.frames if frame.link == number]
+            ends = [max([origin, *fixed], key=np.linalg.norm)]
+        found += [_core.Capsule(number, origin, end, 0.05) for end in ends]
+    return found
 
 
 # --- Touches on every link of a simulated arm, and what the monitor reports of them.
@@ -81,22 +114,31 @@ SAID_AT_S = 0.5
 class Arm:
     maker: Maker
     bundle: _core.Bundle
+    title: str
+    surface: tuple[Part, ...]
+    shapes: dict[str, list[_core.Capsule]]
+    """What a bundle may know of the surface; GUESSED: nothing, THIN: thin_capsules()."""
 
     @property
     def names(self) -> list[str]:
         return [link.joint_name for link in self.bundle.links]
 
-    @property
-    def surface(self):
-        return SURFACES[self.maker.name]
-
 
 def ready(models: Path, unseen: Path, out: Path, name: str) -> Arm:
-    """With a bundle of recipe prior, trained where there is none, that knows what the links look like."""
+    """With a bundle of recipe prior, trained where there is none."""
     maker = makers(models)[name]
     bundle = _core.Bundle.load(str(trained(unseen / name / "urdf", out / f"{name}.tauext")))
-    bundle.capsules = capsules_of(SURFACES[name])
-    return Arm(maker, bundle)
+    shapes = {GIVEN: capsules_of(SURFACES[name]), GUESSED: [], THIN: thin_capsules(bundle)}
+    return Arm(maker, bundle, name, SURFACES[name], shapes)
+
+
+def meshed(arm: Arm, model: Path) -> Arm:
+    """The arm with the meshes of this robot file for surfaces, and the capsules that an import fits to them."""
+    capsules, lost = link_capsules(model, load_tree(model, list(arm.maker.joints)))
+    assert not lost, lost
+    shapes = {MESHES: capsules, GUESSED: [], THIN: arm.shapes[THIN]}
+    surface = triangles_of(model, arm.maker.joints)
+    return replace(arm, title=f"{arm.title}, meshes", surface=surface, shapes=shapes)
 
 
 @dataclass(frozen=True)
@@ -160,14 +202,13 @@ def drawn(arm: Arm, q: np.ndarray, start_s: float, rng: np.random.Generator, fla
                 return Touch(link, point, direction, angle, float(force), start_s, flange)
 
 
-def look_at(arm: Arm, touches: list[Touch], samples: Samples) -> list[dict]:
+def look_at(arm: Arm, touches: list[Touch], samples: Samples, said: dict) -> list[dict]:
     """What is said of each touch by SAID_AT_S after its alarm."""
     finder, changes = PlaceFinder(arm.bundle), []
     assert not finder.refused, finder.refused
     monitor = _core.Monitor(arm.bundle)
     for chunk in replay(monitor, samples, acknowledge_after_s=ACKNOWLEDGED_S, places=finder):
         changes += [change for change in chunk.changes if isinstance(change, PlaceChange)]
-    said = _core.estimate(arm.bundle, samples.t_ns, samples.q, samples.dq, samples.tau, 1)
     return [told_of(arm, touch, samples, said, changes) for touch in touches]
 
 
@@ -180,7 +221,7 @@ def told_of(arm: Arm, touch: Touch, samples: Samples, said: dict, changes: list[
         if start_ns <= one.t_ns - one.since_s * 1e9 < start_ns + HELD_S * 1e9 and one.since_s <= SAID_AT_S
     ]
     row = {
-        "arm": arm.maker.name,
+        "arm": arm.title,
         "link": touch.link,
         "point_m": touch.point_m.tolist(),
         "force_n": touch.force_n,
@@ -285,21 +326,21 @@ class Bayes:
 # --- The page.
 
 
-STATED = 0.9
 AT_FLANGE = 0.5
 WITHIN_DEG, FROM_N, LAST_LINKS = 30.0, 20.0, 3
 
 
 def markdown(rows: list[dict], command: str) -> str:
-    arms = list(dict.fromkeys(row["arm"] for row in rows))
-    held, rows = [row for row in rows if row["flange"]], [row for row in rows if not row["flange"]]
+    arms = list(dict.fromkeys(row["arm"] for row in rows if row["shapes"] == GIVEN))
+    held = [row for row in rows if row["flange"] and row["shapes"] == GIVEN]
+    every, rows = rows, [row for row in rows if not row["flange"] and row["shapes"] == GIVEN]
     text = f"""# Which link is touched, and where
 
 Written by `{command}`. Every touch is in [links.json](links.json).
 
 **Data.** Simulated arms of [unseen arms](../unseen-arms/README.md). The bundles are trained by recipe prior on twelve
 minutes of motion. Links are cylinders (`benchmarks/unseen/surfaces.py`). The method's constants were tuned on arm ur5
-alone.
+alone, those of guessed shapes on ur5 and kinova.
 
 **Touches.** Every link is touched equally often, anywhere on its surface, within {np.degrees(CONE_RAD):.0f} degrees of
 the normal. A touch lasts 1.2 s, in motion or at rest. Its force is {RATIOS[0]:g} to {RATIOS[1]:g} times the limit of
@@ -350,7 +391,44 @@ Place on a given link, for touches of {FROM_N:g} N or more within {WITHIN_DEG:g}
 """
     for arm in [*arms, None]:
         text += place_line(arm or "**all**", [row for row in rows if arm in (None, row["arm"]) and row["seen"]])
+    return text + shapes_section([row for row in every if not row["flange"]])
+
+
+def shapes_section(rows: list[dict]) -> str:
+    """Links and places by what the bundle knows of the shapes."""
+    text = f"""
+## Guessed shapes
+
+The same touches, if the bundle is given the cylinders as capsules (*{GIVEN}*, all tables above), has no shapes
+(*{GUESSED}*), or has capsules of 5 cm radius from joint to joint (*{THIN}*: a guess without a spread, to compare with).
+Arms with *meshes* are touched on the collision meshes of their robot file; the bundle is given the capsules that an
+import fits to them, or nothing.
+*Link or run*: a link, or a run of up to three neighbouring links, has {STATED:.0%}; *of these right*: the touched link
+is in it. *Distance* and *spread*: of the place on the touched link, touches of {FROM_N:g} N or more within
+{WITHIN_DEG:g} degrees of the normal, median.
+
+"""
+    columns = ("arm", "shapes", "alarms", "right", "among two", "stated", "of these right", "link or run")
+    text += "\n".join([*head(" | ".join([*columns, "of these right", "distance, cm", "spread, cm"])), ""])
+    for arm in [*dict.fromkeys(row["arm"] for row in rows), None]:
+        for shapes in (GIVEN, MESHES, GUESSED, THIN):
+            some = [row for row in rows if arm in (None, row["arm"]) and row["shapes"] == shapes and row["seen"]]
+            text += shapes_line(arm or "**all**", shapes, some) if some else ""
     return text
+
+
+def shapes_line(arm: str, shapes: str, rows: list[dict]) -> str:
+    told = Told(padded(rows), "probability")
+    runs = [run_of([(k, row["probability"][k]) for k in np.argsort(row["probability"])[::-1].tolist()]) for row in rows]
+    held = [
+        first <= row["link"] <= last for row, (first, last, share) in zip(rows, runs, strict=True) if share >= STATED
+    ]
+    placed = [row for row in rows if row["force_n"] >= FROM_N and row["angle_deg"] <= WITHIN_DEG]
+    off, spread = (100 * np.median([row[key] for row in placed]) for key in ("off_m", "spread_m"))
+    shares = (told.first, told.two, told.stated, told.sure, len(held) / len(rows), np.mean(held))
+    return (
+        table_row(arm, shapes, len(rows), *(f"{share:.0%}" for share in shares), f"{off:.1f}", f"{spread:.1f}") + "\n"
+    )
 
 
 class Told:
@@ -368,7 +446,10 @@ class Told:
 def padded(rows: list[dict]) -> list[dict]:
     """Of arms with different numbers of links, so that they fit one table."""
     most = max(len(row["probability"]) for row in rows)
-    return [row | {by: [*row[by], *[0.0] * (most - len(row[by]))] for by in ("probability", "bayes")} for row in rows]
+    return [
+        row | {by: [*row[by], *[0.0] * (most - len(row[by]))] for by in ("probability", "bayes") if by in row}
+        for row in rows
+    ]
 
 
 def links_line(name: str, rows: list[dict]) -> str:

@@ -1,23 +1,30 @@
 """Which link of a standing Panda people touched: our estimates and the robot's own, link by link.
 
-    python benchmarks/panda_touches.py DATASET BUNDLES OUT
+    python benchmarks/panda_touches.py DATASET BUNDLES OUT [--meshes ROBOT]
 
 DATASET: the panda_mindlab recordings as `benchmarks/real_arms.py` imports them (runs/real-arms/panda/data; a file a
 link, with labels and the robot's own estimate). BUNDLES: its folder bundles (observer.tauext, bandpass.tauext). OUT
 gets README.md. Nothing is tuned here: links are found by the observer's bundle, whose standard error is that of its own
 limits. The other two estimates get the standard error of their samples without a touch. Shapes are those of the
-simulated Panda.
+simulated Panda, guesses, and with --meshes those of a Panda's robot file whose meshes are there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from common import arguments, head, runs, table_row, write_page
+from links import GIVEN, GUESSED, THIN, thin_capsules
 from unseen.surfaces import SURFACES, capsules_of
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
+from tauext.monitor.places import STATED, run_of
+from tauext.robot.capsules import link_capsules
+from tauext.robot.load import load_tree
 
 TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 2}
 """Link that people touched in each recording, from 1."""
@@ -30,20 +37,41 @@ OWN_SHOWS = 3.0
 
 
 def main() -> None:
-    options = arguments(__doc__, "dataset", "bundles", "out").parse_args()
+    parser = arguments(__doc__, "dataset", "bundles", "out")
+    parser.add_argument("--meshes", type=Path, help="robot file with panda_joint1 to 7, whose meshes can be read")
+    options = parser.parse_args()
     bundles = {name: _core.Bundle.load(str(options.bundles / f"{name}.tauext")) for name in ("observer", "bandpass")}
     recordings = {name: load_recording(options.dataset / f"{name}.parquet") for name in TOUCHED}
     arm = bundles["observer"]
-    arm.capsules = capsules_of(SURFACES["panda"])
-    tables = {}
+    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin_capsules(arm)}
+    if options.meshes is not None:
+        joints = [link.joint_name for link in arm.links]
+        shapes["meshes"], lost = link_capsules(options.meshes, load_tree(options.meshes, joints))
+        assert not lost, lost
+    tables: dict[str, dict[str, dict]] = {}
     for title, name in (("observer", "observer"), ("observer with a band-pass", "bandpass")):
         told = {}
         for key, one in recordings.items():
             told[key] = _core.estimate(bundles[name], one.t_ns, one.q, one.dq, one.tau, 1)["tau_ext"]
-        tables[title] = table_of(arm, recordings, told, own=name == "observer")
+        tables[title] = by_shapes(arm, shapes, recordings, told, own=name == "observer")
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
-    tables["the robot's own estimate"] = table_of(arm, recordings, own, own=False)
+    tables["the robot's own estimate"] = by_shapes(arm, shapes, recordings, own, own=False)
     write_page(options.out / "README.md", markdown(tables))
+
+
+def by_shapes(
+    arm: _core.Bundle,
+    shapes: Mapping[str, list[_core.Capsule]],
+    recordings: dict[str, Recording],
+    told: dict[str, np.ndarray],
+    own: bool,
+) -> dict[str, dict]:
+    """table_of() for each kind of shapes."""
+    tables = {}
+    for kind, capsules in shapes.items():
+        arm.capsules = capsules
+        tables[kind] = table_of(arm, recordings, told, own)
+    return tables
 
 
 def touches_of(recording: Recording) -> list[slice]:
@@ -69,6 +97,7 @@ def table_of(bundle: _core.Bundle, recordings: dict[str, Recording], told: dict[
     held = np.array(bundle.error_scale.sigma_near_weights)
     sigma = held if own else np.sqrt(np.nanmean(free**2, axis=0))
     confusion, two, stated, sure, shows = np.zeros((7, 7), dtype=int), 0, 0, 0, 0
+    in_runs: list[bool] = []
     for name, recording in recordings.items():
         touched = TOUCHED[name] - 1
         for rows in touches_of(recording):
@@ -80,13 +109,25 @@ def table_of(bundle: _core.Bundle, recordings: dict[str, Recording], told: dict[
             found = model.find(recording.q[rows][at].tolist(), tau[at].tolist(), sigma.tolist(), places=False)
             confusion[touched, found.ranked[0]] += 1
             two += touched in found.ranked[:2]
-            if found.probability[found.ranked[0]] >= 0.9:
+            if found.probability[found.ranked[0]] >= STATED:
                 stated, sure = stated + 1, sure + (found.ranked[0] == touched)
+            first, last, probability = run_of([(link, found.probability[link]) for link in found.ranked])
+            if probability >= STATED:
+                in_runs.append(first <= touched <= last)
             shows += abs(tau[at, touched]) >= OWN_SHOWS * sigma[touched]
-    return {"confusion": confusion, "two": two, "stated": stated, "sure": sure, "own": shows, "sigma": sigma}
+    return {
+        "confusion": confusion,
+        "two": two,
+        "stated": stated,
+        "sure": sure,
+        "runs": len(in_runs),
+        "in runs": sum(in_runs),
+        "own": shows,
+        "sigma": sigma,
+    }
 
 
-def markdown(tables: dict[str, dict]) -> str:
+def markdown(tables: dict[str, dict[str, dict]]) -> str:
     text = """# Touches on a standing Panda
 
 Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT`.
@@ -97,17 +138,30 @@ the signal of the arm's joint torque sensors: it contains no friction of motor a
 
 Recipes observer and bandpass need no motion; their bundles are trained on three of the files. The observer's standard
 error is the one stored in its bundle. The other two estimates get the standard error of their samples between
-touches. Link shapes are the cylinders of the simulated Panda. A touch in line with an axis, or near one, does not show
-which side of the axis was touched.
+touches. Link shapes are the cylinders of the simulated Panda, except where noted. A touch in line with an axis, or near
+one, does not show which side of the axis was touched.
 
 A band-pass distorts the direction of a touch over time. tauext therefore refuses links, forces and kinds of touch for
 bundles with residual filters; they are shown here for comparison only.
 
 """
-    for by, one in tables.items():
+    text += f"""Links by what is known of the shapes. *{GIVEN}*: the cylinders; *{GUESSED}*: the robot file without
+meshes; *{THIN}*: a guess without a spread, from joint to joint, to compare with; *meshes*: capsules of the meshes
+of the robot file. *Stated*: a link has {STATED:.0%} or more; *link or run*: it, or a run of up to three neighbouring
+links, has. Nothing was tuned on these touches.
+
+"""
+    columns = ("estimate", "shapes", "touches", "right", "among two", "stated", "of these right", "link or run")
+    lines = head(" | ".join([*columns, "of these right"]))
+    for by, kinds in tables.items():
+        for kind, one in kinds.items():
+            confusion, counts = one["confusion"], (one[key] for key in ("two", "stated", "sure", "runs", "in runs"))
+            lines.append(table_row(by, kind, confusion.sum(), np.trace(confusion), *counts))
+    text += "\n".join([*lines, "", ""])
+    for (by, kind), one in ((key, tables[key[0]][key[1]]) for key in shown(tables)):
         confusion = one["confusion"]
         count, right = confusion.sum(), np.trace(confusion)
-        text += f"## {by[0].upper()}{by[1:]}\n\n"
+        text += f"## {by[0].upper()}{by[1:]}{'' if kind == GIVEN else f', shapes {kind}'}\n\n"
         text += (
             f"The touched link is the most probable one in {right} of {count} touches, and among the first two in "
             f"{one['two']}. A link has a probability of 90% or more {one['stated']} times; {one['sure']} of these are "
@@ -118,6 +172,12 @@ bundles with residual filters; they are shown here for comparison only.
         lines += [table_row(k, *(n or "" for n in confusion[k - 1])) for k in sorted(set(TOUCHED.values()))]
         text += "\n".join([*lines, "", ""])
     return text
+
+
+def shown(tables: dict[str, dict[str, dict]]) -> list[tuple[str, str]]:
+    """Estimates and shapes with a section of their own."""
+    first = next(iter(tables))
+    return [(first, GIVEN), (first, GUESSED), *((by, GIVEN) for by in tables if by != first)]
 
 
 if __name__ == "__main__":

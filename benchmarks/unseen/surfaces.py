@@ -1,17 +1,32 @@
-"""What the arms' links look like: cylinders, as people draw them in robot files; and pushes on them."""
+"""What the arms' links look like: cylinders, as people draw them in robot files, or meshes; and pushes on them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 from xml.etree import ElementTree
 
 import numpy as np
 
 from tauext import _core
 from tauext.robot.frames import wrench_frames
-from tauext.robot.load import load_tree
+from tauext.robot.load import load_tree, placed_bodies
+
+
+class Part(Protocol):
+    """Part of a link's surface."""
+
+    @property
+    def link(self) -> int: ...
+
+    @property
+    def area_m2(self) -> float: ...
+
+    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """A point, evenly over the surface, and the unit vector into the link there."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -43,6 +58,48 @@ class Cylinder:
         if self.closed and rng.uniform() < np.pi * self.radius_m**2 / self.area_m2:
             return np.array(self.end_m) + np.sqrt(rng.uniform()) * self.radius_m * out, -axis
         return start + rng.uniform() * way + self.radius_m * out, -out
+
+
+class Triangles:
+    """The mesh of a link, in the link's frame."""
+
+    def __init__(self, link: int, corners: np.ndarray):
+        out = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        double = np.linalg.norm(out, axis=1)
+        sound = double > 0
+        self.link, self._corners, self._inwards = link, corners[sound], -out[sound] / double[sound, None]
+        self._areas = np.cumsum(double[sound] / 2)
+
+    @property
+    def area_m2(self) -> float:
+        return float(self._areas[-1])
+
+    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        at = int(np.searchsorted(self._areas, rng.uniform() * self._areas[-1]))
+        u, v = np.sort(rng.uniform(size=2))
+        return np.array([u, v - u, 1 - v]) @ self._corners[at], self._inwards[at]
+
+
+STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("kind", "<u2")])
+
+
+def triangles_of(model: Path, joints: Sequence[str]) -> tuple[Triangles, ...]:
+    """The binary STL files that a URDF's links collide as, found in the folders above the file. Their origins must be
+    those of the links."""
+    links = {one.get("name"): one for one in ElementTree.parse(model).getroot().findall("link")}
+    found = []
+    for body in placed_bodies(model, load_tree(model, joints=list(joints)))[2]:
+        for shape in links[body.name].findall("collision") if body.name in links else []:
+            mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
+            if mesh is None:
+                continue
+            moved = "" if origin is None else f"{origin.get('xyz', '')} {origin.get('rpy', '')}"
+            assert not any(float(number) for number in moved.split()), f"{body.name}: its mesh is moved"
+            inside = mesh.get("filename", "").removeprefix("package://")
+            file = next(folder / inside for folder in model.resolve().parents if (folder / inside).is_file())
+            corners = np.frombuffer(file.read_bytes()[84:], STL)["corners"].astype(float)
+            found.append(Triangles(body.link, corners @ body.rotation.T + body.translation))
+    return tuple(found)
 
 
 def capsules_of(surface: tuple[Cylinder, ...]) -> list[_core.Capsule]:
@@ -142,7 +199,7 @@ SURFACES: dict[str, tuple[Cylinder, ...]] = {
 
 
 def draw_touch(
-    surface: tuple[Cylinder, ...], link: int, widest_rad: float, rng: np.random.Generator
+    surface: tuple[Part, ...], link: int, widest_rad: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """On this link, evenly over its surface: point [m], direction, both in the link's axes, and the direction's angle
     from the normal, even over the cone, [rad]."""

@@ -103,7 +103,7 @@ namespace {
 
 // --- Guessed shapes.
 
-constexpr std::size_t kDraws = 9;                     // random numbers of a shape and a point on it
+constexpr std::size_t kDraws = 10;                    // random numbers of a shape and a point on it
 constexpr double kSlimmest = 0.02, kThickest = 0.08;  // radius, as a share of the arm's length
 constexpr double kTool = 0.05;       // longest tool beyond the last frame, as a share of the arm's length
 constexpr double kAtOrigin = 0.5;    // probability that a joint is at its frame's origin, not elsewhere on its axis
@@ -123,17 +123,21 @@ Vector3 end_of(const Bundle& bundle, int link) {
   return farthest;
 }
 
-// Where the parent's joint axis and the link's own are nearest to each other, from the origin of each frame, [m]. On
-// parallel axes and on the base: beside the parent's origin.
+// Where a link's body meets the next axis: nearest points of the two axes, from the origin of each frame, [m].
 struct Crossing {
   double on_parent = 0, on_own = 0;
 };
 
-Crossing crossing(const Link& link) {
+// Crossing of a link's axis with its parent's. Parallel axes: as high on the parent's axis as its origin, the link's, or
+// the parent's centre of mass, or between them, by u; on the base at its origin.
+Crossing crossing(const Link& link, const Link* parent, double u) {
   const Vector3 origin = vector3(link.translation), axis = turn(link.rotation).z;
   const double cosine = axis.z, along = dot(origin, axis), squared_sine = 1 - cosine * cosine;
-  if (link.parent < 0 || squared_sine < kParallel) return {0, -along};
-  return {(origin.z - cosine * along) / squared_sine, (cosine * origin.z - along) / squared_sine};
+  if (parent == nullptr) return {0, -along};
+  if (squared_sine >= kParallel) return {(origin.z - cosine * along) / squared_sine, (cosine * origin.z - along) / squared_sine};
+  const auto [low, high] = std::minmax({0.0, origin.z, parent->mass > 0 ? parent->com[2] : 0.0});
+  const double height = low + (high - low) * u;
+  return {height, cosine * height - along};
 }
 
 // Where a joint is on its axis, between the parent's body and its own link's: at the frame's origin, or anywhere.
@@ -197,6 +201,11 @@ class Guess {
   }
 
  private:
+  Crossing crossing_of(std::size_t link, double u) const {
+    const int parent = links_[link].parent;
+    return crossing(links_[link], parent < 0 ? nullptr : &links_[static_cast<std::size_t>(parent)], u);
+  }
+
   // Axis of a shape's parts: from the link's joint along its axis to the next axis, and there to the next joint or to the
   // end. Both joints are drawn, and how far the shape extends beyond them.
   std::vector<Line> lines_of(const std::array<double, kDraws>& u, double radius) const {
@@ -206,10 +215,10 @@ class Guess {
     };
     const auto leaves_axis = [&](std::size_t link) {
       const int child = child_of(link);
-      return child < 0 ? ends_[link].z : crossing(links_[static_cast<std::size_t>(child)]).on_parent;
+      return child < 0 ? ends_[link].z : crossing_of(static_cast<std::size_t>(child), u[9]).on_parent;
     };
     const double leaves = leaves_axis(link_);
-    std::vector<Vector3> path{{0, 0, joint_at(crossing(own_).on_own, leaves, u[2])}, {0, 0, leaves}};
+    std::vector<Vector3> path{{0, 0, joint_at(crossing_of(link_, u[9]).on_own, leaves, u[2])}, {0, 0, leaves}};
     double beyond = radius * (2 * u[5] - 1);
     if (const int child = child_of(link_); child < 0) {
       path.push_back(ends_[link_]);
@@ -217,7 +226,7 @@ class Guess {
     } else {
       const Link& next = links_[static_cast<std::size_t>(child)];
       const Vector3 origin = vector3(next.translation), axis = turn(next.rotation).z;
-      const double reaches = crossing(next).on_own;
+      const double reaches = crossing_of(static_cast<std::size_t>(child), u[9]).on_own;
       path.push_back(origin + reaches * axis);
       path.push_back(origin + joint_at(reaches, leaves_axis(static_cast<std::size_t>(child)), u[3]) * axis);
     }

@@ -28,8 +28,8 @@ LinkSurface surface_of(std::span<const Capsule> capsules, int points);
 // are capsules from the link's joint along its axis to where the next axis is nearest, and along that axis to the next
 // joint; at the end of the arm, to the load frame, else to the farthest frame that the robot file fixes to the link.
 // Uncertain are the radius (2 to 8 % of the arm's length), where on its axis a joint is (in half of the shapes at its
-// frame's origin), and how far the shape extends beyond (one radius; at the end, a tool). Points that do not agree with
-// the file's centre of mass and inertia have a smaller share.
+// frame's origin), where a body meets an axis that is parallel to its own, and how far the shape extends beyond (one
+// radius; at the end, a tool). Points that do not agree with the file's centre of mass and inertia have a smaller share.
 LinkSurface guessed_surface(const Bundle& bundle, int link, int points);
 
 // A force at a point of a link's surface that explains tau_ext.

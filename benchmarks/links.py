@@ -65,11 +65,19 @@ def judged(arm: Arm, options: argparse.Namespace) -> list[dict]:
                 if look["seen"]:
                     look["bayes"] = bayes.probability(look).tolist()
         rows += looks
-    return [{key: row[key] for key in row if key in KEPT or (row["shapes"] == GIVEN and key[0] != "_")} for row in rows]
+    return [kept(row) for row in rows]
 
 
-KEPT = ("arm", "shapes", "link", "force_n", "angle_deg", "flange", "seen", "probability", "off_m", "spread_m")
+KEPT = ("arm", "shapes", "link", "force_n", "angle_deg", "flange", "seen", "off_m", "spread_m")
 """Columns of all rows; those of the given shapes keep all columns."""
+
+
+def kept(row: dict) -> dict:
+    """The row as it is written."""
+    if row["shapes"] == GIVEN:
+        return {key: value for key, value in row.items() if key[0] != "_"}
+    rounded = {"probability": [round(one, 4) for one in row["probability"]]} if row["seen"] else {}
+    return {key: row[key] for key in KEPT if key in row} | rounded
 
 
 GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"

@@ -173,6 +173,8 @@ def as_text(rows: list[dict]) -> str:
     def short(value):
         if isinstance(value, dict):
             return {name: short(one) for name, one in value.items()}
+        if isinstance(value, list):
+            return [short(one) for one in value]
         return float(f"{value:.4g}") if isinstance(value, float) else value
 
     return "[\n" + ",\n".join(json.dumps(short(row)) for row in rows) + "\n]\n"

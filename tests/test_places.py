@@ -364,6 +364,24 @@ def test_a_link_whose_next_joint_coincides_gets_length(bundle):
     assert np.quantile(forward, 0.95) > np.quantile(-forward, 0.95) + 0.02
 
 
+@pytest.mark.parametrize("inertia", [[1e-9] * 3 + [0.0] * 3, [1.0, 0.1, 0.1, 0.0, 0.0, 0.0]])
+def test_a_mass_distribution_of_no_body_bounds_no_shape(bundle, inertia):
+    bare, links = guessing(bundle), list(bundle.links)
+    links[3].inertia = inertia
+    bare.links = links
+    share = _core.guessed_surface(bare, 3, 100)["share"]
+    np.testing.assert_allclose(share, 1 / len(share))
+
+
+def test_an_arm_without_lengths_gets_shapes():
+    bare, links = _core.Bundle(), list(load_tree(SEVEN_AXIS).links)
+    for link in links:
+        link.translation = [0.0, 0.0, 0.0]
+    bare.links = links
+    points = _core.guessed_surface(bare, 6, 200)["points"]
+    assert np.isfinite(points).all() and 0.002 < np.linalg.norm(points, axis=1).max() < 0.1
+
+
 def test_shapes_that_are_given_are_not_guessed(bundle):
     bare = guessing(bundle)
     model = _core.PlaceModel(bare)

@@ -105,6 +105,7 @@ namespace {
 
 constexpr std::size_t kDraws = 10;                    // random numbers of a shape and a point on it
 constexpr double kSlimmest = 0.02, kThickest = 0.08;  // radius, as a share of the arm's length
+constexpr double kShortestArm_m = 0.1;
 constexpr double kTool = 0.05;       // longest tool beyond the last frame, as a share of the arm's length
 constexpr double kAtOrigin = 0.5;    // probability that a joint is at its frame's origin, not elsewhere on its axis
 constexpr double kParallel = 0.25;   // axes count as parallel below this squared sine of their angle
@@ -171,13 +172,15 @@ class Guess {
       if (const int parent = links_[static_cast<std::size_t>(k)].parent; parent >= 0) children_[static_cast<std::size_t>(parent)].push_back(k);
     for (std::size_t k = 0; k < links_.size(); ++k)
       arm_m_ += length_of(vector3(links_[k].translation)) + (children_[k].empty() ? length_of(ends_[k]) : 0);
+    arm_m_ = std::max(arm_m_, kShortestArm_m);
     link_ = static_cast<std::size_t>(link);
     if (own_.mass > 0) {
       const double half = 0.5 * (own_.inertia[0] + own_.inertia[1] + own_.inertia[2]);
       const auto variance = [&](std::size_t axis) { return (half - own_.inertia[axis]) / own_.mass + kMassOff_m * kMassOff_m; };
       const auto covariance = [&](std::size_t pair) { return -own_.inertia[pair] / own_.mass; };
       spread_ = {variance(0), 0, 0, covariance(3), variance(1), 0, covariance(4), covariance(5), variance(2)};
-      massive_ = cholesky(spread_, 3);
+      const double slimmest = kSlimmest * arm_m_;  // a narrower distribution is a placeholder
+      massive_ = half / own_.mass >= 0.5 * slimmest * slimmest && cholesky(spread_, 3);
     }
   }
 

@@ -1,18 +1,23 @@
-// Time of ranking links and of locating touches, over poses and touches by chance; one JSON object on stdout.
+// Time of ranking links and of locating touches, over poses and touches by chance, with given and with guessed shapes; one
+// JSON object on stdout.
 //   touch_place_bench [joints 7] [calls 2000]
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <random>
+#include <string>
 #include <vector>
 
 #include "force_bundle.hpp"
 #include "tauext/touch_place.hpp"
 
-int main(int argc, char** argv) {
-  const int joints = argc > 1 ? std::atoi(argv[1]) : 7, calls = argc > 2 ? std::atoi(argv[2]) : 2'000;
-  const auto n = static_cast<std::size_t>(joints);
-  tauext::PlaceModel model(made::force_bundle(joints));
+namespace {
+
+
+// Prints the times and returns a sum of the results.
+double time(const tauext::Bundle& bundle, const std::string& shapes, int calls) {
+  const auto n = static_cast<std::size_t>(bundle.joints());
+  tauext::PlaceModel model(bundle);
   std::mt19937 random(1);
   std::uniform_real_distribution<double> pose(-2, 2);
   std::normal_distribution<double> torque(0, 5);
@@ -32,9 +37,20 @@ int main(int argc, char** argv) {
     locating.push_back(ns(ranked, clock::now()));
     sum += told.probability[0] + told.place[0].point[0];
   }
+  made::print_quantiles((shapes + "_rank").c_str(), ranking);
+  made::print_quantiles((shapes + "_locate").c_str(), locating);
+  return sum;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const int joints = argc > 1 ? std::atoi(argv[1]) : 7, calls = argc > 2 ? std::atoi(argv[2]) : 2'000;
+  tauext::Bundle bundle = made::force_bundle(joints);
   std::printf("{\"joints\": %d", joints);
-  made::print_quantiles("rank", ranking);
-  made::print_quantiles("locate", locating);
+  double sum = time(bundle, "guessed", calls);
+  for (int link = 0; link < joints; ++link) bundle.capsules.push_back({link, {}, {0, 0, 0.3}, 0.05});
+  sum += time(bundle, "given", calls);
   std::printf("}\n");
   return sum == sum ? 0 : 1;
 }

@@ -123,17 +123,33 @@ def test_meshes_are_read_where_they_are_and_noted_where_not(tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "tube.stl").write_bytes(stl(tube(0.05, 0.4) * 1000))
     mesh = '<collision><geometry><mesh filename="{}" scale="0.001 0.001 0.001"/></geometry></collision>'
-    more = mesh.format("package://some_arm/meshes/tube.stl") + mesh.format("package://some_arm/meshes/none.stl")
-    path = written(tmp_path, URDF.format(more=more + mesh.format("hull.dae")), "arm.urdf")
-    (_, capsule), (note,) = link_capsules(path, load_tree(path))
+    more = mesh.format("package://some_arm/meshes/tube.stl")
+    path = written(tmp_path, URDF.format(more=more), "arm.urdf")
+    (_, capsule), notes = link_capsules(path, load_tree(path))
+    assert notes == []
     # A capsule as long as the tube, whose ends are rounder: within a fifth of its radius.
     assert capsule.radius_m == pytest.approx(0.05, rel=0.1)
     ends = in_urdf_axes(path, capsule)
     np.testing.assert_allclose(ends[:, 1:], [[0, 0.05], [0, 0.05]], atol=2e-3)
     np.testing.assert_allclose([ends[0, 0] - capsule.radius_m, ends[1, 0] + capsule.radius_m], [0.1, 0.5], atol=0.015)
+    more += mesh.format("package://some_arm/meshes/none.stl") + mesh.format("hull.dae")
+    path = written(tmp_path, URDF.format(more=more), "arm.urdf")
+    capsules, (note,) = link_capsules(path, load_tree(path))
+    assert capsules == []  # the parts that were read are not the whole link
     assert (
         "shapes of upper could not be read: there is no mesh file package://some_arm/meshes/none.stl and 1 more" in note
     )
+
+
+def test_what_an_mjcf_without_its_meshes_still_has_is_not_a_whole_link(tmp_path):
+    """Only the hand keeps its shape, since its inertia follows from it; the forearm that it is fixed to has lost its
+    own."""
+    text = ARM.replace("<mujoco>", '<mujoco><asset><mesh name="tube" file="tube.stl"/></asset>')
+    text = text.replace('<joint name="one"', '<geom type="mesh" mesh="tube"/><joint name="one"')
+    path = written(tmp_path, text, "arm.xml")
+    assert [*body_capsules(path).bodies] == ["hand"]
+    capsules, notes = link_capsules(path, load_tree(path))
+    assert capsules == [] and len(notes) == 1
 
 
 @pytest.mark.parametrize(

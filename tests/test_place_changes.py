@@ -130,6 +130,16 @@ def test_words_and_facts(bundle, signals):
     json.dumps(content, allow_nan=False)
 
 
+def test_a_link_that_is_not_sure_is_most_likely(bundle, signals):
+    change = found(bundle, signals, 1200)[0]
+    for share, words in (
+        (0.9, "the touch is on the link of joint1 (90%"),
+        (0.5, "the touch is most likely on the link"),
+    ):
+        links = ((0, share), *((link, (1 - share) / 3) for link in (3, 5, 6)), *((link, 0.0) for link in (1, 2, 4)))
+        assert place_words(replace(change, links=links, consistent=0.5), JOINTS).startswith(words)
+
+
 def test_words_and_facts_say_that_shapes_are_guessed(bundle, signals, monkeypatch):
     monkeypatch.setattr(bundle, "capsules", [])
     change = found(bundle, signals, 1200)[0]

@@ -329,8 +329,9 @@ def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
         return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
     place = change.best
     where = ", ".join(f"{value:.2f}" for value in place.point)
+    sure = "" if run_of(change.links)[2] >= STATED else "most likely "
     return (
-        f"the touch is on {links_words(change.links, joints, change.guessed)}: {newtons(place):.0f} N within "
+        f"the touch is {sure}on {links_words(change.links, joints, change.guessed)}: {newtons(place):.0f} N within "
         f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m{at_frame}"
     )
 

@@ -318,7 +318,7 @@ class BodyCapsules:
     notes: list[str]
     """Shapes that could not be read, one sentence each."""
     lost: list[str] = field(default_factory=list)
-    """Links of a URDF with a shape that could not be read."""
+    """Bodies or links with a shape that could not be read."""
     packages: dict[str, Path] = field(default_factory=dict)
     """Packages whose meshes are from installed robot descriptions, and their folders."""
 
@@ -342,21 +342,23 @@ def _body_capsules(path: Path, given: MeshFolders) -> tuple[BodyCapsules, LostSh
     model, file, meshes = compiled(path), read_xml(path), MeshFinder(path, given)
     placed: Iterable[tuple[int, Shape]]
     lost = LostShapes({}, [])
+    names = [model.body(body).name for body in range(model.nbody)]
     if file.root.tag == "robot":
-        placed, lost = urdf_shapes(file, [model.body(body).name for body in range(model.nbody)], meshes)
-        notes = lost.sentences()
+        placed, lost = urdf_shapes(file, names, meshes)
+        notes, incomplete = lost.sentences(), lost.names()
     else:
         placed = mjcf_shapes(model)
-        listed = sum(len(body.findall("geom")) for body in file.root.iter("body"))
+        listed = [(body.get("name", ""), len(body.findall("geom"))) for body in file.root.iter("body")]
         left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
-        notes = [left] if model.ngeom < listed else []
+        notes = [left] if model.ngeom < sum(count for _, count in listed) else []
+        incomplete = [name for name, count in listed if name in names and model.body(name).geomnum[0] < count]
     bodies: dict[str, list[Ends]] = {}
     for body, shape in placed:
         name = model.body(body).name
         if name and name != PAYLOAD:
             ends = [(start.tolist(), end.tolist(), float(radius)) for start, end, radius in as_capsules(shape)]
             bodies.setdefault(name, []).extend(ends)
-    return BodyCapsules(bodies, notes, lost.names(), meshes.elsewhere), lost
+    return BodyCapsules(bodies, notes, incomplete, meshes.elsewhere), lost
 
 
 def write_shapes(source: Path, folder: Path, given: MeshFolders = NO_FOLDERS) -> BodyCapsules:
@@ -423,6 +425,9 @@ def link_capsules(
 ) -> tuple[list[Capsule], list[str]]:
     """Capsules of the moving links, in the core's link frames, and sentences about shapes that could not be read.
 
+    A link with a shape that could not be read has no capsules: those of the others, as of fingers, would be taken for
+    the whole link.
+
     Args:
         path: URDF or MJCF of the tree; shapes beside it from write_shapes() take precedence.
         tree: defines which joints are in use.
@@ -434,12 +439,15 @@ def link_capsules(
     path = Path(path)
     shapes = shapes_of(path, given)
     found: dict[int, list[Capsule]] = {}
+    incomplete: set[int] = set()
     for body in placed_bodies(path, tree)[2]:
+        if body.name in shapes.lost:
+            incomplete.add(body.link)
         for start, end, radius in shapes.bodies.get(body.name, []):
             ends = [(body.translation + body.rotation @ np.array(one)).tolist() for one in (start, end)]
             found.setdefault(body.link, []).append(Capsule(body.link, ends[0], ends[1], radius))
     capsules = []
-    for link in sorted(found):
+    for link in sorted(found.keys() - incomplete):
         largest = sorted(found[link], key=area_m2, reverse=True)[:MOST_A_LINK]
         capsules += [one for one in found[link] if one in largest]
     return capsules, shapes.notes

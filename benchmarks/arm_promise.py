@@ -31,8 +31,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.results import EvaluatedBundle
-from tauext.train.calibrate import no_freeze
-from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.calibrate import calibrate_bundle
 
 SETS = {"train": (2, 0, 0), "calib0": (6, 10, 0), "test": (6, 5000, 0), "hits": (3, 5100, 50)}
 """Stretches of ten minutes, number of the first, touches in each."""
@@ -92,11 +91,8 @@ def judged(folder: Path) -> dict:
     def of(label: str) -> list[Callable[[], Recording]]:
         return [lambda path=path: load_recording(path) for path in sorted(folder.glob(f"{label}-*.parquet"))]
 
-    with no_freeze(bundle):
-        promised = promised_limits(
-            bundle, lambda: (replace(load(), contact=None, tau_ext=None) for load in of("calib0")), alarm, 2
-        )
-    apply_promised(bundle, promised, alarm)
+    loaders = [lambda load=load: replace(load(), contact=None, tau_ext=None) for load in of("calib0")]
+    promised, _ = calibrate_bundle(bundle, "bundle", loaders, alarm, 2)
     kept = folder / "estimates"
     bundles = {"trained": load_bundle(path), "promised": bundle}  # the first one sets the sizes of the hits
     results = evaluate(bundles, of("test"), of("hits"), kept, 0, 2, keep_free_estimates=0, inject=True)
@@ -113,6 +109,7 @@ def judged(folder: Path) -> dict:
         "largest_seen": [tail["largest_nm"] for tail in promised.tails.values()][::2],
         "limits": list(bundle.sliding_limit_nm),
         "hold_s": bundle.hold_s,
+        "suspects": getattr(promised, "suspects", 0),
     }
 
 
@@ -146,7 +143,7 @@ def markdown(done: dict, words: str) -> list[str]:
         "",
     ]
     lines += head(
-        "arm | commit | false alarms | in [h] | promised in them | touches | hits | limits for sliding [N m] "
+        "arm | commit | suspects | false alarms | in [h] | promised in them | touches | hits | limits for sliding [N m] "
         "| largest error there"
     )
     for name, versions in done.items():

@@ -143,14 +143,14 @@ def markdown(done: dict, words: str) -> list[str]:
         "",
     ]
     lines += head(
-        "arm | commit | suspects | false alarms | in [h] | promised in them | touches | hits | limits for sliding [N m] "
-        "| largest error there"
+        "arm | commit | suspects | false alarms | in [h] | promised in them | touches | hits "
+        "| limits for sliding [N m] | largest error there"
     )
     for name, versions in done.items():
         for version, one in versions.items():
             promised = one["promised_per_hour"] * one["hours"]
             lines.append(table_row(
-                name, version, one["false"], f"{one['hours']:.2f}", f"{promised:.1f}",
+                name, version, one["suspects"], one["false"], f"{one['hours']:.2f}", f"{promised:.1f}",
                 f"{one['detected']} of {one['touches']}", f"{one['hits']:.1%}", joined(one["limits"], ".2g"),
                 joined(one["largest_seen"], ".2g"),
             ))  # fmt: skip

@@ -23,8 +23,8 @@ from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.places import STATED, run_of
-from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree
+from tauext.robot.capsules import body_capsules, link_capsules
+from tauext.robot.load import load_tree, placed_bodies
 
 TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 2}
 """Link that people touched in each recording, from 1."""
@@ -43,9 +43,11 @@ def main() -> None:
     bundles = {name: _core.Bundle.load(str(options.bundles / f"{name}.tauext")) for name in ("observer", "bandpass")}
     recordings = {name: load_recording(options.dataset / f"{name}.parquet") for name in TOUCHED}
     arm = bundles["observer"]
-    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin_capsules(arm)}
+    thin, joints = thin_capsules(arm), [link.joint_name for link in arm.links]
+    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin}
+    parts = parts_of(options.dataset / "robot.urdf", joints)
+    shapes[FINGERS] = [one for one in thin if one.link not in {part.link for part in parts}] + parts
     if options.meshes is not None:
-        joints = [link.joint_name for link in arm.links]
         shapes["meshes"], lost = link_capsules(options.meshes, load_tree(options.meshes, joints))
         assert not lost, lost
     tables: dict[str, dict[str, dict]] = {}
@@ -56,7 +58,20 @@ def main() -> None:
         tables[title] = by_shapes(arm, shapes, recordings, told, own=name == "observer")
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
     tables["the robot's own estimate"] = by_shapes(arm, shapes, recordings, own, own=False)
-    write_page(options.out / "README.md", markdown(tables))
+    write_page(options.out / "README.md", markdown(tables, " --meshes ROBOT" if options.meshes else ""))
+
+
+FINGERS = "5 cm capsules and fingers"
+
+
+def parts_of(robot: Path, joints: list[str]) -> list[_core.Capsule]:
+    """What a robot file without its meshes still has: of the Panda's, boxes of the two fingers."""
+    bodies, found = body_capsules(robot).bodies, []
+    for body in placed_bodies(robot, load_tree(robot, joints))[2]:
+        for start, end, radius in bodies.get(body.name, []):
+            ends = [(body.translation + body.rotation @ np.array(one)).tolist() for one in (start, end)]
+            found.append(_core.Capsule(body.link, *ends, radius))
+    return found
 
 
 def by_shapes(
@@ -127,10 +142,10 @@ def table_of(bundle: _core.Bundle, recordings: dict[str, Recording], told: dict[
     }
 
 
-def markdown(tables: dict[str, dict[str, dict]]) -> str:
-    text = """# Touches on a standing Panda
+def markdown(tables: dict[str, dict[str, dict]], words: str) -> str:
+    text = f"""# Touches on a standing Panda
 
-Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT`.
+Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT{words}`.
 
 Hand touches of [tactileGestureDetection](https://github.com/MindLabZHAW/tactileGestureDetection) (MIT). The arm stands
 in one pose. A touch lasts 0.3 to 0.7 s; each file has touches on one link; forces are unknown. The torque is `tau_J`,
@@ -145,10 +160,11 @@ A band-pass distorts the direction of a touch over time. tauext therefore refuse
 bundles with residual filters; they are shown here for comparison only.
 
 """
-    text += f"""Links by what is known of the shapes. *{GIVEN}*: the cylinders; *{GUESSED}*: the robot file without
-meshes; *{THIN}*: a guess without a spread, from joint to joint, to compare with; *meshes*: capsules of the meshes
-of the robot file. *Stated*: a link has {STATED:.0%} or more; *link or run*: it, or a run of up to three neighbouring
-links, has. Nothing was tuned on these touches.
+    text += f"""Links by what is known of the shapes. *{GIVEN}*: the cylinders. *{GUESSED}*: the robot file without
+meshes. *{THIN}*: a guess without a spread, from joint to joint, to compare with. *{FINGERS}*: the same, but the boxes
+of the two fingers, which need no mesh, count as the whole last link. *Meshes*: capsules of the robot file's meshes.
+*Stated*: a link has {STATED:.0%} or more; *link or run*: it, or a run of up to three neighbouring links, has. Nothing
+was tuned on these touches.
 
 """
     columns = ("estimate", "shapes", "touches", "right", "among two", "stated", "of these right", "link or run")

@@ -351,7 +351,7 @@ def _body_capsules(path: Path, given: MeshFolders) -> tuple[BodyCapsules, LostSh
         listed = [(body.get("name", ""), len(body.findall("geom"))) for body in file.root.iter("body")]
         left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
         notes = [left] if model.ngeom < sum(count for _, count in listed) else []
-        incomplete = [name for name, count in listed if name in names and model.body(name).geomnum[0] < count]
+        incomplete = [name for name, count in listed if name and name in names and model.body(name).geomnum[0] < count]
     bodies: dict[str, list[Ends]] = {}
     for body, shape in placed:
         name = model.body(body).name

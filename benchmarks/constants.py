@@ -2,11 +2,12 @@
 
     python benchmarks/constants.py MODELS OUT [--arms ur5 panda ...] [--seeds 30] [--trained 5] [--label after]
 
-Every arm of a seed has masses off by up to 20 % from its robot file, centres of mass by up to 2 cm, and a tool of 0.5
-to 1.5 kg that the file lacks (benchmarks/unseen/arms.py). Constants are fitted to two minutes of currents: `unknown`,
-or `given` within 10 %. Of the first --trained seeds, bundles of recipe prior are trained, too; each weighs LOADS loads
-and answers to PUSHES pushes on its last link, as trained and after `tauext load --known-kg` (`weighed`). OUT/LABEL.json
-gets every value; OUT/README.md the tables of all labels there. The method was fixed on arms ur5 and panda.
+Every arm of a seed has masses off by up to 20 % from its robot file and centres of mass by up to 2 cm, and a tool of
+0.5 to 1.5 kg (benchmarks/unseen/arms.py). Constants are fitted to two minutes of currents: `unknown`, `given` within
+10 %, or `tool missing`: unknown, and the file lacks the tool. Of the first --trained seeds, bundles of recipe prior are
+trained, too; each weighs LOADS loads and answers to PUSHES pushes on its last link, as trained and after `tauext load
+--known-kg` (`weighed`). OUT/LABEL.json gets every value, OUT/constants.json and OUT/README.md the tables of all labels.
+The method was fixed on arms ur5 and panda.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ from tauext.data.recording import Recording
 from tauext.data.servo import AMPERES, FROM_AMPERES
 from tauext.errors import TauextError
 from tauext.files.places import place_of
-from tauext.fit.torque_constants import fit_torque_constants
+from tauext.fit.torque_constants import GUESS, fit_torque_constants
 from tauext.monitor import known_load
 from tauext.monitor.weighing import identify, load_frame, see
+from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.load import load_tree
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
@@ -45,7 +47,13 @@ DEVELOPED_ON = ("ur5", "panda")
 TRAIN_S = 120.0
 LOADS, PUSHES = 4, 8
 GIVEN_TO = 0.1
-KINDS = ("unknown", "given")
+KINDS = ("unknown", "given", "tool missing")
+WHATS = ("constant", "mass", "centre", "force")
+LABELS = {
+    "before": "`before`: errors by the curvature of the evidence and 5 % common to all; masses without the constants'.",
+    "after": "`after`: errors of the constants contain those of the robot file, and masses those of the constants.",
+}
+NEWLINE = "\n"
 
 
 def main() -> None:
@@ -53,10 +61,10 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=list(ARMS))
     parser.add_argument("--seeds", type=int, default=30, help="of constants, an arm")
     parser.add_argument("--trained", type=int, default=5, help="of these seeds, with masses and forces")
-    parser.add_argument("--label", default="after", help="name of the values' file")
+    parser.add_argument("--label", default="after", choices=LABELS, help="of the code that runs")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / f"{options.label}.json"
+    path = rows_of(options, options.label)
     rows: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
     for name in options.arms:
         maker = (makers(options.models) | fresh_makers())[name]
@@ -66,29 +74,49 @@ def main() -> None:
                 continue
             rows += of_arm(maker, seed, seed < options.trained)
             path.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
-    write_page(options.out / "README.md", markdown(options))
+    labels = {label: json.loads(path.read_text()) for label in LABELS if (path := rows_of(options, label)).exists()}
+    lines = summary(labels)
+    (options.out / "constants.json").write_text("[\n" + ",\n".join(map(json.dumps, lines)) + "\n]\n")
+    write_page(options.out / "README.md", markdown(labels, lines))
+
+
+def rows_of(options: argparse.Namespace, label: str) -> Path:
+    """The file of every value."""
+    path: Path = options.out / f"{label}.json"
+    return path
 
 
 def of_arm(maker: Maker, seed: int, trained: bool) -> Iterator[dict[str, Any]]:
     """A row a constant, a mass and a force: what, its relative error, and the standard error reported."""
-    arm, tree = true_arm(maker, maker.random(seed, 0)), load_tree(maker.model, maker.joints)
+    arm, bare = true_arm(maker, maker.random(seed, 0)), load_tree(maker.model, maker.joints)
+    tree = with_tool(maker, seed, arm, bare)
     wrong = maker.random(seed, 800).uniform(1 - GIVEN_TO, 1 + GIVEN_TO, len(maker.joints))
     moved = recorded(maker, arm, TRAIN_S, 0.0, maker.random(seed, 801))
     for kind in KINDS:
         about = {"arm": maker.name, "seed": seed, "constants": kind}
         training = as_given(moved, arm, kind, wrong)
-        found = fit_torque_constants(tree, [training], ObserverConfig(), kind == "given")
-        true = arm.nm_per_ampere if kind == "unknown" else 1 / wrong
+        model = bare if kind == "tool missing" else tree
+        found = fit_torque_constants(model, [training], ObserverConfig(), kind == "given")
+        true = 1 / wrong if kind == "given" else arm.nm_per_ampere
         shares = np.hypot(found.standard_errors / np.abs(found.nm_per_unit), getattr(found, "common_share", 0.0))
         for off, share in zip(np.log(np.abs(found.nm_per_unit) / true), shares, strict=True):
             yield about | {"what": "constant", "off": float(off), "error": float(share)}
-        if trained:
+        if trained and kind != "tool missing":
             with tempfile.TemporaryDirectory() as folder:
                 out = place_of(Path(folder) / "arm.tauext")
                 given = Given(maker.model, PAPER_CASES["exact"], [training], [], model=tree)
                 train_on_recordings(given, TrainConfig(recipe="prior"), out)
                 bundle = load_bundle(out)
             yield from used(maker, arm, seed, bundle, about, wrong)
+
+
+def with_tool(maker: Maker, seed: int, arm: TrueArm, bare: _core.Tree) -> _core.Tree:
+    """The file's tree with the arm's tool."""
+    without = true_arm(maker, maker.random(seed, 0), tool=False).tree.links[-1]
+    tool = inertial_parameters(arm.tree.links[-1])[:10] - inertial_parameters(without)[:10]
+    links = bare.links
+    links[-1] = with_inertial_parameters(links[-1], inertial_parameters(links[-1]) + np.r_[tool, 0.0])
+    return _core.Tree(links, bare.gravity)
 
 
 def used(
@@ -171,66 +199,80 @@ def recorded(maker: Maker, arm: TrueArm, seconds: float, warm_s: float, rng: np.
 
 def as_given(recording: Recording, arm: TrueArm, kind: str, wrong: np.ndarray) -> Recording:
     """The recording as an import has it: in amperes, or in N m by constants that are wrong by these factors."""
-    if kind == "unknown":
+    if kind != "given":
         return recording
     return replace(recording, tau=recording.tau * arm.nm_per_ampere * wrong, provenance={"torque": FROM_AMPERES})
 
 
-def markdown(options: argparse.Namespace) -> str:
-    """The tables of all labels."""
-    labels = {path.stem: json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"), reverse=True)}
-    text = f"""# Errors of torque constants, masses and forces
+COLUMNS = "of | constants | arms | | number | error | reported | reported / error | within two"
+GROUPS = {"developed on": DEVELOPED_ON, "run once": tuple(arm for arm in ARMS if arm not in DEVELOPED_ON)}
 
-Written by `python benchmarks/constants.py MODELS OUT`; values: {", ".join(f"[{k}.json]({k}.json)" for k in labels)}.
+
+def summary(labels: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """A line of the tables each: by kind of constants and group of arms, then by arm."""
+    kinds = dict.fromkeys(row["constants"] for rows in labels.values() for row in rows)
+    asked = [(what, kind, group) for what in WHATS for kind in kinds for group in GROUPS]
+    asked += [(what, "unknown", arm) for what in WHATS for arm in ARMS]
+    lines = []
+    for what, kind, group in asked:
+        for label, rows in labels.items():
+            arms = GROUPS.get(group, (group,))
+            some = [one for one in rows if (one["what"], one["constants"]) == (what, kind) and one["arm"] in arms]
+            if some:
+                lines.append({"of": what, "constants": kind, "arms": group, "label": label} | figures(what, some))
+    return lines
+
+
+def figures(what: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """RMS of errors and of reported standard errors, and the share within two of them.
+
+    Constants that are no better than a guess are left out: they are not used as N m.
+    """
+    off, error = (np.array([np.nan if row[name] is None else row[name] for row in rows]) for name in ("off", "error"))
+    used = error < GUESS if what == "constant" else np.isfinite(error)
+    off, error = off[used], error[used]
+    rms, said = (float(np.sqrt(np.mean(np.square(one)))) for one in (off, error))
+    return {
+        "number": len(off),
+        "error": rms,
+        "reported": said,
+        "reported_over_error": said / rms,
+        "within_two": float(np.mean(np.abs(off) <= 2 * error)),
+    }
+
+
+def markdown(labels: dict[str, list[dict[str, Any]]], lines: list[dict[str, Any]]) -> str:
+    """The page."""
+    by_group, by_arm = ([table_line(one) for one in lines if (one["arms"] in GROUPS) == grouped] for grouped in (1, 0))
+    return f"""# Errors of torque constants, masses and forces
+
+Written by `python benchmarks/constants.py MODELS OUT`; every figure is in [constants.json](constants.json).
 
 Simulated arms of [unseen arms](../unseen-arms/README.md), another one a seed: masses off by up to 20 % from the robot
-file, centres of mass by up to 2 cm, and a tool that the file lacks. Two minutes of currents determine the constants.
+file and centres of mass by up to 2 cm, with a tool of 0.5 to 1.5 kg. Two minutes of currents determine the constants.
 
-- `unknown`: no constant is given; `given`: constants right within {GIVEN_TO:.0%}, which training corrects; `weighed`:
-  after `tauext load --known-kg {KNOWN_KG}`.
+- `unknown`: no constant is given; `given`: constants right within {GIVEN_TO:.0%}, which training corrects; `tool
+  missing`: unknown, and the file lacks the tool; `weighed`: after `tauext load --known-kg {KNOWN_KG}`.
 - Masses: loads of 0.5 to 3 kg, a window of {WINDOW_S:g} s. Forces: along the true direction of a push of 20 to 45 N at
   a known point of the last link; pushes with a blind direction are left out. Centres are in mm.
 - *Error*: RMS of value / truth - 1 (of the logarithm for constants). *Reported*: RMS of the standard error reported.
   *Within two*: share of errors within two reported standard errors; 95 % for normal errors that are known exactly.
-
+{"".join(f"- {words}{NEWLINE}" for label, words in LABELS.items() if label in labels)}
 The method was fixed on the arms {" and ".join(DEVELOPED_ON)}; the others were run once.
 
-{chr(10).join(head(COLUMNS))}
+{NEWLINE.join([*head(COLUMNS), *by_group])}
+
+Every arm, as trained without constants:
+
+{NEWLINE.join([*head(COLUMNS.replace("arms", "arm")), *by_arm])}
 """
-    groups = {"developed on": DEVELOPED_ON, "run once": tuple(set(ARMS) - set(DEVELOPED_ON))}
-    for what in ("constant", "mass", "centre", "force"):
-        for kind in dict.fromkeys(row["constants"] for rows in labels.values() for row in rows):
-            for group, arms in groups.items():
-                for label, rows in labels.items():
-                    some = [
-                        row for row in rows
-                        if row["what"] == what and row["constants"] == kind and row["arm"] in arms
-                    ]  # fmt: skip
-                    if some:
-                        text += line(what, kind, group, label, some) + "\n"
-    text += f"\nEvery arm, as trained without constants:\n\n{chr(10).join(head(COLUMNS.replace('arms', 'arm')))}\n"
-    for what in ("constant", "mass", "force"):
-        for arm in ARMS:
-            for label, rows in labels.items():
-                some = [row for row in rows if (row["what"], row["constants"], row["arm"]) == (what, "unknown", arm)]
-                if some:
-                    text += line(what, "unknown", arm, label, some) + "\n"
-    return text
 
 
-COLUMNS = "of | constants | arms | | number | error | reported | reported / error | within two"
-
-
-def line(what: str, kind: str, group: str, label: str, rows: list[dict[str, Any]]) -> str:
+def table_line(of: dict[str, Any]) -> str:
     """A row of a table."""
-    off, error = (np.array([row[name] for row in rows], dtype=float) for name in ("off", "error"))
-    error = np.where(np.isfinite(error), error, 10.0)
-    used = error < 0.5 if what == "constant" else np.ones(len(off), bool)
-    off, error = off[used], error[used]
-    rms, said = (float(np.sqrt(np.mean(np.square(one)))) for one in (off, error))
-    text = (lambda x: f"{1e3 * x:.1f} mm") if what == "centre" else (lambda x: f"{x:.1%}")
-    inside = float(np.mean(np.abs(off) <= 2 * error))
-    return table_row(what, kind, group, label, len(off), text(rms), text(said), f"{said / rms:.2f}", f"{inside:.0%}")
+    error, said = (f"{1e3 * of[k]:.1f} mm" if of["of"] == "centre" else f"{of[k]:.1%}" for k in ("error", "reported"))
+    cells = (of["of"], of["constants"], of["arms"], of["label"], of["number"], error, said)
+    return table_row(*cells, f"{of['reported_over_error']:.2f}", f"{of['within_two']:.0%}")
 
 
 if __name__ == "__main__":

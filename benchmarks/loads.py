@@ -59,7 +59,7 @@ WRONG = 0.1
 KINDS = {"true": ["--fit-torque-constants", "False"], "off": []}
 """Torque constants, and the ones given to training; training corrects constants of currents unless they are given."""
 TRUE_TO = 0.01
-"""Standard error that is stated of the true ones, as of measured ones: they change with the temperature."""
+"""Standard error that is stated of the true ones, as of measured constants: magnets get warm."""
 
 
 @dataclass(frozen=True)

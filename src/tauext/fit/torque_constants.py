@@ -105,6 +105,10 @@ def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray 
         if other[2] < cost + SIGN_TIE:
             evidence, (at, weights, cost) = turned, other
     covariance = evidence.errors(at, weights, file_covariance(tree)) + LEAST_OWN**2 * np.eye(n)
+    energy = np.maximum(grams[:, -1, -1], LEAST_NOISE**2 * sample.rows)
+    unseen = evidence.squares(at, weights) > (1 - LEAST_SHARE) * energy
+    covariance[unseen, :] = covariance[:, unseen] = 0.0
+    covariance[unseen, unseen] = UNKNOWN_TO**2
     return ScaledArm(evidence.constants(at), covariance, float(np.exp(at[-1])))
 
 
@@ -269,7 +273,7 @@ GUESS = 0.5
 """One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
 it must meet, than amperes are."""
 LEAST_SHARE = 0.05
-"""Without a model: least share of the current's friction residual explained by the found arm's gravity and inertia."""
+"""Least share of what friction leaves of a current that gravity and inertia explain; below, its constant is unknown."""
 UNKNOWN_TO = 1.0
 """Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
 GIVEN_TO = 0.06

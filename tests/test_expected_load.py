@@ -83,7 +83,8 @@ def test_a_load_that_is_expected_is_weighed_and_set_and_one_that_is_not_is_a_col
     phases = [LoadPhase(phase).name for phase in dict.fromkeys(said["load_phase"].tolist())]
     assert phases == ["expecting", "deciding", "found", "weighing"]
     assert monitor.load.mass == pytest.approx(MASS, rel=0.03)
-    assert 0 < monitor.last.load_error_kg < 0.2
+    usual = 0.05 / 3**0.5 * MASS  # constants known to 5 % each, as if three joints weighed it
+    assert usual < monitor.last.load_error_kg < 0.2
     assert picks.t_ns[PICKED] < monitor.last.load_found_ns
     # what is left out of the alarm is the load, and nothing once it is set
     deciding = said["load_phase"] == LoadPhase.deciding.value

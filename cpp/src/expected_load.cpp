@@ -54,7 +54,14 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
       columns_(bare_, bundle.prior, load_frame(bundle.load), gain_per_s_),
       usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
   std::ranges::copy(bundle.most_units_per_nm(), units_per_nm_.begin());
-  for (int j = 0; j < joints_; ++j) newton_joints_ += bundle.in_newtons(j);
+  double own = 0;
+  for (int j = 0; j < joints_; ++j)
+    if (bundle.in_newtons(j)) {
+      ++newton_joints_;
+      own += std::pow(bundle.wrench.own_share(static_cast<std::size_t>(j)), 2);
+    }
+  const int n = std::max(newton_joints_, 1);
+  constants_share_ = std::hypot(bundle.wrench.common_share, std::sqrt(own / (n * std::min(n, 3))));
 }
 
 std::string ExpectedLoad::why_not(double seconds, double at_most_kg) const {
@@ -405,7 +412,7 @@ ExpectedLoad::Decision ExpectedLoad::take(const Stretch& stretch, LoadChange cha
   if (stretch.begin_ns > s.begin_ns) s.past = {};
   s.covariance = covariance_of(stretch, change);
   s.found_ns = s.t_ns;
-  s.error_kg = error;
+  s.error_kg = std::hypot(error, constants_share_ * change[0]);
   s.refine_ns = s.t_ns + to_ns(kStretch_s);
   s.begin_ns = stretch.begin_ns;
   usual_.acknowledge();

@@ -150,6 +150,7 @@ class ExpectedLoad {
   bool shows(const LoadChange& one, const LoadChange& other, double share) const noexcept;
 
   int joints_, newton_joints_ = 0;         // number of joints that answer in N m
+  double constants_share_ = 0;  // relative standard error of a mass from the torque constants, as if three joints weighed it
   JointVector units_per_nm_{};    // Bundle::most_units_per_nm()
   LoadSettings settings_;
   double gain_per_s_, period_s_;

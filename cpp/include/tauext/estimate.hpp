@@ -84,7 +84,7 @@ struct Estimate {
   Load load;                        // load that the model carries; mass 0: none
   LoadPhase load_phase = LoadPhase::none;  // phase of an expected load
   std::int64_t load_found_ns = 0;   // sample at which the last expected load was found, [ns]; 0: none
-  double load_error_kg = 0;         // standard error of its mass, [kg]
+  double load_error_kg = 0;         // standard error of its mass, with that of the torque constants, [kg]
   JointVector load_nm{};            // part of tau_ext attributed to an expected load, [N m]; 0 if none is expected
 
   // Healthy and no alarm: the only condition that means "no collision".

@@ -115,7 +115,7 @@ typedef struct tauext_estimate {
   int32_t load_phase;                    /* tauext_load_phase */
   int32_t touch;                         /* tauext_touch: kind of touch behind the alarm */
   int64_t load_found_ns;                 /* sample at which the last expected load was found; 0: none */
-  double load_error_kg;                  /* standard error of its mass */
+  double load_error_kg;                  /* standard error of its mass, with that of the torque constants */
   double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], part of tau_ext attributed to an expected load */
   double contact_sigma_nm[TAUEXT_MAX_JOINTS];  /* [N m], standard error during and after a contact */
 } tauext_estimate;

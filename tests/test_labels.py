@@ -49,7 +49,7 @@ def spans(contact: np.ndarray, value: int) -> list[tuple[int, int]]:
     [
         ("touched", [(200, 301)], [(180, 200), (301, 401)]),
         ("unanswered", [], [(180, 401)]),
-        ("suspect", [], [(180, 401)]),
+        ("suspect", [], [(180, 331)]),
         ("nothing", [], []),
     ],
 )

@@ -26,7 +26,6 @@ from tauext.commission.arm_change import named_steps
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
 from tauext.commission.promises import Ledger
-from tauext.commission.suspects import beyond_chance
 from tauext.commission.trainer import Trainer, why_not
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
@@ -76,7 +75,7 @@ def copy(learned, tmp_path) -> CommissionFolder:
 
 def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
     touches = [one for one in read_labels(learned.path) if one.epoch == 1]
-    (touch,) = [one for one in touches if abs(one.from_ns * 1e-9 - 24.2) < 0.6]
+    (touch,) = [one for one in touches if one.from_ns < 24.3e9 and one.to_ns > 24.6e9]
     # A minute's fit also doubts a moment or two of free motion; these are left out, which costs half a second each.
     assert touch.answer == "suspect" and len(touches) <= 3
     assert active(learned) == "b0001" and active_bundle(learned.path).stem == "b0001"
@@ -155,7 +154,7 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
         for name, value in change.items():
             setattr(bundle, name, value)
         monkeypatch.setattr(trainer, "load_bundle", lambda path, bundle=bundle: bundle)
-        monkeypatch.setattr(trainer, "find_suspects", lambda *_: [])
+        monkeypatch.setattr(trainer, "search", lambda *_: [])
         Trainer(copy).step()
         assert why in words(copy)[-1], words(copy)[-1]
         assert copy.active() is None and not path.exists()
@@ -524,18 +523,6 @@ def test_a_training_refused_for_the_whole_stream_names_a_remedy_that_the_command
     assert "joint1: the torque is positive where it pushes in the negative direction" in refused, refused
     assert "reverse this joint's effort in the driver" in refused and refused.endswith("then begin with a new --out")
     assert "--accept" not in refused and folder.active() is None
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_rare_large_errors_of_free_motion_are_no_suspects_but_what_stands_out_of_them_is(seed):
-    """Errors of abrupt stops: every twentieth window is several times the others."""
-    rng = np.random.default_rng(seed)
-    values = rng.exponential(1.0, 4000) * np.where(rng.uniform(size=4000) < 0.05, 3.0, 1.0)
-    limit = beyond_chance(values)
-    assert (values > limit).sum() <= 6 < (values > 2.8 * np.percentile(values, 90)).sum() and limit < 40
-    regular = rng.uniform(0.5, 1.0, 4000)
-    touched = np.append(regular, [3.0] * 8)
-    assert beyond_chance(regular) == pytest.approx(beyond_chance(touched), rel=0.02) and beyond_chance(touched) < 1.5
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,11 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.commission.folder import CommissionFolder, Segment, joined, up_to
+from tauext.commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext.commission.history import Kept, kept_of
 from tauext.commission.keep import LEARNED, segments_of_arm
-from tauext.commission.suspects import Suspect
 from tauext.config import AlarmConfig, FreeMotionConfig
-from tauext.data.labels import EPOCH, MARGINS, Label
+from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.append_file import write_synced
@@ -29,6 +28,7 @@ from tauext.progress import WallTimes
 from tauext.train.calibrate import no_freeze
 from tauext.train.held_peaks import collect_peaks
 from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.suspects import Suspect, find_suspects, suspect_sentences
 
 THREADS = 1
 """Training must not take cores from the loop."""
@@ -99,7 +99,7 @@ class Ledger:
         false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
         bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
         numbers = {one.number for one in (*fresh, *false)}
-        before, places = copy.deepcopy(self.collectors), list[Place]()
+        before, places, since = copy.deepcopy(self.collectors), list[Place](), len(self.places)
         try:
             with no_freeze(bundle):
                 counted = self._counted([one for one in segments if one.number in numbers], segments, places)
@@ -116,7 +116,29 @@ class Ledger:
         self.counted = {one.id for one in labels if one.answer == "nothing"}
         self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
         self._forget(labels)
+        if places:
+            self._forget(self._suspected(bundle, segments, labels, since))
         self.put()
+
+    def _suspected(
+        self, bundle: _core.Bundle, segments: Sequence[Segment], labels: Sequence[Label], since: int
+    ) -> list[Label]:
+        """Label the touches that nobody reported in the newest motion; returns their labels."""
+
+        def load(number: int) -> Recording:
+            _, epoch, from_ns, to_ns = self.places[number]
+            inside = [one for one in segments if one.epoch == epoch and one.from_ns <= to_ns and one.to_ns >= from_ns]
+            return joined(self._folder.load(inside))
+
+        peaks = self.collectors[-1].peaks(self.names)
+        with no_freeze(bundle):
+            found = find_suspects(bundle, peaks, load, labels, THREADS, since)
+        return put_suspects(self._folder, found, bundle.name)
+
+    def suspects(self) -> int:
+        """Number of suspects whose peaks were left out."""
+        left_out = [one for one in self._folder.labels() if one.answer == "suspect" and one.id in self.forgotten]
+        return sum(any(_within(one, place) for place in self.places) for one in left_out)
 
     def _counted(
         self, chosen: Sequence[Segment], segments: Sequence[Segment], places: list[Place]
@@ -147,8 +169,9 @@ class Ledger:
                     yield replace(motion, name=own[0].stem)
 
     def _forget(self, labels: Sequence[Label]) -> None:
-        before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
         for label in labels:
+            margins = SUSPECT_MARGINS if label.answer == "suspect" else MARGINS
+            before, after = round(margins.before_s * 1e9), round(margins.after_s * 1e9)
             span = (label.from_ns - before, label.to_ns + after)
             if label.answer == "nothing" or self.forgotten.get(label.id) == span:
                 continue
@@ -178,8 +201,26 @@ def base_of(folder: CommissionFolder, bundle: str) -> str:
     return str((facts.get("calibrated") or {}).get("base") or bundle)
 
 
-def meets(one: Segment | Suspect, label: Label) -> bool:
+def meets(one: Segment, label: Label) -> bool:
     return one.epoch == label.epoch and one.from_ns <= label.to_ns and one.to_ns >= label.from_ns
+
+
+def _within(label: Label, place: Place) -> bool:
+    _, epoch, from_ns, to_ns = place
+    return label.epoch == epoch and from_ns <= label.to_ns and to_ns >= label.from_ns
+
+
+def put_suspects(folder: CommissionFolder, found: Sequence[Suspect], bundle: str) -> list[Label]:
+    """Label suspects and note them in the history; returns the labels."""
+    number = min([0, *(one.id for one in folder.labels() if one.id < 0 and one.id % 2 == 0)])
+    added = []
+    for one in found:
+        number -= 2
+        added.append(Label(number, int(one.epoch or 0), *one.span, "suspect", "trainer", wall(), bundle))
+        folder.append_label(added[-1])
+    if words := suspect_sentences(found, "answer `nothing`"):
+        folder.note("note", folder.seconds(), "; ".join(words), bundle=bundle)
+    return added
 
 
 # --- Limits and promises.
@@ -251,6 +292,7 @@ class Promises:
         try:
             with no_freeze(bundle):
                 promised = promised_limits(bundle, lambda: [], alarm, THREADS, kept=ledger)
+                promised = replace(promised, suspects=ledger.suspects())
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
             return ledger.renewed()

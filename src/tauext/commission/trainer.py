@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.check.finding import Finding
@@ -35,13 +34,10 @@ from tauext.commission.connect import (
 from tauext.commission.course import Facts, next_step
 from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
 from tauext.commission.keep import motion_s, segments_of_arm
-from tauext.commission.promises import MOST_TEST_S, THREADS, Promises, meets
-from tauext.commission.suspects import Suspect, find_suspects
+from tauext.commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
 from tauext.data.free_motion import free_pieces
-from tauext.data.labels import Label
-from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import estimate_recording
@@ -55,10 +51,8 @@ from tauext.robot.model_case import chosen_case
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given
 from tauext.train.stage import accepted_settings, train_on_recordings
+from tauext.train.suspects import search
 
-FIRST_ROUNDS = 3
-"""Most trainings of an arm's first bundle: after each, touches that nobody reported are looked for and left out of the
-next. Before a later training, the bundle in charge looks for them in motion that it was not trained on."""
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
 MOST_ALARMED = 0.02
@@ -210,7 +204,7 @@ class Trainer:
         return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), (), None)
 
     def _train(self, minutes: float) -> None:
-        """Train on all training motion, without touches that this training or an earlier one finds."""
+        """Train on all training motion, without touches that nobody reported."""
         folder, segments = self.folder, segments_of_arm(self.folder)
         training = [one for one in segments if one.set == "train"]
         out = folder.next_bundle()
@@ -218,25 +212,18 @@ class Trainer:
         try:
             robot = self._robot()
             case, _ = chosen_case(None, robot)
-            learning = [one for one in segments if one.set != "calibration"]
-            active, rounds = folder.active(), FIRST_ROUNDS
             if is_changed(folder.history()):
-                self._withdraw(learning)
-            elif active is not None:
-                self._suspect(load_bundle(active), load_known(self.folder, learning))
-                rounds = 1
+                self._withdraw([one for one in segments if one.set != "calibration"])
             config = self._config(minutes)
-            for number in range(rounds):
-                recordings = load_known(self.folder, training)
-                if not recordings:
-                    raise ConfigError("no training motion is left")
-                size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
-                expect_memory(size, f"training on {minutes:g} min")
-                given, checked = self._checked(Given(robot, PAPER_CASES[case], recordings), config)
-                report = Share(lambda share: self.folder.progress(f"training {out.stem}", share))
-                train_on_recordings(given, config, out, report, checked)
-                if number == rounds - 1 or not self._suspect(load_bundle(out), load_known(self.folder, learning)):
-                    break
+            recordings = load_known(self.folder, training)
+            if not recordings:
+                raise ConfigError("no training motion is left")
+            size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
+            expect_memory(size, f"training on {minutes:g} min")
+            given = Given(robot, PAPER_CASES[case], recordings, labels=folder.labels())
+            given, checked = self._checked(given, config)
+            report = Share(lambda share: self.folder.progress(f"training {out.stem}", share))
+            put_suspects(folder, train_on_recordings(given, config, out, report, checked), out.stem)
         except TauextError as error:
             if any(os.strerror(one) in str(error) for one in (errno.ENOSPC, errno.EDQUOT)):  # it is tried again
                 raise
@@ -285,24 +272,6 @@ class Trainer:
             if label.answer == "unanswered" and any(meets(one, label) for one in segments):
                 self.folder.append_label(replace(label, answer="withdrawn", by="trainer", wall=wall()))
 
-    def _suspect(self, bundle: _core.Bundle, recordings: Sequence[Recording]) -> list[Suspect]:
-        """Label touches that nobody reported; returns them."""
-        labels = self.folder.labels()
-        nothing = [one for one in labels if one.answer == "nothing"]
-        found = [one for one in find_suspects(bundle, recordings, THREADS) if not any(meets(one, of) for of in nothing)]
-        ids = [one.id for one in labels]
-        number = min([0, *(one for one in ids if one < 0 and one % 2 == 0)])
-        for one in found:
-            number -= 2
-            span = one.epoch, one.from_ns, one.to_ns
-            self.folder.append_label(Label(number, *span, "suspect", "trainer", wall(), bundle.name))
-        if found:
-            seconds = 1e-9 * sum(one.to_ns - one.from_ns for one in found)
-            count = f"{len(found)} suspected touch{'es' * (len(found) > 1)} that nobody reported"
-            words = f"{count}, {seconds:.1f} s in all, left out of training"
-            self.folder.note("note", self.folder.seconds(), words, bundle=bundle.name)
-        return found
-
     def _judge_bundle(self) -> None:
         """Put the waiting bundle in charge if it passes on motion outside of its training, and is no worse."""
         folder, pending = self.folder, self._pending()
@@ -312,7 +281,8 @@ class Trainer:
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
         if is_changed(folder.history()):
             self._withdraw(unseen)
-        self._suspect(candidate, load_known(self.folder, unseen))
+        found = search(candidate, load_known(self.folder, unseen), folder.labels(), THREADS)
+        put_suspects(folder, found, candidate.name)
         facts, why = self._judged(name, unseen)
         if pending.get("refit"):
             self.days.judge_refit(name, facts, why)

@@ -21,6 +21,8 @@ from tauext.files.plain_file import FORMAT
 LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
 FILE_NAME = "labels.jsonl"
 MARGINS = FreeMotionConfig()
+SUSPECT_MARGINS = FreeMotionConfig(after_s=0.3)
+"""Margins of a suspect: its end follows from the errors themselves, so filters alone need time."""
 EPOCH = "epoch"
 """Key of a recording's provenance: number of its clock, which changes whenever the source's stamps go back."""
 
@@ -103,17 +105,18 @@ def overlay(labels: Iterable[Label], epoch: int, t_ns: np.ndarray, contact: np.n
     """`contact` of these samples, (samples,) int8: 1 touched, 0 free, -1 unknown.
 
     A touch has the margins of training around it, as unknown: it may lie in the next recording. Alarms without an
-    answer and suspects are unknown with the same margins. Where labels overlap, `touched` counts first, then
-    `unanswered`, `nothing`, `suspect`. If no sample of a recording is known, all are touched, since recordings without
-    any known label count as free.
+    answer are unknown with the same margins, suspects with SUSPECT_MARGINS. Where labels overlap, `touched` counts
+    first, then `unanswered`, `nothing`, `suspect`. If no sample of a recording is known, all are touched, since
+    recordings without any known label count as free.
 
     Args:
         contact: of the recording itself; None: free throughout.
     """
     out = np.zeros(len(t_ns), dtype=np.int8) if contact is None else np.array(contact, dtype=np.int8)
-    before, after = round(MARGINS.before_s * 1e9), round(MARGINS.after_s * 1e9)
     order = ("suspect", "nothing", "unanswered", "touched")
     for label in sorted((one for one in labels if one.epoch == epoch), key=lambda one: order.index(one.answer)):
+        margins = SUSPECT_MARGINS if label.answer == "suspect" else MARGINS
+        before, after = round(margins.before_s * 1e9), round(margins.after_s * 1e9)
         around = slice(*np.searchsorted(t_ns, [label.from_ns - before, label.to_ns + after + 1]))
         if label.answer == "nothing":
             out[around] = 0

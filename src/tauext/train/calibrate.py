@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
-from tauext.data.labels import labels_key
+from tauext.data.labels import labels_key, read_labels
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
@@ -30,8 +30,9 @@ from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.error_scale import collect_rows, fit_error_scale
-from tauext.train.held_peaks import KeptPeaks
+from tauext.train.held_peaks import KeptPeaks, collect_peaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
+from tauext.train.suspects import HeldStore, find_suspects, forget, suspect_facts, suspect_sentences
 
 SCALE_SHARE = 0.2
 """Share of the calibration recordings for refitting the error scale."""
@@ -196,12 +197,21 @@ def calibrate_bundle(
                 show(len(names), len(loaders), "recordings")
 
         with no_freeze(bundle):
-            promised = promised_limits(bundle, load_all, alarm, threads, margins, kept=kept, poses=poses)
+            store = HeldStore(kept)
+            found = collect_peaks(bundle, load_all(), alarm.holds_s, threads, margins=margins, kept=store)
+            labels = [label for folder in folders_of(loaders) for label in read_labels(folder)]
+            suspects = find_suspects(bundle, found[-1], lambda k: loaders[k](), labels, threads)
+            forget(store.collectors, suspects)
+            promised = promised_limits(bundle, lambda: [], alarm, threads, margins, kept=store, poses=poses)
+    promised = replace(promised, suspects=len(suspects))
     apply_promised(bundle, promised, alarm)
+    for words in suspect_sentences(suspects):
+        report.say(words)
     units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
     for moment in promised.moments:
         report.say(moment.sentence(units[moment.joint]))
-    return promised, promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
+    facts = promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
+    return promised, facts | ({"suspected": suspect_facts(suspects)} if suspects else {})
 
 
 def kept_peaks(
@@ -211,10 +221,16 @@ def kept_peaks(
     if out is None or not all(isinstance(load, partial) for load in loaders):
         return None
     files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
-    labels = sorted({labels_key(file_of(load).parent) for load in loaders} - {""})
+    labels = sorted({labels_key(folder) for folder in folders_of(loaders)} - {""})
     out.parent.mkdir(parents=True, exist_ok=True)
     work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings, *labels])
     return KeptPeaks(Checkpoint(checkpoint_file(out), hashlib.sha256(work.encode()).hexdigest()))
+
+
+def folders_of(loaders: Sequence[Callable[[], Recording]]) -> list[Place]:
+    """Folders of the files that a dataset's loaders read; none for recordings in memory."""
+    folders = [file_of(load).parent for load in loaders if isinstance(load, partial)]
+    return list({str(one): one for one in folders}.values())
 
 
 def file_of(load: Callable[[], Recording]) -> Place:

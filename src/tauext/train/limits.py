@@ -186,7 +186,9 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         words, job.facts["limits"] = put_fleet_limits(bundle, fleet, config.alarm)
         job.notes.append(words)
     elif kind == "supported":
-        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit, rows, poses)
+        words, job.facts["limits"] = set_supported_limits(
+            bundle, judged, config, job.threads, fit, rows, poses, len(job.suspects)
+        )
         job.notes.append(words)
         if "other_motion" in job.facts["limits"]:
             job.notes.append(job.facts["limits"]["other_motion"]["sentence"])
@@ -257,6 +259,7 @@ def set_supported_limits(
     fit: PriorFit | None,
     rows: Rows | None = None,
     poses: Sequence[Sequence[float]] = (),
+    suspects: int = 0,
 ) -> tuple[str, dict]:
     """Set limits for the smallest budget of false alarms that this motion supports.
 
@@ -268,6 +271,7 @@ def set_supported_limits(
     Args:
         rows: errors of the error scale's fit, for testing the promise in other motion.
         poses: of the motion, in which links are hit.
+        suspects: number of suspected touches that were left out of the motion.
     """
     seen_s = total_s(whole_recordings(judged))
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
@@ -285,6 +289,7 @@ def set_supported_limits(
         facts: dict = {"sentence": words}
     else:
         apply_promised(bundle, promised, config.alarm)
+        promised = replace(promised, suspects=suspects)
         facts = promised.facts()
         words = f"no calibration recordings. {promised.sentence()}"
     if bundle.error_scale.follows:

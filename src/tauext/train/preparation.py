@@ -24,6 +24,7 @@ from tauext.data.free_motion import (
     standing_joints,
     total_s,
 )
+from tauext.data.labels import Label
 from tauext.data.recording import Recording
 from tauext.data.servo import from_amperes, in_amperes
 from tauext.errors import ConfigError, TrainingError
@@ -41,6 +42,7 @@ from tauext.robot.mesh_files import MeshFolders
 from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.error_scale import at_rest_sentence
+from tauext.train.suspects import Suspect
 
 # --- Settings that determine a trained bundle besides the data.
 
@@ -423,6 +425,9 @@ class Given:
     """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
     meshes: MeshFolders = MeshFolders()
     """Folders of the robot file's meshes, which are searched first."""
+    labels: Sequence[Label] = ()
+    """Labels beside the recordings, already part of their `contact`: intervals answered with `nothing` are no
+    suspects."""
 
     def __post_init__(self) -> None:
         if self.network is not None and self.training:
@@ -463,6 +468,8 @@ class Job:
     """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
     times: WallTimes = field(default_factory=WallTimes)
     """Wall times of the training's phases."""
+    suspects: Sequence[Suspect] = ()
+    """Touches that nobody reported, left out of the motion."""
 
     @property
     def name(self) -> str:

@@ -24,6 +24,7 @@ from tauext.fit.tail import (
     held_minimum,
     hold_lengths,
     rates_together,
+    upper_rate,
 )
 from tauext.fit.ties import simplest
 from tauext.train.error_scale import FEATURES, Judged, LevelLimits, Rows, limit_weights
@@ -73,6 +74,8 @@ class PromisedLimits:
     """Mean rate that each collision limit is allowed, (joints, regions), [1/h]."""
     moments: list[Moment] = field(default_factory=list)
     """Moments that alone determine a collision limit."""
+    suspects: int = 0
+    """Number of suspected touches left out of the peaks."""
 
     @property
     def misfits(self) -> list[str]:
@@ -84,16 +87,35 @@ class PromisedLimits:
         words = self.promise.sentence()
         if not self.promise.is_supported:
             words += f" The limits are set for {self.budget}."
+        if self.suspects:
+            words += f" {self.suspected()}"
         if self.misfits:
             words += f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a conservative guess."
         return words
 
+    @property
+    def bound_per_hour(self) -> float:
+        """Upper bound of the false alarm rate if all suspects were free motion, [1/h]: the budget's and theirs."""
+        hours, confidence = self.promise.hours, self.promise.confidence
+        of_suspects = upper_rate(self.suspects, hours, confidence) - upper_rate(0, hours, confidence)
+        return self.budget.rate_per_hour + of_suspects
+
+    def suspected(self) -> str:
+        """Sentence on the promise with and without the suspects."""
+        several = self.suspects > 1
+        return (
+            f"{self.suspects} suspected touch{'es are' if several else ' is'} left out: at most {self.budget}; if "
+            f"{'they were' if several else 'it was'} none, 1 in {duration(1 / self.bound_per_hour, 'down')}."
+        )
+
     def facts(self) -> dict:
         """All of it for JSON."""
+        suspected = {"suspects": self.suspects, "bound_per_hour": self.bound_per_hour} if self.suspects else {}
         return {
             "sentence": self.sentence(),
             "promise": self.promise.summary(),
             "set_for": str(self.budget),
+            **suspected,
             "hold_s": self.hold_s,
             "tails": self.tails,
             **({"one_moment": [moment.facts() for moment in self.moments]} if self.moments else {}),

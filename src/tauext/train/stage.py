@@ -11,10 +11,13 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.check.preflight import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
+from tauext.data.labels import Label, read_labels
+from tauext.data.recording import Recording
 from tauext.data.servo import TORQUE_WORDS, made_from, makes_torque, other_sources, servo_of_recordings
 from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
+from tauext.fit.bundle_writing import set_drift
 from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.network_training import apply_gate
 from tauext.fit.network_weights import NetworkWeights, load_network
@@ -23,6 +26,7 @@ from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.robot.mesh_files import MeshFolders, expect_meshes
 from tauext.robot.model_case import chosen_case
+from tauext.train.error_scale import collect_rows, scale_of
 from tauext.train.fitting import (
     expect_like,
     fit_prior,
@@ -31,6 +35,7 @@ from tauext.train.fitting import (
     observe,
     put_coverage,
     put_prior,
+    put_region,
     with_fit,
 )
 from tauext.train.limits import limits_kind, put_limits
@@ -39,6 +44,15 @@ from tauext.train.network import assemble, choose_gain, fit_network, network_set
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.servo_signals import SignalLimits, comparison_sentence, signal_limits
+from tauext.train.suspects import (
+    Suspect,
+    are_same,
+    is_unreported,
+    search,
+    suspect_facts,
+    suspect_sentences,
+    without_suspects,
+)
 from tauext.train.writing import put_wrench, write
 
 # --- Least time and memory of a training, checked before anything is loaded.
@@ -169,7 +183,10 @@ def train_bundle(
     with times.phase("read"):
         training, validation = dataset.training(), dataset.recordings("validation")
     calibration = dataset.stretches("calibration")
-    given = Given(robot_file, PAPER_CASES[case], training, validation, calibration, network=own, meshes=meshes)
+    labels = read_labels(dataset.folder)
+    given = Given(
+        robot_file, PAPER_CASES[case], training, validation, calibration, network=own, labels=labels, meshes=meshes
+    )
     checked = None
     if check:
         with times.phase("check"):
@@ -188,8 +205,10 @@ def train_on_recordings(
     accept: Sequence[str] = (),
     times: WallTimes | None = None,
     signals: bool = False,
-) -> None:
+) -> list[Suspect]:
     """Train on recordings in memory by the config's recipe, find limits, and write the bundle.
+
+    Returns the suspects: touches that nobody reported, left out of the training.
 
     Its run file and wall time are written beside it. While a network is trained, so is a checkpoint, from which an
     interrupted training resumes.
@@ -210,21 +229,25 @@ def train_on_recordings(
         recipe, a monitor rejects the motion, or the loss diverges.
     """
     times = WallTimes() if times is None else times
-    with times.phase("prepare"):
-        job = replace(prepare(given, config, out, report, like), times=times)
+    job, setup, fit = fitted(given, config, out, report, like, times)
+    suspects, searched, free = list[Suspect](), [*job.training, *job.validation], given
+    for _ in range(SEARCHES):
+        with times.phase("suspects"):
+            found = training_suspects(job, setup, fit, searched, given.labels)
+        if are_same(found, suspects):
+            break
+        suspects = found
+        job.say("fitting again without suspected touches")
+        training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
+        free = replace(given, training=training, validation=validation)
+        job, setup, fit = fitted(free, config, out, report, like, times)
+    given = free
+    if suspects:
+        job = replace(job, suspects=suspects)
+        job.notes.extend(suspect_sentences(suspects))
+        job.facts["suspects"] = suspect_facts(suspects)
     if checked is not None:
         job.facts["checks"] = checked
-    job.say("observing the motion")
-    with times.phase("observe"):
-        setup = observe(job)
-    if like is not None:
-        expect_like(job, setup)
-        job.facts["like"] = like_facts(like)
-        job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
-    if config.row.fit is not None:
-        job.say("fitting friction and model")
-    with times.phase("fit"):
-        setup, fit = fit_with_gain(job, setup)
     # Check before a long training: rejected motion does not depend on the network.
     with times.phase("observe"):
         rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
@@ -242,6 +265,53 @@ def train_on_recordings(
         with times.phase("signals"):
             compare_signals(job, bundle, given)
     write(job, bundle, network)
+    return suspects
+
+
+def fitted(
+    given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None, times: WallTimes
+) -> tuple[Job, Setup, PriorFit | None]:
+    """The prepared job, its setup without the prior, and the prior; see train_on_recordings."""
+    with times.phase("prepare"):
+        job = replace(prepare(given, config, out, report, like), times=times)
+    job.say("observing the motion")
+    with times.phase("observe"):
+        setup = observe(job)
+    if like is not None:
+        expect_like(job, setup)
+        job.facts["like"] = like_facts(like)
+        job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
+    if config.row.fit is not None:
+        job.say("fitting friction and model")
+    with times.phase("fit"):
+        setup, fit = fit_with_gain(job, setup)
+    return job, setup, fit
+
+
+SEARCHES = 2
+"""Most searches for suspects: touches distort the first fit, and the second finds them more exactly."""
+
+
+def training_suspects(
+    job: Job, setup: Setup, fit: PriorFit | None, recordings: Sequence[Recording], labels: Sequence[Label]
+) -> list[Suspect]:
+    """Touches that nobody reported in the motion of a training; none for recipes without a prior, whose errors are
+    those of friction.
+
+    Args:
+        setup: without the prior.
+        recordings: without impossible samples, suspects included.
+        labels: see Given.
+    """
+    if fit is None or not any(map(is_unreported, recordings)):
+        return []
+    bundle = assemble(job, with_fit(setup, fit))
+    put_region(job, bundle, fit)
+    if job.config.row.drift:
+        set_drift(bundle, fit, job.config.drift)
+    if job.config.resolved().error_scale == "on":
+        bundle.error_scale = scale_of(collect_rows(bundle, job.motion.uncut, job.threads, job.config.margins))
+    return search(bundle, recordings, labels, job.threads, job.config.margins)
 
 
 def fit_with_gain(job: Job, setup: Setup) -> tuple[Setup, PriorFit | None]:

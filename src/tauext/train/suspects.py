@@ -1,0 +1,417 @@
+r"""Touches that nobody reported, found in the errors of free motion.
+
+Peaks of a joint's held error over the level u that a quarter of them exceeds are a mixture,
+
+.. math:: f(y) = (1 - \pi)\,g(y; \xi, \sigma) + \pi\,\frac{[y > Y_0]}{(1 + y) \ln((1 + Y_1)/(1 + Y_0))}, \qquad
+    y = \text{peak}/u - 1,
+
+of a generalised Pareto tail g, the errors of free motion, and touches, whose size has no scale. Since touches have
+their own term, they hardly move the tail: with 60 touches an hour, shape and scale are those of the untouched arm.
+Peaks beyond the level that the tail exceeds CHANCE times in all of this motion are suspects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import FreeMotionConfig
+from tauext.data.free_motion import cut
+from tauext.data.labels import SUSPECT_MARGINS, Label, epoch_of
+from tauext.data.recording import Recording
+from tauext.train.error_scale import FOR_ERRORS, judge, judge_all
+from tauext.train.held_peaks import PeakCollector, Peaks, PeakStore
+
+# --- Levels beyond which a peak is a suspect.
+
+
+HOLD_S = 0.02
+"""Least duration of a suspect, [s]: a touch outlasts it behind the observer, the spike of an abrupt stop does not."""
+UPPER_SHARE = 0.25
+"""Share of the peaks to which the mixture is fitted ..."""
+LEAST_PEAKS = 40
+"""... but at least so many of them, or all but the lower half; with fewer, nothing is suspected."""
+CHANCE = 0.1
+"""Expected number of peaks of free motion beyond a joint's level in a region, however long the motion is."""
+SPAN = 1.0, 50.0
+"""Y_0 and Y_1: smallest touch that matters and largest one, as multiples of u above u."""
+SHAPES = np.linspace(-0.5, 0.25, 16)
+SHAPE, SHAPE_ERROR = -0.05, 0.1
+"""Prior of the shape. Fits to untouched motion of simulated arms lie between -0.35 and 0.2; with a heavier tail, the
+touches themselves would be one."""
+SHARES = np.array([0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.35])
+"""pi."""
+
+
+def suspect_level(peaks_nm: np.ndarray) -> float:
+    """Level that free motion exceeds CHANCE times, infinite for too few peaks.
+
+    Args:
+        peaks_nm: descending, (peaks,).
+    """
+    peaks = peaks_nm[peaks_nm > 0]
+    count = max(int(UPPER_SHARE * len(peaks)), min(LEAST_PEAKS, len(peaks) // 2))
+    if count < LEAST_PEAKS // 2:
+        return np.inf
+    u = float(peaks[count])
+    excess = peaks[:count] / u - 1
+    excess = excess[excess > 0]
+    if len(excess) < LEAST_PEAKS // 2:
+        return np.inf
+    # Peaks in classes of 2 %: the likelihood then costs the same for a minute and a day.
+    edges = np.expm1(np.arange(0.0, np.log1p(SPAN[1]), 0.02))
+    counts = np.bincount(np.searchsorted(edges, np.minimum(excess, edges[-1])), minlength=len(edges) + 1)[1:]
+    y, counts = edges[counts > 0], counts[counts > 0]
+    scales = np.median(excess) / np.log(2) * np.exp(np.linspace(-1.0, 0.7, 35))
+    shape, scale = (one[:, :, None] for one in np.meshgrid(SHAPES, scales, indexing="ij"))
+    shape = np.where(np.abs(shape) < 1e-9, 1e-9, shape)
+    inside = np.maximum(1 + shape * y / scale, 1e-12)
+    tail = np.where(1 + shape * y / scale > 0, inside ** (-1 / shape - 1) / scale, 0.0)
+    touch = np.where(y > SPAN[0], 1 / ((1 + y) * (np.log1p(SPAN[1]) - np.log1p(SPAN[0]))), 0.0)
+    prior = -0.5 * ((shape[:, :, 0] - SHAPE) / SHAPE_ERROR) ** 2
+    best, found = -np.inf, (0.0, 1.0, 0.0)
+    for share in SHARES:
+        likely = prior + np.log((1 - share) * tail + share * touch + 1e-300) @ counts
+        at = np.unravel_index(int(np.argmax(likely)), likely.shape)
+        if likely[at] > best:
+            best, found = float(likely[at]), (float(shape[at[0], 0, 0]), float(scale[0, at[1], 0]), float(share))
+    xi, sigma, share = found
+    rarity = (1 - share) * len(excess) / CHANCE
+    return u * (1 + sigma * np.expm1(xi * np.log(rarity)) / xi)
+
+
+# --- Suspects: peaks beyond a level, and the time around them that belongs to the touch.
+
+
+JOIN_S = 1.0
+"""Peaks less than this apart belong to one suspect, [s]."""
+MOST_SHARE = 0.1
+"""A larger share of suspects is an error of the model and no touches; nothing is then suspected."""
+MOST_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One interval that looks like a touch."""
+
+    recording: str
+    number: int
+    """Number of the recording in the peaks."""
+    from_ns: int
+    """First and last moment after the recording's first sample, [ns]."""
+    to_ns: int
+    at_ns: int
+    """Its largest peak."""
+    joints: tuple[str, ...]
+    """Joints whose error is beyond their level."""
+    times: float
+    """Its largest peak, in multiples of its level."""
+    link: str = ""
+    """Joint of the link on which a force would explain it best; empty: unknown, or no force does."""
+    begin_ns: int = 0
+    """First stamp of the recording."""
+    epoch: int | None = None
+    """Clock of the recording in a folder of `tauext commission`; None: another recording."""
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First and last stamp, [ns]."""
+        return self.begin_ns + self.from_ns, self.begin_ns + self.to_ns
+
+    def meets(self, label: Label) -> bool:
+        """Whether the label concerns some of this time."""
+        from_ns, to_ns = self.span
+        return self.epoch == label.epoch and from_ns <= label.to_ns and to_ns >= label.from_ns
+
+    def sentence(self) -> str:
+        """One line for the user."""
+        fits = f", fits a force on the link of {self.link}" if self.link else ""
+        return (
+            f"'{self.recording}' at {1e-9 * self.from_ns:.1f} to {1e-9 * self.to_ns:.1f} s: error of "
+            f"{', '.join(self.joints)} up to {self.times:.2g} times the largest of free motion{fits}"
+        )
+
+
+def are_same(some: Sequence[Suspect], others: Sequence[Suspect]) -> bool:
+    """Whether two searches of the same recordings, in order of time, found the same touches."""
+    return len(some) == len(others) and all(
+        one.recording == other.recording and one.span[0] <= other.span[1] and one.span[1] >= other.span[0]
+        for one, other in zip(some, others, strict=True)
+    )
+
+
+def suspect_facts(suspects: Sequence[Suspect]) -> dict:
+    """Number and time of the suspects and the first LISTED, for provenance."""
+    names = ("recording", "from_ns", "to_ns", "joints", "times", "link")
+    listed = [{name: asdict(one)[name] for name in names} for one in suspects[:LISTED]]
+    return {"count": len(suspects), "seconds": round(_seconds(suspects), 3), "listed": listed}
+
+
+LISTED = 100
+
+
+def suspect_sentences(suspects: Sequence[Suspect], remedy: str = "set `contact` to 0 there") -> list[str]:
+    """Lines for the user: how many, and the strongest of them.
+
+    Args:
+        remedy: keeps an interval in which nothing touched the arm.
+    """
+    if not suspects:
+        return []
+    several = len(suspects) > 1
+    words = (
+        f"{len(suspects)} suspected touch{'es' * several} that nobody reported, {_seconds(suspects):.1f} s in all, "
+        f"{'are' if several else 'is'} left out; if nothing touched the arm, {remedy}"
+    )
+    strongest = sorted(suspects, key=lambda one: -one.times)
+    more = len(suspects) - MOST_NAMED
+    return [words, *(one.sentence() for one in strongest[:MOST_NAMED]), *([f"and {more} more"] if more > 0 else [])]
+
+
+def _seconds(suspects: Sequence[Suspect]) -> float:
+    margins_s = SUSPECT_MARGINS.before_s + SUSPECT_MARGINS.after_s
+    return sum(1e-9 * (one.to_ns - one.from_ns) + margins_s for one in suspects)
+
+
+def is_unreported(recording: Recording) -> bool:
+    """Whether nobody reported the touches of a recording: it has no labels, or labels of alarms alone."""
+    contact = recording.contact
+    return contact is None or epoch_of(recording.provenance) is not None or bool((contact == -1).all())
+
+
+def find_suspects(
+    bundle: _core.Bundle,
+    peaks: Peaks,
+    load: Callable[[int], Recording],
+    labels: Sequence[Label] = (),
+    threads: int = 1,
+    since: int = 0,
+) -> list[Suspect]:
+    """Intervals that look like touches, in order of recording and time.
+
+    Errors of friction and of the model are none, even where they stand out: those of a lone joint that has just
+    started, stopped or turned, since a force on a link turns all joints before it, and those that return in the same
+    motion.
+
+    Args:
+        peaks: of errors held for about HOLD_S.
+        load: the recording of a number in the peaks.
+        labels: of the recordings' folder; an interval that was answered with `nothing` is no suspect.
+        since: recordings with smaller numbers were searched before.
+    """
+    levels = np.array([[suspect_level(nm) for nm in of_joint] for of_joint in peaks.nm])
+    candidates = _candidates(peaks, levels)
+    if not candidates or _seconds(candidates) > MOST_SHARE * 3600 * peaks.hours:
+        return []
+    nothing = [one for one in labels if one.answer == "nothing"]
+    shown = []
+    for number in sorted({one.number for one in candidates if one.number >= since}):
+        if is_unreported(recording := load(number)):
+            of_this = [one for one in candidates if one.number == number]
+            shown += [_Shown.of(bundle, one, recording, levels, threads) for one in of_this]
+    found = [one.suspect for one in shown if not one.is_friction and not one.is_repeated(shown)]
+    return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
+
+
+def _merged(suspects: Sequence[Suspect]) -> list[Suspect]:
+    """Suspects in order of recording and time, overlapping ones as one."""
+    merged: list[Suspect] = []
+    for one in sorted(suspects, key=lambda one: (one.number, one.from_ns)):
+        last = merged[-1] if merged else None
+        if last is None or last.number != one.number or last.to_ns < one.from_ns:
+            merged.append(one)
+            continue
+        larger = max(last, one, key=lambda one: one.times)
+        joints = tuple(dict.fromkeys((*last.joints, *one.joints)))
+        merged[-1] = replace(larger, from_ns=last.from_ns, to_ns=max(last.to_ns, one.to_ns), joints=joints)
+    return merged
+
+
+def search(
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording],
+    labels: Sequence[Label] = (),
+    threads: int = 1,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> list[Suspect]:
+    """Suspects in recordings in memory, by their own errors alone; the bundle may be trained on them.
+
+    Args:
+        labels: see find_suspects.
+    """
+    searched = [one for one in recordings if is_unreported(one)]
+    collector = PeakCollector([link.joint_name for link in bundle.links], HOLD_S)
+    for motion, estimates, error, counted in judge_all(bundle, searched, threads, margins):
+        collector.add(motion.t_ns, error, estimates["near_stiction"], counted)
+    peaks = collector.peaks([one.name for one in searched])
+    return find_suspects(bundle, peaks, searched.__getitem__, labels, threads)
+
+
+class HeldStore:
+    """Peaks in memory, which another store may keep too (PeakStore)."""
+
+    def __init__(self, kept: PeakStore | None = None):
+        self._kept = kept
+        self.collectors: list[Any] = kept.collectors if kept else []
+        self.names: list[str] = list(kept.names) if kept else []
+
+    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
+        """Receive the collectors after one more recording."""
+        self.collectors, self.names = collectors, list(names)
+        if self._kept:
+            self._kept.offer(collectors, names)
+
+
+def forget(collectors: Sequence[PeakCollector], suspects: Sequence[Suspect]) -> None:
+    """Leave the peaks of suspects, with their margins, out of the collectors."""
+    before, after = round(1e9 * SUSPECT_MARGINS.before_s), round(1e9 * SUSPECT_MARGINS.after_s)
+    for one in suspects:
+        for collector in collectors:
+            collector.forget(one.number, one.from_ns - before, one.to_ns + after)
+
+
+def without_suspects(recordings: Sequence[Recording], suspects: Sequence[Suspect]) -> list[Recording]:
+    """The recordings with unknown contact at the suspects and their margins."""
+    before, after = round(1e9 * SUSPECT_MARGINS.before_s), round(1e9 * SUSPECT_MARGINS.after_s)
+    changed = []
+    for recording in recordings:
+        spans = [one.span for one in suspects if one.recording == recording.name]
+        spans = [(a, b) for a, b in spans if a <= recording.t_ns[-1] and b >= recording.t_ns[0]]
+        if spans:
+            contact = np.zeros(recording.samples, dtype=np.int8)
+            if recording.contact is not None and not (recording.contact == -1).all():
+                contact[:] = recording.contact
+            for a, b in spans:
+                around = slice(*np.searchsorted(recording.t_ns, (a - before, b + after + 1)))
+                contact[around] = np.where(contact[around] == 1, 1, -1)
+            # Recordings without any known label count as free.
+            recording = replace(recording, contact=np.full_like(contact, 1) if (contact == -1).all() else contact)
+        changed.append(recording)
+    return changed
+
+
+def _candidates(peaks: Peaks, levels: np.ndarray) -> list[Suspect]:
+    """Peaks beyond their levels, those less than JOIN_S apart together."""
+    columns = []
+    for j, (of_nm, of_at) in enumerate(zip(peaks.nm, peaks.at, strict=True)):
+        for nm, at, level in zip(of_nm, of_at, levels[j], strict=True):
+            beyond = nm > level
+            columns.append(np.column_stack([at[beyond], np.full(int(beyond.sum()), j), 1e6 * nm[beyond] / level]))
+    rows = np.concatenate(columns).astype(np.int64)  # recording, time, joint, millionths of the level
+    if not len(rows):
+        return []
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    apart = (np.diff(rows[:, 0]) != 0) | (np.diff(rows[:, 1]) >= JOIN_S * 1e9)
+    found = []
+    for group in np.split(rows, 1 + np.flatnonzero(apart)):
+        number, first, last = int(group[0, 0]), int(group[0, 1]), int(group[-1, 1])
+        names = tuple(peaks.joints[j] for j in np.unique(group[:, 2]))
+        largest = group[np.argmax(group[:, 3])]
+        name = peaks.recordings[number] if peaks.recordings else ""
+        found.append(Suspect(name, number, first, last, int(largest[1]), names, 1e-6 * float(largest[3])))
+    return found
+
+
+# --- What the motion around a candidate shows.
+
+
+WARM_S = 20.0
+"""Motion before a candidate from which the drift tracker and the filters start, [s]."""
+NEAR_S = 0.1
+"""Errors so long before the largest peak are compared between joints, [s]."""
+LONE = 0.4
+"""A joint is alone if all others have less than this share of their level."""
+TURNED_S, RESTS_RAD_S, MOVES_RAD_S = 1.0, 0.02, 0.03
+"""A joint that both rested and moved in so short a time has started, stopped or turned."""
+EDGE, GAP_S, REACH_S = 0.5, 0.1, 5.0
+"""A suspect reaches as far as its joints' errors exceed this share of a level, with gaps up to GAP_S, at most
+REACH_S."""
+SAME_RAD, SAME_TIMES = 0.05, 3
+"""Candidates with the same joints in poses this close, so often, are an error that the motion repeats."""
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A candidate with the state at its largest peak."""
+
+    suspect: Suspect
+    q: np.ndarray
+    signs: np.ndarray
+    """Of the errors of its joints and of their speeds."""
+    is_friction: bool
+    """Whether one joint alone errs that has just started, stopped or turned."""
+
+    def is_repeated(self, others: Sequence[_Shown]) -> bool:
+        """Whether SAME_TIMES candidates, itself included, have its joints, pose and signs."""
+        same = [
+            one.suspect.joints == self.suspect.joints
+            and bool((np.abs(one.q - self.q) < SAME_RAD).all())
+            and bool((one.signs == self.signs).all())
+            for one in others
+        ]
+        return sum(same) >= SAME_TIMES
+
+    @classmethod
+    def of(
+        cls,
+        bundle: _core.Bundle,
+        one: Suspect,
+        recording: Recording,
+        levels: np.ndarray,
+        threads: int,
+    ) -> _Shown:
+        """Run the bundle on the motion around a candidate."""
+        start, reach_ns = int(recording.t_ns[0]), round(1e9 * REACH_S)
+        wanted = start + one.from_ns - reach_ns - round(1e9 * WARM_S), start + one.to_ns + reach_ns
+        motion = cut(recording, slice(*np.searchsorted(recording.t_ns, wanted)))
+        margins = FreeMotionConfig()
+        motion, estimates, error, counted = judge(bundle, motion, threads, margins, (*FOR_ERRORS, "sigma_nm"))
+        level = np.where(estimates["near_stiction"].astype(bool), levels[:, 1], levels[:, 0])
+        times, t_ns = np.where(counted[:, None], error / level, 0.0), motion.t_ns - start
+        at = int(np.searchsorted(t_ns, one.at_ns))
+
+        since = int(np.searchsorted(t_ns, one.at_ns - NEAR_S * 1e9))
+        near = times[since : at + 1].max(axis=0)
+        most = int(np.argmax(near))
+        speed = np.abs(motion.dq[int(np.searchsorted(t_ns, one.at_ns - TURNED_S * 1e9)) : at + 1, most])
+        turned = speed.min() < RESTS_RAD_S and speed.max() > MOVES_RAD_S
+        is_friction = bool(turned and len(near) > 1 and np.sort(near)[-2] < LONE)
+
+        epoch = epoch_of(recording.provenance)
+        grown = replace(one, times=round(one.times, 3), begin_ns=start, epoch=epoch)
+        joints = [motion.joints.index(name) for name in one.joints]
+        over = np.flatnonzero((times[:, joints] > EDGE).any(axis=1) & (np.abs(t_ns - one.at_ns) < reach_ns))
+        if len(over):
+            gaps = np.flatnonzero(np.diff(t_ns[over]) > GAP_S * 1e9)
+            begins, ends = t_ns[over[np.r_[0, gaps + 1]]], t_ns[over[np.r_[gaps, len(over) - 1]]]
+            meet = (ends >= one.from_ns - round(1e9 * HOLD_S)) & (begins <= one.to_ns)
+            grown = replace(
+                grown,
+                from_ns=min([one.from_ns, *begins[meet].tolist()]),
+                to_ns=max([one.to_ns, *ends[meet].tolist()]),
+                link=link_of(bundle, motion, estimates, at),
+            )
+        signs = np.sign(np.r_[estimates["tau_ext"][at, joints], motion.dq[at, joints]])
+        return cls(grown, motion.q[at], signs, is_friction)
+
+
+CONSISTENT = 0.01
+"""Least probability at which a force on a link explains the errors."""
+
+
+def link_of(bundle: _core.Bundle, motion: Recording, estimates: dict[str, np.ndarray], at: int) -> str:
+    """Joint of the link on which a force explains the errors of a sample; empty: unknown, or no force does."""
+    model = _core.PlaceModel(bundle)
+    sigma = estimates["sigma_nm"][at]
+    if model.refused or not (np.isfinite(sigma).all() and (sigma > 0).all()):
+        return ""
+    found = model.find(
+        motion.q[at].tolist(), estimates["tau_ext"][at].tolist(), sigma.tolist(), dq=motion.dq[at].tolist()
+    )
+    if not found.known or not found.consistent >= CONSISTENT:
+        return ""
+    return str(motion.joints[found.ranked[0]])

@@ -1,15 +1,17 @@
 """Days of `tauext commission` on simulated arms, with touches that nobody reports: a fast simulation without a page.
 
-    python benchmarks/commission.py OUT --arm offset_wrist [--no-model] [--plan loads|calm|week] [--hours H] [--seed 0]
+    python benchmarks/commission.py OUT --arm offset_wrist [--no-model] [--plan loads|calm|week|first] [--hours H]
+                                        [--touch-every MINUTES] [--seed 0]
     python benchmarks/commission.py OUT --tables      OUT.md: the page of all results in OUT
 
 Plan `loads`: four parts of --hours (6), each after a pause of two hours and from a cold start: bare, with one load,
 with a heavier one, with another tool. Plan `calm`: the first part, and nothing touches the arm. Plan `week`: seven
-days of --hours (4) each. Something touches the arm once in ten minutes, and nobody says so. Alarms without a touch
-are answered `nothing`; a question about a change of the arm is answered `learn` after two minutes. Recorder, training
-process and monitor are those of the command; a training takes the simulated time that it takes here. After the first
-part of `loads`, `tauext train` and `tauext calibrate` make a bundle of the same recordings, and both bundles are
-evaluated on an hour of new motion with 150 touches.
+days of --hours (4) each. Plan `first`: the first hour alone, for a comparison of rates of touches; with --touch-every 0
+nothing touches the arm. Something touches the arm once in --touch-every minutes (10), and nobody says so. Alarms
+without a touch are answered `nothing`; a question about a change of the arm is answered `learn` after two minutes.
+Recorder, training process and monitor are those of the command; a training takes the simulated time that it takes
+here. After the first part of `loads`, `tauext train` and `tauext calibrate` make a bundle of the same recordings, and
+both bundles are evaluated on an hour of new motion with 150 touches.
 OUT/ARM-PLAN gets the folder, OUT/ARM-PLAN.json the result.
 """
 
@@ -41,10 +43,11 @@ from tauext.commission.connect import as_data, provenance_of, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
 from tauext.commission.keep import KeepSink
+from tauext.commission.promises import meets
 from tauext.commission.trainer import Trainer
 from tauext.data.dataset import load_split
 from tauext.data.free_motion import cut, free_samples
-from tauext.data.labels import Label
+from tauext.data.labels import SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording, runs_of
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
@@ -111,7 +114,7 @@ class Simulation:
     """One arm, its folder, and what happened."""
 
     def __init__(self, out: Path, arm: Working, seed: int, disk_bytes: float):
-        self.arm, self.seed, self.touches = arm, seed, 1
+        self.arm, self.seed, self.touch_every_min = arm, seed, 10.0
         self.folder = CommissionFolder.open(out, create=True)
         robot = arm.robot
         if arm.robot_text:
@@ -148,7 +151,7 @@ class Simulation:
         begun_ns, begun_s = self.now_ns, self.folder.seconds()
         self.learned_s = begun_s
         while self.now_ns - begun_ns < part.hours * 3.6e12 - 1e9:
-            made = self.arm.stretch(self.seed, self.number, part, 1e-9 * (self.now_ns - begun_ns), self.touches)
+            made = self.arm.stretch(self.seed, self.number, part, 1e-9 * (self.now_ns - begun_ns), self.touches())
             self.number += 1
             self.stretch(replace(made, t_ns=made.t_ns + self.now_ns))
             self.now_ns += round(STRETCH_S * 1e9) + JOIN_NS
@@ -157,6 +160,15 @@ class Simulation:
             )
         self.outcomes[-1].received_h = (self.folder.seconds() - begun_s) / 3600
         self.now_ns += PAUSE_NS
+
+    def touches(self) -> int:
+        """Number of touches of the next stretch."""
+        if not self.touch_every_min:
+            return 0
+        minutes = STRETCH_S / 60
+        return int((self.number + 1) * minutes / self.touch_every_min) - int(
+            self.number * minutes / self.touch_every_min
+        )
 
     def stretch(self, made: Recording) -> None:
         """Send a stretch in recordings of 10 s to monitor and recorder, and let the training process work between."""
@@ -292,44 +304,54 @@ class Simulation:
 
     # Afterwards.
 
-    def trained_on(self) -> dict[str, float]:
-        """Touched seconds in training recordings: all and trained on; the same of samples beyond a limit."""
+    def trained_on(self, limits: list[float] | None = None) -> dict[str, float]:
+        """Touched seconds in recordings of training and calibration: all and those used; the same of samples beyond a
+        limit; and what suspects cost.
+
+        Args:
+            limits: for sliding, of the same arm untouched; None: those of the bundle in charge.
+        """
         active = self.folder.active()
-        limits = np.full(len(self.settings.joints), np.inf) if active is None else load_bundle(active).sliding_limit_nm
-        sums = np.zeros(4)
+        if limits is None:
+            size = len(self.settings.joints)
+            limits = [np.inf] * size if active is None else load_bundle(active).sliding_limit_nm
+        sums, lost_s, total_s = np.zeros(4), 0.0, 0.0
+        suspects = [one for one in self.folder.labels() if one.answer == "suspect"]
+        before, after = (round(1e9 * one) for one in (SUSPECT_MARGINS.before_s, SUSPECT_MARGINS.after_s))
         for one in self.folder.segments():
-            near = [touch for touch in self.truth if touch.t_ns[0] <= one.to_ns and touch.t_ns[-1] >= one.from_ns]
-            if one.set != "train" or not near:
+            if one.set == "test":
+                continue
+            total_s += one.seconds
+            near = [touch for touch in self.truth if touch.span[0] <= one.to_ns and touch.span[1] >= one.from_ns]
+            meant = [label for label in suspects if meets(one, label)]
+            if not near and not meant:
                 continue
             recording = load_recording(self.folder.path / one.name)
-            used = free_samples(recording)
+            used, t_ns, touched = free_samples(recording), recording.t_ns, np.zeros(recording.samples, dtype=bool)
             for touch in near:
-                at = np.isin(recording.t_ns, touch.t_ns)
-                strong = np.isin(recording.t_ns, touch.t_ns[(np.abs(touch.tau_ext) > limits).any(axis=1)])
+                at = np.isin(t_ns, touch.t_ns)
+                strong = np.isin(t_ns, touch.t_ns[(np.abs(touch.tau_ext) > np.array(limits)).any(axis=1)])
                 sums += np.array([at.sum(), (at & used).sum(), strong.sum(), (strong & used).sum()]) / recording.rate_hz
-        suspects = [one for one in self.folder.labels() if one.answer == "suspect"]
+                touched |= (t_ns >= touch.span[0]) & (t_ns <= touch.span[1])
+            doubted = np.any([(t_ns >= of.from_ns - before) & (t_ns <= of.to_ns + after) for of in meant], axis=0)
+            lost_s += float((doubted & ~touched).sum()) / recording.rate_hz
         found = sum(
             any(touch.span[0] - NEAR_NS <= one.to_ns and touch.span[1] + NEAR_NS >= one.from_ns for touch in self.truth)
             for one in suspects
         )
         names = ("touched_s", "trained_on_s", "beyond_s", "beyond_trained_on_s")
-        return dict(zip(names, sums.tolist(), strict=True)) | {"suspects": len(suspects), "suspects_touches": found}
+        counts = {"suspects": len(suspects), "suspects_touches": found, "lost_share": lost_s / max(total_s, 1e-9)}
+        return dict(zip(names, sums.tolist(), strict=True)) | counts
 
-    def compare(self, part: Part, out: Path) -> dict[str, Any]:
-        """Detections and false alarms of the bundle in charge and of one that `tauext train` makes of the same data."""
-        active, data = self.folder.active(), out / "data"
+    def compare(self, part: Part, out: Path, commands: bool) -> dict[str, Any]:
+        """Detections and false alarms of the bundle in charge, and with `commands` of one that `tauext train` makes of
+        the same data."""
+        active = self.folder.active()
         assert active is not None
         out.mkdir(exist_ok=True)
-        shutil.rmtree(data, ignore_errors=True)
-        shutil.copytree(self.folder.path, data)
-        bundle = out / "trained.tauext"
-        accepting("train", "--data", data, "--recipe", "prior", "--out", bundle, printed=out / "train.txt")
-        if load_split(data).calibration:
-            words = ("--bundle", bundle, "--data", data, "--out", out / "eight.tauext")
-            accepting("calibrate", *words, printed=out / "calibrate.txt")
-            bundle = eight if (eight := out / "eight.tauext").exists() else bundle  # too few peaks: no limits
-        shutil.rmtree(data)
-        bundles = {"commission": load_bundle(active), "eight commands": load_bundle(bundle)}
+        bundles = {"commission": load_bundle(active)}
+        if commands:
+            bundles["eight commands"] = self.by_commands(out)
         made = [
             self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, TEST_TOUCHES if k % 2 else 0)
             for k in range(TEST_STRETCHES)
@@ -353,6 +375,19 @@ class Simulation:
             }
         return found
 
+    def by_commands(self, out: Path) -> _core.Bundle:
+        """The bundle that `tauext train` and `tauext calibrate` make of the same data."""
+        data, bundle = out / "data", out / "trained.tauext"
+        shutil.rmtree(data, ignore_errors=True)
+        shutil.copytree(self.folder.path, data)
+        accepting("train", "--data", data, "--recipe", "prior", "--out", bundle, printed=out / "train.txt")
+        if load_split(data).calibration:
+            words = ("--bundle", bundle, "--data", data, "--out", out / "eight.tauext")
+            accepting("calibrate", *words, printed=out / "calibrate.txt")
+            bundle = eight if (eight := out / "eight.tauext").exists() else bundle  # too few peaks: no limits
+        shutil.rmtree(data)
+        return load_bundle(bundle)
+
 
 def accepting(*words: object, printed: Path) -> None:
     """Run a command of tauext; faults of the data are accepted as it names them: at 50 Hz an impact is a spike."""
@@ -364,9 +399,10 @@ def accepting(*words: object, printed: Path) -> None:
 PLANS = {
     "loads": [("bare", 0, False), ("first load", 1, False), ("second load", 2, False), ("another tool", 0, True)],
     "calm": [("bare", 0, False)],
+    "first": [("bare", 0, False)],
     "week": [(f"day {number}", 0, False) for number in range(1, 8)],
 }
-HOURS = {"loads": 6.0, "calm": 6.0, "week": 4.0}
+HOURS = {"loads": 6.0, "calm": 6.0, "week": 4.0, "first": 1.0}
 
 
 def main() -> None:
@@ -375,6 +411,7 @@ def main() -> None:
     parser.add_argument("--no-model", action="store_true", help="the integrator has no robot file")
     parser.add_argument("--plan", choices=PLANS, default="loads")
     parser.add_argument("--hours", type=float, help="of each part, default: 6, week: 4")
+    parser.add_argument("--touch-every", type=float, default=10.0, help="minutes, default: %(default)s; 0: never")
     parser.add_argument("--disk-gb", type=float, default=2.0, help="bound of the folder, default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of arm, motion and touches")
     parser.add_argument("--tables", action="store_true", help="write OUT.md from the results in OUT")
@@ -388,14 +425,16 @@ def main() -> None:
                 path.write_text(json.dumps(one, indent=1) + "\n")
         write_page(options.out.with_suffix(".md"), tables(results))
         return
-    name = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
+    base = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
+    name = f"{base}-{options.touch_every:g}" if options.plan == "first" else base
     options.out.mkdir(parents=True, exist_ok=True)
     arm = working(options.arm, options.seed, not options.no_model)
     simulation = Simulation(options.out / name, arm, options.seed, options.disk_gb * GIGABYTE)
-    simulation.touches = 0 if options.plan == "calm" else 1
+    simulation.touch_every_min = 0.0 if options.plan == "calm" else options.touch_every
     hours = options.hours or HOURS[options.plan]
     result: dict[str, Any] = {
         "arm": options.arm, "model": not options.no_model, "plan": options.plan, "seed": options.seed, "hours": hours,
+        "touch_every_min": simulation.touch_every_min,
         "disk_gb": options.disk_gb, "date": f"{date.today():%-d %B %Y}", "commit": commit(),
     }  # fmt: skip
     for title, load, tool in PLANS[options.plan]:
@@ -404,9 +443,15 @@ def main() -> None:
         outcome = simulation.outcomes[-1]
         print(f"{name}: {asdict(outcome)}", flush=True)
         if options.plan != "week" and len(simulation.outcomes) == 1 and simulation.folder.active():
-            result["compared"] = simulation.compare(part, options.out / f"{name}-compared")
+            commands = options.plan != "first"
+            result["compared"] = simulation.compare(part, options.out / f"{name}-compared", commands)
             print(f"{name}: {result['compared']}", flush=True)
-            result["learning"] = simulation.trained_on()
+            untouched = options.out / f"{base}-0.json"
+            limits = (
+                json.loads(untouched.read_text())["compared"]["commission"]["limits"] if untouched.exists() else None
+            )
+            result["learning"] = simulation.trained_on(limits)
+            print(f"{name}: {result['learning']}", flush=True)
         result |= {
             "first_s": simulation.first_s,
             "parts": [asdict(one) for one in simulation.outcomes],
@@ -467,6 +512,8 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
         "| in [h] | asked"
     )
     for one in results:
+        if one["plan"] == "first":
+            continue
         for part, (before, others) in zip(one["parts"], one["false_by_part"], strict=True):
             waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
             detected, asked = f"{part['detected']} of {part['touches']}", "; ".join(part["asked"])
@@ -513,6 +560,8 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
                 found["suspects"], found["suspects_touches"],
             ))  # fmt: skip
         lines += ["", "Without a model, limits are in A, so touches cannot be compared with them."]
+    if firsts := sorted((one for one in results if one["plan"] == "first"), key=first_order):
+        lines += rates_of_touches(firsts)
     if weeks := [one for one in results if one["plan"] == "week"]:
         lines += ["", "## Promises day by day", ""]
         lines += head(
@@ -537,6 +586,41 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
         ]
     runs = (f"{called(one)}, {one['plan']}: {one['date']}, commit {one['commit']}" for one in results)
     return [*lines, "", f"Runs: {'; '.join(runs)}."]
+
+
+def first_order(one: dict[str, Any]) -> tuple[str, float]:
+    """Arms by name, the untouched one first, then by the rate of touches."""
+    return called(one), -one["touch_every_min"] if one["touch_every_min"] else -np.inf
+
+
+def rates_of_touches(firsts: list[dict[str, Any]]) -> list[str]:
+    """Tables of the first hour at several rates of touches."""
+    lines = [
+        "",
+        "## Rates of touches",
+        "",
+        "The first hour, from the same seed with and without touches. Detections and false collisions are those of",
+        "the last bundle on an hour of new motion. *Beyond a limit*: touched time in recordings of training and",
+        "calibration with a true torque beyond a limit of the untouched arm, and how much of it is used. *Lost*: free",
+        "motion that is left out with suspects.",
+        "",
+    ]
+    lines += head(
+        "arm | a touch every | touches detected | false collisions | in [h] | promised an hour | limits for sliding "
+        "[N m, A without a model] | suspects | of them touches | beyond a limit [s] | used [s] | lost"
+    )
+    for one in firsts:
+        found, learned = one["compared"]["commission"], one["learning"]
+        beyond = (f"{learned[name]:.2f}" if one["model"] else "–" for name in ("beyond_s", "beyond_trained_on_s"))
+        lines.append(table_row(
+            called(one), f"{one['touch_every_min']:g} min" if one["touch_every_min"] else "never",
+            f"{found['detected']} of {found['touches']} ({found['detected'] / found['touches']:.1%})",
+            found["false"], f"{found['hours']:.1f}",
+            "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
+            joined(found["limits"], ".2g"), learned["suspects"], learned["suspects_touches"], *beyond,
+            f"{learned['lost_share']:.2%}",
+        ))  # fmt: skip
+    return lines
 
 
 def commit() -> str:

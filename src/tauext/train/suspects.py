@@ -84,6 +84,12 @@ def suspect_level(peaks_nm: np.ndarray) -> float:
     return u * (1 + sigma * np.expm1(xi * np.log(rarity)) / xi)
 
 
+def usual_peak(peaks_nm: np.ndarray) -> float:
+    """u, infinite without peaks."""
+    peaks = peaks_nm[peaks_nm > 0]
+    return float(np.quantile(peaks, 1 - UPPER_SHARE)) if len(peaks) else np.inf
+
+
 # --- Suspects: peaks beyond a level, and the time around them that belongs to the touch.
 
 
@@ -203,7 +209,9 @@ def find_suspects(
         labels: of the recordings' folder; an interval that was answered with `nothing` is no suspect.
         since: recordings with smaller numbers were searched before.
     """
-    levels = np.array([[suspect_level(nm) for nm in of_joint] for of_joint in peaks.nm])
+    levels, usual = (
+        np.array([[of(nm) for nm in of_joint] for of_joint in peaks.nm]) for of in (suspect_level, usual_peak)
+    )
     candidates = _candidates(peaks, levels)
     if not candidates or _seconds(candidates) > MOST_SHARE * 3600 * peaks.hours:
         return []
@@ -212,7 +220,7 @@ def find_suspects(
     for number in sorted({one.number for one in candidates if one.number >= since}):
         if is_unreported(recording := load(number)):
             of_this = [one for one in candidates if one.number == number]
-            shown += [_Shown.of(bundle, one, recording, levels, threads) for one in of_this]
+            shown += [_Shown.of(bundle, one, recording, levels, usual, threads) for one in of_this]
     found = [one.suspect for one in shown if not one.is_friction and not one.is_repeated(shown)]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
@@ -321,15 +329,16 @@ def _candidates(peaks: Peaks, levels: np.ndarray) -> list[Suspect]:
 
 WARM_S = 20.0
 """Motion before a candidate from which the drift tracker and the filters start, [s]."""
-NEAR_S = 0.1
+NEAR_S = 0.05
 """Errors so long before the largest peak are compared between joints, [s]."""
-LONE = 0.4
-"""A joint is alone if all others have less than this share of their level."""
+LONE = 1.5
+"""A joint is alone if all others are below this multiple of the peak that a quarter of their peaks exceed."""
 TURNED_S, RESTS_RAD_S, MOVES_RAD_S = 1.0, 0.02, 0.03
-"""A joint that both rested and moved in so short a time has started, stopped or turned."""
+"""A joint that both rested and moved in so short a time has started, stopped or turned; by its commanded positions
+where they are recorded."""
 EDGE, GAP_S, REACH_S = 0.5, 0.1, 5.0
-"""A suspect reaches as far as its joints' errors exceed this share of a level, with gaps up to GAP_S, at most
-REACH_S."""
+"""A suspect reaches as far as the mean of its joints' errors exceeds this share of their levels, with gaps up to GAP_S,
+at most REACH_S."""
 SAME_RAD, SAME_TIMES = 0.05, 3
 """Candidates with the same joints in poses this close, so often, are an error that the motion repeats."""
 
@@ -362,6 +371,7 @@ class _Shown:
         one: Suspect,
         recording: Recording,
         levels: np.ndarray,
+        usual: np.ndarray,
         threads: int,
     ) -> _Shown:
         """Run the bundle on the motion around a candidate."""
@@ -370,21 +380,27 @@ class _Shown:
         motion = cut(recording, slice(*np.searchsorted(recording.t_ns, wanted)))
         margins = FreeMotionConfig()
         motion, estimates, error, counted = judge(bundle, motion, threads, margins, (*FOR_ERRORS, "sigma_nm"))
-        level = np.where(estimates["near_stiction"].astype(bool), levels[:, 1], levels[:, 0])
-        times, t_ns = np.where(counted[:, None], error / level, 0.0), motion.t_ns - start
+        stuck, t_ns = estimates["near_stiction"].astype(bool), motion.t_ns - start
+        times, beside = (
+            np.where(counted[:, None], error / np.where(stuck, of[:, 1], of[:, 0]), 0.0) for of in (levels, usual)
+        )
         at = int(np.searchsorted(t_ns, one.at_ns))
 
+        joints = [motion.joints.index(name) for name in one.joints]
         since = int(np.searchsorted(t_ns, one.at_ns - NEAR_S * 1e9))
-        near = times[since : at + 1].max(axis=0)
-        most = int(np.argmax(near))
-        speed = np.abs(motion.dq[int(np.searchsorted(t_ns, one.at_ns - TURNED_S * 1e9)) : at + 1, most])
+        most = motion.joints.index(one.joints[int(np.argmax(times[since : at + 1, joints].max(axis=0)))])
+        others = np.delete(np.median(beside[since : at + 1], axis=0), most)
+        before = slice(int(np.searchsorted(t_ns, one.at_ns - TURNED_S * 1e9)), at + 1)
+        if motion.q_des is None:
+            speed = np.abs(motion.dq[before, most])
+        else:  # a push moves a joint that is to rest
+            speed = np.abs(np.gradient(motion.q_des[:, most], motion.time_s))[before]
         turned = speed.min() < RESTS_RAD_S and speed.max() > MOVES_RAD_S
-        is_friction = bool(turned and len(near) > 1 and np.sort(near)[-2] < LONE)
+        is_friction = bool(turned and len(others) and others.max() < LONE)
 
         epoch = epoch_of(recording.provenance)
         grown = replace(one, times=round(one.times, 3), begin_ns=start, epoch=epoch)
-        joints = [motion.joints.index(name) for name in one.joints]
-        over = np.flatnonzero((times[:, joints] > EDGE).any(axis=1) & (np.abs(t_ns - one.at_ns) < reach_ns))
+        over = np.flatnonzero((times[:, joints].mean(axis=1) > EDGE) & (np.abs(t_ns - one.at_ns) < reach_ns))
         if len(over):
             gaps = np.flatnonzero(np.diff(t_ns[over]) > GAP_S * 1e9)
             begins, ends = t_ns[over[np.r_[0, gaps + 1]]], t_ns[over[np.r_[gaps, len(over) - 1]]]

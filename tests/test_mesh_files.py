@@ -139,11 +139,11 @@ def test_a_given_folder_holds_meshes_without_a_package_too(tmp_path):
             ["{0}/empty"],
             [NAME],
             "--meshes {0}/empty: none of the 1 meshes of arm.urdf is there; " + NAME + " was searched for as "
-            "{0}/empty/some_arm/meshes/visual/tube.stl, {0}/empty/meshes/visual/tube.stl, {0}/empty/visual/tube.stl, "
-            "{0}/empty/tube.stl; give the folder of package some_arm, or one that holds it",
+            "some_arm/meshes/visual/tube.stl, meshes/visual/tube.stl, visual/tube.stl, tube.stl; give the folder of "
+            "package some_arm, or one that holds it",
         ),
         (["other={0}/empty"], [NAME], "--meshes other={0}/empty: none of the 1 meshes of arm.urdf is there; " + NAME),
-        (["{0}/empty"], ["a/b.stl"], "a/b.stl was searched for as {0}/empty/a/b.stl, {0}/empty/b.stl; give its folder"),
+        (["{0}/empty"], ["a/b.stl"], "a/b.stl was searched for as a/b.stl, b.stl; give its folder"),
         (["{0}/empty"], [], "--meshes: {0}/work/arm.urdf names no mesh; leave --meshes out"),
     ],
 )

@@ -85,7 +85,8 @@ def expect_meshes(robot: Path, given: MeshFolders) -> None:
         raise ConfigError(
             f"--meshes: {robot} is an MJCF, which names the folder of its meshes itself (meshdir); put them there"
         )
-    names = list(dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh")))
+    shapes = [shape for link in root.findall("link") for shape in link.findall("collision") or link.findall("visual")]
+    names = list(dict.fromkeys(mesh.get("filename", "") for shape in shapes for mesh in shape.iter("mesh")))
     if not names:
         raise ConfigError(f"--meshes: {robot} names no mesh; leave --meshes out")
     finder, missing = MeshFinder(robot, given), ""
@@ -98,10 +99,12 @@ def expect_meshes(robot: Path, given: MeshFolders) -> None:
             return
     if missing:
         package, inside = _split(missing)
-        tried = ", ".join(map(str, dict.fromkeys(finder.in_given(package, _readable(inside)[0]))))
+        tried = [str(path) for path in finder.in_given(package, _readable(inside)[0])]
+        for folder in given.of(package):
+            tried = [path.removeprefix(f"{folder}/") for path in tried]
         raise ConfigError(
             f"--meshes {given}: none of the {len(names)} meshes of {robot.name} is there; {missing} "
-            + (f"was searched for as {tried}" if tried else f"is of package {package}")
+            + (f"was searched for as {', '.join(dict.fromkeys(tried))}" if tried else f"is of package {package}")
             + (f"; give the folder of package {package}, or one that holds it" if package else "; give its folder")
         )
 

@@ -137,7 +137,7 @@ def limits(source: str, false: int, share: float, kept_by: float = 1.0) -> Signa
         ([], "No other signal of the servos is recorded: record their current or duty too"),
         (
             [limits("supply_current", 2, 0.5)],
-            "From the current of the supply they raise 2 (promised 3), and limits that keep the promise there detect "
+            "By the current of the supply they raise 2 (promised 3), and limits that keep the promise there detect "
             'pushes 0.62 times as large. For that, set torque_from = "supply-current" in [servo] of arm.toml, and '
             "import again.",
         ),
@@ -150,7 +150,7 @@ def test_the_sentence_names_what_each_signal_raises_and_detects(others, words):
     own = limits("goal", 12, 0.4, kept_by=2.0)
     said = comparison_sentence(own, others)
     assert said.startswith(
-        "torque from the goal and the position: limits from the other recordings raise 12 false alarms, promised 3."
+        "By the goal and the position, limits from the other recordings raise 12 false alarms (promised 3)."
     )
     assert words in said
     assert size_of_pushes(limits("duty", 2, 0.5, 1.6), own) == pytest.approx(0.5 * 1.6 / (0.4 * 2.0))

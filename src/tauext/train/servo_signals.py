@@ -82,10 +82,8 @@ def comparison_sentence(own: SignalLimits, others: Sequence[SignalLimits]) -> st
     Args:
         others: other recorded signals; empty: there are none.
     """
-    words = (
-        f"torque from {own.words}: limits from the other recordings raise {own.false} false alarms, promised "
-        f"{own.promised:.2g}."
-    )
+    words = f"By {own.words}, limits from the other recordings raise {own.false} false alarms "
+    words += f"(promised {own.promised:.2g})."
     if not others:
         return (
             f"{words} No other signal of the servos is recorded: record their current or duty too, name it in "
@@ -93,7 +91,7 @@ def comparison_sentence(own: SignalLimits, others: Sequence[SignalLimits]) -> st
         )
     for one in others:
         words += (
-            f" From {one.words} they raise {one.false} (promised {one.promised:.2g}), and limits that keep the "
+            f" By {one.words} they raise {one.false} (promised {one.promised:.2g}), and limits that keep the "
             f"promise there detect pushes {size_of_pushes(one, own):.2g} times as large."
         )
     fewer = [one for one in others if one.factor < own.factor]

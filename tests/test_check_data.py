@@ -125,7 +125,7 @@ def test_the_wall_time_of_every_phase_is_printed_and_written(data, tmp_path, cap
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("a: took ") and " s" in last
     times = json.loads((tmp_path / "a.wall_time_s.json").read_text())
-    names = ["read", "check", "prepare", "observe", "fit", "gate", "calibrate", "write"]
+    names = ["read", "check", "prepare", "observe", "fit", "suspects", "gate", "calibrate", "signals", "write"]
     assert list(times) == [f"{name}_s" for name in names]  # recipe observer trains no network
     assert all(seconds >= 0 for seconds in times.values())
     assert float(last.split()[2]) == pytest.approx(sum(times.values()), abs=0.06)

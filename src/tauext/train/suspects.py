@@ -221,7 +221,7 @@ def find_suspects(
         if is_unreported(recording := load(number)):
             of_this = [one for one in candidates if one.number == number]
             shown += [_Shown.of(bundle, one, recording, levels, usual, threads) for one in of_this]
-    found = [one.suspect for one in shown if not one.is_friction and not one.is_repeated(shown)]
+    found = [one.suspect for one in shown if not one.is_friction(shown) and not one.is_repeated(shown)]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
 
@@ -333,6 +333,8 @@ NEAR_S = 0.05
 """Errors so long before the largest peak are compared between joints, [s]."""
 LONE = 1.5
 """A joint is alone if all others are below this multiple of the peak that a quarter of their peaks exceed."""
+MOST_FRICTION = 2.5
+"""Friction stays below this multiple of the level that free motion exceeds once in many such hours."""
 TURNED_S, RESTS_RAD_S, MOVES_RAD_S = 1.0, 0.02, 0.03
 """A joint that both rested and moved in so short a time has started, stopped or turned; by its commanded positions
 where they are recorded."""
@@ -340,7 +342,8 @@ EDGE, GAP_S, REACH_S = 0.5, 0.1, 5.0
 """A suspect reaches as far as the mean of its joints' errors exceeds this share of their levels, with gaps up to GAP_S,
 at most REACH_S."""
 SAME_RAD, SAME_TIMES = 0.05, 3
-"""Candidates with the same joints in poses this close, so often, are an error that the motion repeats."""
+"""Candidates with the same joints in poses this close, so often, are an error that the motion repeats. So often in one
+recording, joints that turned alone err by their friction."""
 
 
 @dataclass(frozen=True)
@@ -351,8 +354,14 @@ class _Shown:
     q: np.ndarray
     signs: np.ndarray
     """Of the errors of its joints and of their speeds."""
-    is_friction: bool
+    turned_alone: bool
     """Whether one joint alone errs that has just started, stopped or turned."""
+
+    def is_friction(self, others: Sequence[_Shown]) -> bool:
+        """Whether it turned alone and errs by no more than friction does, or as far SAME_TIMES in the recording."""
+        mine = self.suspect.number, self.suspect.joints
+        same = [one.turned_alone and (one.suspect.number, one.suspect.joints) == mine for one in others]
+        return self.turned_alone and (self.suspect.times < MOST_FRICTION or sum(same) >= SAME_TIMES)
 
     def is_repeated(self, others: Sequence[_Shown]) -> bool:
         """Whether SAME_TIMES candidates, itself included, have its joints, pose and signs."""
@@ -396,7 +405,7 @@ class _Shown:
         else:  # a push moves a joint that is to rest
             speed = np.abs(np.gradient(motion.q_des[:, most], motion.time_s))[before]
         turned = speed.min() < RESTS_RAD_S and speed.max() > MOVES_RAD_S
-        is_friction = bool(turned and len(others) and others.max() < LONE)
+        turned_alone = bool(turned and len(others) and others.max() < LONE)
 
         epoch = epoch_of(recording.provenance)
         grown = replace(one, times=round(one.times, 3), begin_ns=start, epoch=epoch)
@@ -412,7 +421,7 @@ class _Shown:
                 link=link_of(bundle, motion, estimates, at),
             )
         signs = np.sign(np.r_[estimates["tau_ext"][at, joints], motion.dq[at, joints]])
-        return cls(grown, motion.q[at], signs, is_friction)
+        return cls(grown, motion.q[at], signs, turned_alone)
 
 
 CONSISTENT = 0.01

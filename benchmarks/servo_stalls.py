@@ -272,7 +272,7 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
         ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
         motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
     table = "\n".join([*head(columns), *rows])
-    about = "Rows `paper` are from an earlier run of the same recipe."
+    about = "Rows `paper` and `tauext` are from an earlier run of the same recipes."
     replace_section(
         KEPT / "README.md", "## All numbers", (about, "", table, "", "Motions of the splits:", "", *motions)
     )

@@ -43,7 +43,13 @@ from tauext.train.load import put_load
 from tauext.train.network import assemble, choose_gain, fit_network, network_settings
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, note_recordings, prepare
-from tauext.train.servo_signals import SignalLimits, comparison_sentence, signal_limits
+from tauext.train.servo_signals import (
+    LEAST_RECORDINGS,
+    SignalLimits,
+    comparison_sentence,
+    not_compared,
+    signal_limits,
+)
 from tauext.train.suspects import (
     Suspect,
     are_same,
@@ -334,6 +340,10 @@ def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
         return
     found: list[SignalLimits | None] = []
     sources = other_sources([*given.training, *given.validation])
+    if sources and len(given.training) < LEAST_RECORDINGS:
+        job.facts["limits"]["signals"] = {"sentence": not_compared(len(given.training))}
+        job.notes.append(job.facts["limits"]["signals"]["sentence"])
+        return
     for source in sources:
         words = TORQUE_WORDS[source.replace("_", "-")]
         job.say(f"training with the torque from the {words}, to compare")

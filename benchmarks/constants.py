@@ -1,6 +1,6 @@
 """Torque constants found in currents, and the masses and forces that follow: their errors against those reported.
 
-    python benchmarks/constants.py MODELS OUT [--arms ur5 panda ...] [--seeds 30] [--trained 5] [--label after]
+    python benchmarks/constants.py MODELS OUT [--arms ur5 panda ...] [--seeds 6] [--trained 2] [--label after]
 
 Every arm of a seed has masses off by up to 20 % from its robot file and centres of mass by up to 2 cm, and a tool of
 0.5 to 1.5 kg (benchmarks/unseen/arms.py). Constants are fitted to two minutes of currents: `unknown`, `given` within
@@ -59,8 +59,8 @@ NEWLINE = "\n"
 def main() -> None:
     parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=list(ARMS))
-    parser.add_argument("--seeds", type=int, default=30, help="of constants, an arm")
-    parser.add_argument("--trained", type=int, default=5, help="of these seeds, with masses and forces")
+    parser.add_argument("--seeds", type=int, default=6, help="of constants, an arm")
+    parser.add_argument("--trained", type=int, default=2, help="of these seeds, with masses and forces")
     parser.add_argument("--label", default="after", choices=LABELS, help="of the code that runs")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

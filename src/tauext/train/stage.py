@@ -247,7 +247,7 @@ def train_on_recordings(
         training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
         free = replace(given, training=training, validation=validation)
         job, setup, fit = fitted(free, config, out, report, like, times)
-    given = free
+    recorded, given = given, free
     if suspects:
         job = replace(job, suspects=suspects)
         job.notes.extend(suspect_sentences(suspects))
@@ -269,7 +269,7 @@ def train_on_recordings(
         complete(job, bundle, given, setup, fit)
     if signals and like is None and not bundle.has_network:
         with times.phase("signals"):
-            compare_signals(job, bundle, given)
+            compare_signals(job, bundle, recorded)
     write(job, bundle, network)
     return suspects
 
@@ -333,37 +333,44 @@ def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
     """Note which signal of servos keeps the promise best, if limits of this training do not keep it in left-out motion.
 
     Each other signal that all recordings hold is trained with, and its limits are found and tested in the same way.
+
+    Args:
+        given: with suspected touches: each signal would suspect other moments, those of its own errors among them.
     """
-    servo = servo_of_recordings(job.training)
-    own = signal_limits(job, bundle, servo.torque_from.name)
+    own_source = servo_of_recordings(job.training).torque_from.name
+    own = signal_limits(job, bundle, own_source)
     if own is None or own.factor <= 1 or not makes_torque(job.training[0]):
         return
-    found: list[SignalLimits | None] = []
     sources = other_sources([*given.training, *given.validation])
     if sources and len(given.training) < LEAST_RECORDINGS:
         job.facts["limits"]["signals"] = {"sentence": not_compared(len(given.training))}
         job.notes.append(job.facts["limits"]["signals"]["sentence"])
         return
-    for source in sources:
+    found: dict[str, SignalLimits | None] = {own_source: own}
+    for source in ([own_source] if sources and job.suspects else []) + sources:
         words = TORQUE_WORDS[source.replace("_", "-")]
         job.say(f"training with the torque from the {words}, to compare")
-        training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
-        other = replace(given, training=training, validation=validation)
         try:
-            trained = prepare(other, job.config, job.out, SILENT)
-            setup, fit = fit_with_gain(trained, observe(trained))
-            limits = assemble(trained, with_fit(setup, fit))
-            complete(trained, limits, other, setup, fit)
+            found[source] = limits_by(source, given, job)
         except TauextError as error:
             job.notes.append(f"torque from the {words} cannot be compared: {error}")
-            continue
-        found.append(signal_limits(trained, limits, source))
-    others = [one for one in found if one is not None]
-    if sources and not others:
+    own, others = found.pop(own_source), [one for one in found.values() if one is not None]
+    if own is None or (sources and not others):
         return
     words = comparison_sentence(own, others)
     job.facts["limits"]["signals"] = {"compared": [one.facts() for one in (own, *others)], "sentence": words}
     job.notes.append(words)
+
+
+def limits_by(source: str, given: Given, job: Job) -> SignalLimits | None:
+    """Limits of a training on these recordings with the torque from this signal, by the settings of a job."""
+    training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
+    other = replace(given, training=training, validation=validation)
+    trained = prepare(other, job.config, job.out, SILENT)
+    setup, fit = fit_with_gain(trained, observe(trained))
+    bundle = assemble(trained, with_fit(setup, fit))
+    complete(trained, bundle, other, setup, fit)
+    return signal_limits(trained, bundle, source)
 
 
 def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit | None) -> None:

@@ -160,7 +160,8 @@ def test_one_impossible_sample_changes_neither_limits_nor_friction(signal, value
     clean, before = trained(tmp_path, monkeypatch, recordings, recipe="prior")
     recordings[1] = with_values(recordings[1], signal, {(2000, 1): value})
     bundle, facts = trained(tmp_path, monkeypatch, recordings, recipe="prior")
-    np.testing.assert_allclose(bundle.sliding_limit_nm, clean.sliding_limit_nm, rtol=0.1)  # limits are chosen together, from a second fewer
+    # Limits are chosen together: a second of motion less moves all of them.
+    np.testing.assert_allclose(bundle.sliding_limit_nm, clean.sliding_limit_nm, rtol=0.1)
     np.testing.assert_allclose(bundle.prior.weights, clean.prior.weights, atol=0.02 * np.abs(clean.prior.weights).max())
     np.testing.assert_allclose(bundle.error_scale.largest, clean.error_scale.largest, rtol=0.05)
     np.testing.assert_allclose(bundle.largest_torque_nm, clean.largest_torque_nm, rtol=0.01)

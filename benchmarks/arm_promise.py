@@ -144,7 +144,7 @@ def markdown(done: dict, words: str) -> list[str]:
     ]
     lines += head(
         "arm | commit | suspects | false alarms | in [h] | promised in them | touches | hits "
-        "| limits for sliding [N m] | largest error there"
+        "| limits for sliding [N m] | largest error behind the hold time"
     )
     for name, versions in done.items():
         for version, one in versions.items():

@@ -74,8 +74,8 @@ def radius_m(path: Path, *given: str) -> float:
     ],
 )
 def test_packages_are_found_where_descriptions_lie(tmp_path, monkeypatch, place, variable, value):
-    path = arm(tmp_path / "work" / "robots", NAME)
-    root = tmp_path / "work"
+    path = arm(tmp_path / "mine" / "robots", NAME)
+    root = tmp_path / "mine"
     put(root / place / "meshes/visual/tube.stl")
     if variable:
         monkeypatch.setenv(variable, ":".join(str(root / one) for one in value.split(":")))
@@ -96,7 +96,7 @@ def test_an_installed_example_robot_data_is_found_and_not_imported(tmp_path, mon
         (prefix / module).parent.mkdir(parents=True)
         (prefix / module).write_text("raise RuntimeError('imported')")
     monkeypatch.syspath_prepend((prefix / module).parents[1] if module else prefix.parent)
-    assert radius_m(arm(tmp_path / "work", name)) == pytest.approx(0.05, rel=0.1)
+    assert radius_m(arm(tmp_path / "mine", name)) == pytest.approx(0.05, rel=0.1)
 
 
 # --- Folders that are given.
@@ -115,8 +115,8 @@ def test_an_installed_example_robot_data_is_found_and_not_imported(tmp_path, mon
     ],
 )
 def test_a_given_folder_comes_first(tmp_path, given):
-    path = arm(tmp_path / "work", NAME)
-    put(tmp_path / "work/some_arm/meshes/visual/tube.stl", 0.03)
+    path = arm(tmp_path / "mine", NAME)
+    put(tmp_path / "mine/some_arm/meshes/visual/tube.stl", 0.03)
     put(tmp_path / "other/place/some_arm/meshes/visual/tube.stl", 0.06)
     assert radius_m(path) == pytest.approx(0.03, rel=0.1)
     assert radius_m(path, given.format(tmp_path / "other/place")) == pytest.approx(0.06, rel=0.1)
@@ -124,8 +124,8 @@ def test_a_given_folder_comes_first(tmp_path, given):
 
 def test_a_given_folder_holds_meshes_without_a_package_too(tmp_path):
     put(tmp_path / "other/meshes/tube.stl")
-    for name in ("../meshes/tube.stl", "file:///home/nobody/arm/meshes/tube.stl"):
-        path = arm(tmp_path / "work", name)
+    for name in ("../meshes/tube.stl", "file:///elsewhere/arm/meshes/tube.stl"):
+        path = arm(tmp_path / "mine", name)
         assert len(link_capsules(path, load_tree(path))[1]) == 1
         assert radius_m(path, str(tmp_path / "other")) == pytest.approx(0.05, rel=0.1)
 
@@ -144,12 +144,12 @@ def test_a_given_folder_holds_meshes_without_a_package_too(tmp_path):
         ),
         (["other={0}/empty"], [NAME], "--meshes other={0}/empty: none of the 1 meshes of arm.urdf is there; " + NAME),
         (["{0}/empty"], ["a/b.stl"], "a/b.stl was searched for as a/b.stl, b.stl; give its folder"),
-        (["{0}/empty"], [], "--meshes: {0}/work/arm.urdf names no mesh; leave --meshes out"),
+        (["{0}/empty"], [], "--meshes: {0}/mine/arm.urdf names no mesh; leave --meshes out"),
     ],
 )
 def test_a_wrong_folder_is_refused_with_what_was_tried(tmp_path, given, names, words):
     (tmp_path / "empty").mkdir()
-    path = arm(tmp_path / "work", *names)
+    path = arm(tmp_path / "mine", *names)
     with pytest.raises(ConfigError) as error:
         expect_meshes(path, mesh_folders([one.format(tmp_path) for one in given]))
     assert words.format(tmp_path) in str(error.value) and "\n" not in str(error.value)
@@ -165,10 +165,10 @@ def test_an_mjcf_has_its_own_folder_of_meshes(tmp_path):
 
 
 def test_a_format_that_is_not_read_is_named_and_a_readable_file_of_its_name_used(tmp_path):
-    path = arm(tmp_path / "work", "package://some_arm/meshes/visual/tube.dae")
+    path = arm(tmp_path / "mine", "package://some_arm/meshes/visual/tube.dae")
     (_, (missing,)) = link_capsules(path, load_tree(path))
     assert "there is no mesh file package://some_arm/meshes/visual/tube.dae" in missing
-    meshes = tmp_path / "work/some_arm/meshes"
+    meshes = tmp_path / "mine/some_arm/meshes"
     (meshes / "visual").mkdir(parents=True)
     (meshes / "visual/tube.dae").write_text("<COLLADA/>")
     (capsules, (note,)) = link_capsules(path, load_tree(path))
@@ -184,11 +184,11 @@ def test_a_format_that_is_not_read_is_named_and_a_readable_file_of_its_name_used
 
 def test_shapes_lost_at_import_are_read_later_and_the_others_stay(tmp_path):
     """The dataset's copy of the URDF is not beside the meshes, which are read from its shapes file."""
-    source, dataset = arm(tmp_path / "work", NAME), tmp_path / "data"
+    source, dataset = arm(tmp_path / "mine", NAME), tmp_path / "data"
     dataset.mkdir()
     text = source.read_text().replace('<link name="base"/>', '<link name="base">{}</link>')
     source.write_text(text.replace("{}", MESH.format("own/tube.stl"), 1))
-    put(tmp_path / "work/own/tube.stl", 0.03)
+    put(tmp_path / "mine/own/tube.stl", 0.03)
     kept = dataset / "robot.urdf"
     kept.write_text(source.read_text())
     assert write_shapes(source, dataset).lost == ["upper"]
@@ -220,9 +220,9 @@ def test_shapes_lost_at_import_are_read_later_and_the_others_stay(tmp_path):
 )
 def test_a_name_out_of_its_package_is_missing(tmp_path, name):
     put(tmp_path / "tube.stl")
-    put(tmp_path / "work/secret/tube.stl")
-    (tmp_path / "work/a").mkdir(parents=True)
-    finder = MeshFinder(arm(tmp_path / "work/b", name), mesh_folders([str(tmp_path / "work/a")]))
+    put(tmp_path / "mine/secret/tube.stl")
+    (tmp_path / "mine/a").mkdir(parents=True)
+    finder = MeshFinder(arm(tmp_path / "mine/b", name), mesh_folders([str(tmp_path / "mine/a")]))
     with pytest.raises(MissingMeshError, match="there is no mesh file"):
         finder.find(name)
 
@@ -253,8 +253,8 @@ def test_the_search_has_a_bound(tmp_path, monkeypatch):
 
 
 def test_capsules_do_not_depend_on_where_a_mesh_was_found(tmp_path):
-    path = arm(tmp_path / "work", NAME)
-    put(tmp_path / "work/some_arm/meshes/visual/tube.stl")
+    path = arm(tmp_path / "mine", NAME)
+    put(tmp_path / "mine/some_arm/meshes/visual/tube.stl")
     near = link_capsules(path, load_tree(path))[0]
     put(tmp_path / "other/tube.stl")
     given = link_capsules(path, load_tree(path), mesh_folders([str(tmp_path / "other")]))[0]

@@ -348,7 +348,8 @@ Written by `{command}`. Every touch is in [links.json](links.json).
 
 **Data.** Simulated arms of [unseen arms](../unseen-arms/README.md). The bundles are trained by recipe prior on twelve
 minutes of motion. Links are cylinders (`benchmarks/unseen/surfaces.py`). The method's constants were tuned on arm ur5
-alone, those of guessed shapes on ur5 and kinova.
+alone, those of guessed shapes on ur5 and kinova. The other arms were run twice, before and after axes that are
+parallel got a spread, which was chosen on these two.
 
 **Touches.** Every link is touched equally often, anywhere on its surface, within {np.degrees(CONE_RAD):.0f} degrees of
 the normal. A touch lasts 1.2 s, in motion or at rest. Its force is {RATIOS[0]:g} to {RATIOS[1]:g} times the limit of

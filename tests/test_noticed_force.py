@@ -22,11 +22,9 @@ from tauext.errors import BundleError, ConfigError
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.noticed_force import (
     MOST_N,
-    even_ways,
     least_force,
     noticed,
     noticed_force,
-    points,
     usual_limits,
     worst_force,
 )
@@ -34,6 +32,7 @@ from tauext.evaluate.results import NoticedForce, OverPoses, to_json
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
+from tauext.train.hits import even_ways, points
 from tauext.train.wrench import POSES, poses
 
 LIMITS, NEAR, LENGTH = [6.0, 3.0], [9.0, 4.0], 0.3

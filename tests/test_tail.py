@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, genpareto
 
 from tauext.errors import ConfigError, TrainingError
+from tauext.fit.limits_together import TailCurve, rates_together
 from tauext.fit.tail import (
     GOODNESS_P,
     GOODNESS_SHAPES,
@@ -17,13 +18,11 @@ from tauext.fit.tail import (
     USUAL_SHAPE,
     FalseAlarmBudget,
     Tail,
-    TailCurve,
     TooFewPeaks,
     fit_excess,
     fit_tail,
     goodness,
     is_kept,
-    rates_together,
     upper_rate,
 )
 from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum

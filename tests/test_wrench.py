@@ -17,7 +17,8 @@ from tauext.evaluate.noticed_force import noticed_force
 from tauext.fit.torque_constants import with_constants
 from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
-from tauext.train.wrench import correlation, factor, points
+from tauext.train.hits import points
+from tauext.train.wrench import correlation, factor
 
 GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 BASE, FRAME = _core.WrenchAxes.base, _core.WrenchAxes.frame

@@ -77,10 +77,11 @@ struct Wrench {
 //          + delta_ij max(contact_sigma_i^2 - sigma_i^2 - (c^2 + c_i^2) tau_i^2, 0).
 //
 // R is the correlation, c_i the relative error of a joint's torque constant, and c that of the common factor. The last
-// term is the additional error during a contact (ContactErrors) beside that of the constants. P has kLargestForce_n for forces and kLength_m times
-// that for moments; it keeps the result continuous through singularities. P shrinks a direction whose standard error is
-// kBlindForce_n by at most 1 %, one with 10 N by 0.01 %. Directions with a larger error are reported as blind; they are
-// eigenvectors of the whitened J S^-1 J^T. Joints that do not answer in N m have no row.
+// term is the additional error during a contact (ContactErrors) beside that of the constants. P has kLargestForce_n for
+// forces and kLength_m times that for moments; it keeps the result continuous through singularities. P shrinks a
+// direction whose standard error is kBlindForce_n by at most 1 %, one with 10 N by 0.01 %. Directions with a larger
+// error are reported as blind; they are eigenvectors of the whitened J S^-1 J^T. Joints that do not answer in N m have
+// no row.
 // Gear friction grows with the load, and the prior contains only the arm's own weight. If dq is given and training
 // found the share s from the joint's own load, the friction that a touch adds is subtracted first for moving joints:
 //

@@ -47,7 +47,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
     from tauext.bundle.bundle_file import load_bundle
     from tauext.bundle.units import largest_share
     from tauext.evaluate.noticed_force import noticed_in_usual_motion
-    from tauext.train.wrench import points
+    from tauext.train.hits import points
 
     bundle = load_bundle(file)
     points(bundle, frames)  # refuses before hours of recordings are read

@@ -20,7 +20,7 @@ from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision, judge_latched
 from tauext.evaluate.noticed_force import noticed_force
 from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin
-from tauext.train.wrench import Point, points
+from tauext.train.hits import Point, points
 
 # --- Run bundles on recordings by the same chain as the monitor's.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -13,7 +12,7 @@ from tauext import _core
 from tauext.bundle.units import largest_share, left_out, situations
 from tauext.errors import BundleError
 from tauext.evaluate.results import EveryWay, NoticedAt, NoticedForce, OverPoses
-from tauext.train.wrench import Point, even_ways, points
+from tauext.train.hits import Point, even_ways, kept_poses, points
 
 MOST_N = 1000.0
 """Directions that need a larger force are called blind: no touch that an arm survives is far beyond it
@@ -152,21 +151,9 @@ def noticed_in_usual_motion(bundle: _core.Bundle, frames: Sequence[str] = ()) ->
         BundleError, ConfigError: as points.
     """
     q = kept_poses(bundle)
-    return noticed(bundle, q, usual_limits(bundle, len(q)), usual_error_share(bundle), frames)
-
-
-def kept_poses(bundle: _core.Bundle) -> np.ndarray:
-    """Poses from the bundle's provenance, (poses, joints)."""
-    try:
-        kept = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
-        q = np.array(kept or [], dtype=float)
-        if kept and (q.ndim != 2 or q.shape[1] != bundle.joints or not np.isfinite(q).all()):
-            raise ValueError(f"poses of the shape {q.shape} where (poses, {bundle.joints}) belong")
-    except (TypeError, ValueError, AttributeError) as error:
-        raise BundleError(f"{bundle.name}: its provenance is damaged ({type(error).__name__}: {error})") from error
-    if not kept:
+    if not len(q):
         raise BundleError(f"{bundle.name}: it keeps no poses: {NO_POSES}")
-    return q
+    return noticed(bundle, q, usual_limits(bundle, len(q)), usual_error_share(bundle), frames)
 
 
 def usual_limits(bundle: _core.Bundle, poses: int) -> dict[str, np.ndarray]:

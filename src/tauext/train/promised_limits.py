@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -13,17 +12,16 @@ from tauext import _core
 from tauext._core import MotionFeature
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.recording import Recording
+from tauext.fit.limits_together import TailCurve, rates_together
 from tauext.fit.tail import (
     FalseAlarmBudget,
     Promise,
     Tail,
-    TailCurve,
     TooFewPeaks,
     duration,
     fit_tail,
     held_minimum,
     hold_lengths,
-    rates_together,
     upper_rate,
 )
 from tauext.fit.ties import simplest
@@ -39,7 +37,7 @@ from tauext.train.held_peaks import (
     collect_peaks,
     separate_peaks,
 )
-from tauext.train.wrench import even_ways, points
+from tauext.train.hits import hits
 
 # --- Limits for a budget of false alarms, as far as the recordings support it.
 
@@ -47,9 +45,6 @@ from tauext.train.wrench import even_ways, points
 MOST_BEYOND = 2.0
 """Largest limit, as a multiple of the largest error seen: the recordings are long enough to bound the rate over that
 error itself, and a tail that reaches further is one that a touch or another fault has bent."""
-HIT_POSES = 16
-LEAST_LEVER_M = 1e-3
-"""A force with a shorter lever about every joint is felt by none."""
 HARD_PUSH = 3.0
 """Push for comparing hold times, as a multiple of the limit without hold time."""
 
@@ -165,8 +160,9 @@ def promised_limits(
     hits_nm = hits(bundle, poses)
 
     def limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[LevelLimits, dict, np.ndarray]:
-        rates = rates_together(_tails(peaks), budget, confidence, hits_nm, peaks.region_hours)
-        return *limits_of(peaks, rates, confidence, at_most_seen), rates
+        tails = _tails(peaks)
+        rates = rates_together(tails, budget, confidence, hits_nm, peaks.region_hours)
+        return *limits_of(peaks.joints, tails, rates, confidence, at_most_seen), rates
 
     choices = [limits(peaks, budget, level_confidence) for peaks in found]
     first = choices[0][0].sliding_nm
@@ -191,33 +187,6 @@ def promised_limits(
     return PromisedLimits(collision, contact, *holds_s, promise, budget, tails, rates, moments)
 
 
-def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.ndarray:
-    """Torques of a newton in any direction at the end of each link, in usual poses, (hits, joints), [N m].
-
-    A joint whose estimates are not in N m feels hits of its own instead, and so does every joint where no forces can be
-    estimated.
-
-    Args:
-        poses: (poses, joints); None: those that the bundle keeps.
-    """
-    alone = np.eye(bundle.joints)
-    if _core.WrenchModel(bundle).refused:
-        return alone
-    if poses is None:
-        poses = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
-    if not poses:
-        return alone
-    model, ways, known = _core.WrenchModel(bundle), even_ways(), np.array(bundle.in_newtons)
-    few = np.asarray(poses, dtype=float)[:: max(1, len(poses) // HIT_POSES)].tolist()
-    felt = []
-    for point in points(bundle):
-        lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
-        felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
-    found = np.concatenate(felt)
-    found = found[np.abs(found).max(axis=1) > LEAST_LEVER_M]
-    return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone
-
-
 def _moments(peaks: Peaks, rates: np.ndarray, confidence: float, at_most_seen: bool) -> list[Moment]:
     def of_joint(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
         levels = _of_joint(_joint_tails(nm, peaks.hours), joint, rates[joint], confidence, at_most_seen)
@@ -229,19 +198,17 @@ def _moments(peaks: Peaks, rates: np.ndarray, confidence: float, at_most_seen: b
         return []
 
 
-def limits_of(peaks: Peaks, rates: np.ndarray, confidence: float, at_most_seen: bool) -> tuple[LevelLimits, dict]:
-    """Find limits that these peaks exceed at these mean rates, (joints, regions), and facts of each fit by joint and
-    region.
-
-    Raises:
-        TooFewPeaks: a joint has too few.
-    """
+def limits_of(
+    joints: Sequence[str], tails: Sequence[Sequence[Tail]], rates: np.ndarray, confidence: float, at_most_seen: bool
+) -> tuple[LevelLimits, dict]:
+    """Find limits that these tails exceed at these mean rates, (joints, regions), and facts of each by joint and
+    region."""
     facts: dict = {}
     levels = []
-    for j, (joint, tails) in enumerate(zip(peaks.joints, _tails(peaks), strict=True)):
-        of_joint = _of_joint(tails, j, rates[j], confidence, at_most_seen)
+    for j, (joint, own) in enumerate(zip(joints, tails, strict=True)):
+        of_joint = _of_joint(own, j, rates[j], confidence, at_most_seen)
         levels.append(of_joint)
-        for region, tail, level, rate in zip(REGIONS, tails, of_joint.tolist(), rates[j].tolist(), strict=True):
+        for region, tail, level, rate in zip(REGIONS, own, of_joint.tolist(), rates[j].tolist(), strict=True):
             facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": level, "allowed_per_hour": rate}
     found = np.array(levels)
     return LevelLimits(found[:, 0], np.maximum(found[:, 1], found[:, 0])), facts
@@ -269,7 +236,11 @@ def most_seen(peaks_nm: np.ndarray) -> float:
 
 
 def _tails(peaks: Peaks) -> list[list[Tail]]:
-    """Tails of each joint's regions."""
+    """Tails of each joint's regions.
+
+    Raises:
+        TooFewPeaks: a joint has too few.
+    """
     return [_joint_tails(nm, peaks.hours) for nm in peaks.nm]
 
 
@@ -431,7 +402,8 @@ def _limits(
         at = others.recording == number
         healthy = np.ones(int(at.sum()), dtype=bool)
         collector.add(others.t_ns[at], others.error_nm[at] / scale[at], others.near_stiction[at], healthy)
-    found, _ = limits_of(collector.peaks(), promised.rates_per_hour, level_confidence, at_most_seen=True)
+    tails = _tails(collector.peaks())
+    found, _ = limits_of(joints, tails, promised.rates_per_hour, level_confidence, at_most_seen=True)
     own_scale = np.minimum(np.einsum("rjf,jf->rj", own.features, weights), scale.max(axis=0))
     return own_scale * np.where(own.near_stiction, found.near_stiction_nm, found.sliding_nm)
 

@@ -216,11 +216,11 @@ def find_suspects(
     if not candidates or _seconds(candidates) > MOST_SHARE * 3600 * peaks.hours:
         return []
     nothing = [one for one in labels if one.answer == "nothing"]
-    shown = []
+    places, shown = _core.PlaceModel(bundle), []
     for number in sorted({one.number for one in candidates if one.number >= since}):
         if is_unreported(recording := load(number)):
             of_this = [one for one in candidates if one.number == number]
-            shown += [_Shown.of(bundle, one, recording, levels, usual, threads) for one in of_this]
+            shown += [_Shown.of(bundle, places, one, recording, levels, usual, threads) for one in of_this]
     found = [one.suspect for one in shown if not one.is_friction(shown) and not one.is_repeated(shown)]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
@@ -334,7 +334,7 @@ NEAR_S = 0.05
 LONE = 1.5
 """A joint is alone if all others are below this multiple of the peak that a quarter of their peaks exceed."""
 MOST_FRICTION = 2.5
-"""Friction stays below this multiple of the level that free motion exceeds once in many such hours."""
+"""Friction stays below this multiple of the level that free motion exceeds once in ten such motions."""
 TURNED_S, RESTS_RAD_S, MOVES_RAD_S = 1.0, 0.02, 0.03
 """A joint that both rested and moved in so short a time has started, stopped or turned; by its commanded positions
 where they are recorded."""
@@ -377,6 +377,7 @@ class _Shown:
     def of(
         cls,
         bundle: _core.Bundle,
+        places: _core.PlaceModel,
         one: Suspect,
         recording: Recording,
         levels: np.ndarray,
@@ -418,7 +419,7 @@ class _Shown:
                 grown,
                 from_ns=min([one.from_ns, *begins[meet].tolist()]),
                 to_ns=max([one.to_ns, *ends[meet].tolist()]),
-                link=link_of(bundle, motion, estimates, at),
+                link=link_of(places, motion, estimates, at),
             )
         signs = np.sign(np.r_[estimates["tau_ext"][at, joints], motion.dq[at, joints]])
         return cls(grown, motion.q[at], signs, turned_alone)
@@ -428,13 +429,12 @@ CONSISTENT = 0.01
 """Least probability at which a force on a link explains the errors."""
 
 
-def link_of(bundle: _core.Bundle, motion: Recording, estimates: dict[str, np.ndarray], at: int) -> str:
+def link_of(places: _core.PlaceModel, motion: Recording, estimates: dict[str, np.ndarray], at: int) -> str:
     """Joint of the link on which a force explains the errors of a sample; empty: unknown, or no force does."""
-    model = _core.PlaceModel(bundle)
     sigma = estimates["sigma_nm"][at]
-    if model.refused or not (np.isfinite(sigma).all() and (sigma > 0).all()):
+    if places.refused or not (np.isfinite(sigma).all() and (sigma > 0).all()):
         return ""
-    found = model.find(
+    found = places.find(
         motion.q[at].tolist(), estimates["tau_ext"][at].tolist(), sigma.tolist(), dq=motion.dq[at].tolist()
     )
     if not found.known or not found.consistent >= CONSISTENT:

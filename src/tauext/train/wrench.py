@@ -11,8 +11,7 @@ Unlike a mean, it covers heavy tails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -20,7 +19,6 @@ from scipy.special import gammaincinv
 from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
-from tauext.errors import BundleError, ConfigError
 from tauext.train.error_scale import FOR_ERRORS, Judged, judge_all
 
 CLIP = 3.0
@@ -168,59 +166,3 @@ def free_rows(
     thin = max(1, -(-len(rows[0]) // MOST_ROWS))
     q, tau_ext, sigma = (np.ascontiguousarray(column[::thin]) for column in rows)
     return q, tau_ext, sigma
-
-
-# --- Where and how links are hit: forces in every direction at their ends.
-
-
-WAYS = 100
-"""Directions on half a sphere; the other half is the same by symmetry. Each represents a cone of 8 degrees."""
-
-
-@dataclass(frozen=True)
-class Point:
-    """Where a force acts: a point of a frame of the bundle, [m] along the frame's own axes."""
-
-    name: str
-    frame: str
-    point_m: tuple[float, ...] = (0.0, 0.0, 0.0)
-
-
-def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
-    """The end of each link, the load's frame, and the requested frames.
-
-    The end of a link is the origin of the joint that it carries, of several the farthest; that of a last link is the
-    load's frame if it is fixed there, else the link's own origin.
-
-    Raises:
-        BundleError: the bundle cannot estimate forces.
-        ConfigError: there is no such frame.
-    """
-    model = _core.WrenchModel(bundle)
-    if model.refused:
-        raise BundleError(f"{bundle.name}: what force is noticed is not known: {model.refused}")
-    known = [frame.name for frame in model.frames]
-    for name in frames:
-        if name not in known:
-            raise ConfigError(f"frame = '{name}' must be one of {', '.join(known)}")
-    load = bundle.load_settings
-    links, found = bundle.links, []
-    for k, link in enumerate(links):
-        ends = [other for other in links if other.parent == k]
-        if ends:
-            end = max(ends, key=lambda other: sum(x * x for x in other.translation))
-            name = f"link of {link.joint_name}, at {end.joint_name}"
-            found.append(Point(name, link.joint_name, tuple(end.translation)))
-        elif load.link != k:
-            found.append(Point(f"link of {link.joint_name}, at its origin", link.joint_name))
-    if load.link >= 0:
-        found.append(Point(f"load's frame {load.frame}", links[load.link].joint_name, tuple(load.translation)))
-    return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
-
-
-def even_ways() -> np.ndarray:
-    """WAYS unit vectors, even on half a sphere: a Fibonacci lattice, (WAYS, 3)."""
-    k = np.arange(WAYS) + 0.5
-    z, turn = k / WAYS, np.pi * (1 + np.sqrt(5)) * k
-    flat = np.sqrt(1 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)

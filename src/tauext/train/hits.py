@@ -1,0 +1,109 @@
+"""Where links are hit: forces in every direction at the ends of links, in usual poses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.errors import BundleError, ConfigError
+
+WAYS = 100
+"""Directions on half a sphere; the other half is the same by symmetry. Each represents a cone of 8 degrees."""
+HIT_POSES = 16
+LEAST_LEVER_M = 1e-3
+"""A force with a shorter lever about every joint is felt by none."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a force acts: a point of a frame of the bundle, [m] along the frame's own axes."""
+
+    name: str
+    frame: str
+    point_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
+    """The end of each link, the load's frame, and the requested frames.
+
+    The end of a link is the origin of the joint that it carries, of several the farthest; that of a last link is the
+    load's frame if it is fixed there, else the link's own origin.
+
+    Raises:
+        BundleError: the bundle cannot estimate forces.
+        ConfigError: there is no such frame.
+    """
+    model = _core.WrenchModel(bundle)
+    if model.refused:
+        raise BundleError(f"{bundle.name}: what force is noticed is not known: {model.refused}")
+    known = [frame.name for frame in model.frames]
+    for name in frames:
+        if name not in known:
+            raise ConfigError(f"frame = '{name}' must be one of {', '.join(known)}")
+    load = bundle.load_settings
+    links, found = bundle.links, []
+    for k, link in enumerate(links):
+        ends = [other for other in links if other.parent == k]
+        if ends:
+            end = max(ends, key=lambda other: sum(x * x for x in other.translation))
+            name = f"link of {link.joint_name}, at {end.joint_name}"
+            found.append(Point(name, link.joint_name, tuple(end.translation)))
+        elif load.link != k:
+            found.append(Point(f"link of {link.joint_name}, at its origin", link.joint_name))
+    if load.link >= 0:
+        found.append(Point(f"load's frame {load.frame}", links[load.link].joint_name, tuple(load.translation)))
+    return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
+
+
+def even_ways() -> np.ndarray:
+    """WAYS unit vectors, even on half a sphere: a Fibonacci lattice, (WAYS, 3)."""
+    k = np.arange(WAYS) + 0.5
+    z, turn = k / WAYS, np.pi * (1 + np.sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def kept_poses(bundle: _core.Bundle) -> np.ndarray:
+    """Poses of the training's motion from the bundle's provenance, (poses, joints); (0, joints): it keeps none.
+
+    Raises:
+        BundleError: they are damaged.
+    """
+    try:
+        kept = json.loads(bundle.provenance or "{}").get("wrench", {}).get("poses")
+        q = np.array(kept or np.zeros((0, bundle.joints)), dtype=float)
+        if q.ndim != 2 or q.shape[1] != bundle.joints or not np.isfinite(q).all():
+            raise ValueError(f"poses of the shape {q.shape} where (poses, {bundle.joints}) belong")
+    except (TypeError, ValueError, AttributeError) as error:
+        raise BundleError(f"{bundle.name}: its provenance is damaged ({type(error).__name__}: {error})") from error
+    return q
+
+
+def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.ndarray:
+    """Torques of a newton in any direction at the end of each link, in usual poses, (hits, joints), [N m].
+
+    A joint whose estimates are not in N m feels hits of its own instead, and so does every joint where no forces can be
+    estimated.
+
+    Args:
+        poses: (poses, joints); None: those that the bundle keeps.
+    """
+    alone, model = np.eye(bundle.joints), _core.WrenchModel(bundle)
+    if model.refused:
+        return alone
+    q = kept_poses(bundle) if poses is None else np.asarray(poses, dtype=float)
+    if not len(q):
+        return alone
+    ways, known = even_ways(), np.array(bundle.in_newtons)
+    few = q[:: max(1, len(q) // HIT_POSES)].tolist()
+    felt = []
+    for point in points(bundle):
+        lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
+        felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
+    found = np.concatenate(felt)
+    found = found[np.abs(found).max(axis=1) > LEAST_LEVER_M]
+    return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone

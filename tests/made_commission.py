@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tauext.bundle.history_file import read_question
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
 from tauext.data.recording import Recording
-from tauext.files.append_file import append_line
+from tauext.files import journal
 from tauext.monitor.source import SourceSettings
 from tauext.sim.arms import rig_arm
 
@@ -35,7 +36,7 @@ def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> Comm
 
 
 def add_event(folder: CommissionFolder, **content) -> None:
-    append_line(folder.events_file, content)
+    folder.append_event(content)
 
 
 def words(folder: CommissionFolder) -> list[str]:
@@ -43,4 +44,16 @@ def words(folder: CommissionFolder) -> list[str]:
 
 
 def active(folder: CommissionFolder) -> str:
-    return json.loads((folder.path / "active.json").read_text())["bundle"]
+    return [one["bundle"] for one in folder.history() if one["kind"] == "activation"][-1]
+
+
+def question(folder: CommissionFolder) -> dict:
+    return read_question(folder.path)
+
+
+def cut_journal(folder: CommissionFolder, kept=lambda line: True) -> None:
+    """Leave only the lines of both files for which this is true, as if another process had."""
+    for name in (journal.NAME, journal.COPY):
+        lines = (folder.path / name).read_bytes().splitlines(keepends=True)
+        (folder.path / name).write_bytes(b"".join(line for line in lines if kept(json.loads(line))))
+    journal._seen.clear()

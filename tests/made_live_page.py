@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tauext.files import journal
+
 STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost")
 JOINTS = {
     "rig": ("joint1", "joint2"),
@@ -121,7 +123,6 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     if early:
         write(folder, "trainer.json", {"doing": "training b0001 on 1 min of motion", "share": 0.4})
         return
-    write(folder, "active.json", {"bundle": "b0004"})
     lines = []
     for k in range(4):
         error = [round((0.5 - 0.08 * k) * (1 + 0.2 * j), 3) for j in range(len(joints))]
@@ -139,7 +140,11 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
             "words": f"{sentence} {counted}", "sentence": f"{sentence} {counted}", "promised_per_hour": rate,
             "hours": hours, "alarms": alarms, "kept": k != 4,
         })  # fmt: skip
-    (folder / "history.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
+    lines.append({
+        "kind": "activation", "wall": now(1000), "seconds": 900.0, "bundle": "b0004", "words": "b0004 is chosen",
+    })  # fmt: skip
+    for one in lines:
+        journal.append(folder, one["kind"], one)
     events = [
         {"id": 15, "wall": now(5000), "level": "contact", "joint": joints[0], "answer": "nothing", "by": "page",
          "sentence": "contact on the link of joint1 (80 %): 6 N", "t_ns": 0, "flight": None},
@@ -149,11 +154,14 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     ]  # fmt: skip
     if state == "alarm":
         events.append(events[1] | {"id": 17, "wall": now(2), "answer": None})
-    (folder / "events.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
+    for one in events:
+        journal.append(folder, "event", one)
+        if one["answer"]:
+            journal.append(folder, "label", {name: one[name] for name in ("id", "answer")})
     write_trace(folder / "flights" / "sim-3.000s-collision.estimates.parquet", joints)
     if state == "question":
         words = "The tool of joint7 seems 0.8 kg heavier than yesterday. Shall the monitor learn this?"
-        write(folder, "question.json", {"words": words, "asked": now(30)})
+        journal.append(folder, "step", {"words": words, "wall": now(30), "seconds": 900.0})
 
 
 def write_trace(path: Path, joints: tuple[str, ...]) -> None:

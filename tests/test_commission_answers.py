@@ -1,4 +1,4 @@
-"""Alarms of a loop as lines for the page and as events.jsonl; answers that are on the disk when they are confirmed."""
+"""Alarms of a loop as lines for the page and in the journal; answers that are on the disk when they are confirmed."""
 
 import json
 import math
@@ -22,7 +22,6 @@ from tauext.commission.processes import Child
 from tauext.commission.run import AGAIN_S, Commission
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
-from tauext.files.append_file import append_line
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
@@ -52,7 +51,7 @@ class Arm:
         samples = samples_of(recording or pushed())
         source = ScriptedSource([*samples[:pause], self.go_on.is_set, *samples[pause:]])
         self.record = KeepSink(self.folder, settings, "script", 1e9)
-        self.keeper = EventKeeper(path, lambda: self.record.epoch, self.notes.append)
+        self.keeper = EventKeeper(self.folder, lambda: self.record.epoch, self.notes.append)
         self.live = LiveSink(path / "live.sock")
         self.live.changed, self.live.answers = self.keeper.changed, self.keeper.answer_to
         self.record.on_label = self.keeper.labelled
@@ -165,7 +164,7 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
-    one._has_ended = False
+    one._has_ended, one._lost = False, ""
     one._loop, one._source, one._keeper = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
     one._record = SimpleNamespace(
         is_losing=True, count=RecordCount(error=f"{one._folder.path}/seg-000001.parquet: full")
@@ -177,11 +176,11 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     assert one._live.says == "" and one._live.state == "monitoring"
 
 
-def test_an_answer_whose_event_was_lost_is_known_to_the_next_process(tmp_path):
+def test_an_answer_is_known_to_the_next_process(tmp_path):
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    append_line(folder.events_file, {"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
+    folder.append_event({"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
     folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
-    keeper = EventKeeper(folder.path, lambda: 1, print)
+    keeper = EventKeeper(folder, lambda: 1, print)
     keeper.end()
     assert keeper.answer_to(1) == "nothing" and keeper.unanswered is None
     assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
@@ -189,7 +188,7 @@ def test_an_answer_whose_event_was_lost_is_known_to_the_next_process(tmp_path):
 
 def test_an_event_that_cannot_be_written_ends_no_thread(tmp_path):
     folder, notes = CommissionFolder.open(tmp_path / "cell", create=True), []
-    keeper = EventKeeper(folder.path, lambda: 1, notes.append)
+    keeper = EventKeeper(folder, lambda: 1, notes.append)
     keeper.changed({"id": 1, "level": "contact", "newtons": float("nan")})
     keeper.changed({"id": 2, "level": "contact", "newtons": 1.0})
     keeper.end()
@@ -258,7 +257,7 @@ def test_lines_come_before_there_is_an_arm_and_slow_readers_hold_up_nobody(tmp_p
 
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):
     stopped: list[str] = []
-    keeper = EventKeeper(tmp_path, lambda: 0, print)
+    keeper = EventKeeper(CommissionFolder(tmp_path), lambda: 0, print)
     steering = Steering(keeper, stopped.append)
     for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
         assert obey(line, steering, "test").startswith("error: "), line

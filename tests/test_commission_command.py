@@ -186,7 +186,7 @@ def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path)
 
 
 def test_a_new_alarm_never_has_the_number_of_a_label_whose_event_was_lost(tmp_path):
-    """A full disk keeps the label of alarm 7, for which space is reserved, and loses its line in events.jsonl."""
+    """A full disk keeps the label of alarm 7, for which space is reserved, and loses the line of its event."""
     save_recording(pushed(), tmp_path / "log.parquet")
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
     watching_bundle().save(str(folder.bundles / "b0001.tauext"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from dataclasses import replace
@@ -12,7 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tauext.bundle import history_file
 from tauext.bundle.history_file import watches
 from tauext.commission import folder as folder_module
 from tauext.commission import keep
@@ -21,9 +19,7 @@ from tauext.commission.keep import Coverage, KeepSink, learned_up_to, repaired, 
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
-from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError
-from tauext.files.append_file import read_lines
 from tauext.monitor.sink import Answer, Verdict
 from tauext.monitor.source import Sample, SourceSettings
 
@@ -87,27 +83,18 @@ def test_a_clock_that_starts_again_is_another_epoch(tmp_path):
     assert folder.facts["epoch"] == 2 and script.sink.count.unfit == 1
 
 
-def test_index_and_history_are_parsed_once_and_again_after_each_change(tmp_path, monkeypatch):
-    folder, parsed = Script(tmp_path / "cell").go(30).end(), []
-
-    def counted(path):
-        parsed.append(path.name)
-        return read_lines(path)
-
-    monkeypatch.setattr(folder_module, "read_lines", counted)
-    monkeypatch.setattr(history_file, "read_lines", counted)
-    folder.note("note", 30.0, "first")
-    folder.segments().clear()  # a caller's list is its own
-    folder.history().clear()
+def test_each_footer_is_read_once_and_again_after_a_change(tmp_path, monkeypatch):
+    folder, read = Script(tmp_path / "cell").go(30).end(), []
+    real = folder_module.segment_of
+    monkeypatch.setattr(folder_module, "segment_of", lambda path, size: read.append(path.name) or real(path, size))
+    folder = CommissionFolder.open(folder.path)
     for _ in range(3):
-        assert [one.number for one in folder.segments()] == [1, 2, 3]
-        assert [one["words"] for one in folder.history()] == ["first"]
-    assert sorted(parsed) == ["history.jsonl", "segments.jsonl"]
-    folder.add_segment(replace(folder.segments()[0], set="test"))
-    folder.note("note", 30.0, "second")
-    assert folder.segments()[0].set == "test" and [one["words"] for one in folder.history()] == ["first", "second"]
-    folder.put_index(folder.segments()[1:])
-    assert [one.number for one in folder.segments()] == [2, 3]
+        assert [(one.number, one.epoch, one.set) for one in folder.segments()] == [(k, 1, "train") for k in (1, 2, 3)]
+    assert sorted(read) == [f"seg-00000{k}.parquet" for k in (1, 2, 3)]
+    changed = folder.path / "seg-000002.parquet"
+    changed.write_bytes(changed.read_bytes()[:-1])
+    assert [one.number for one in folder.segments()] == [1, 3] and len(read) == 4
+    assert [one.name for one in folder.load(folder.segments())] == ["seg-000001", "seg-000003"]
 
 
 @pytest.mark.parametrize(("answer", "free_s"), [("touched", 27.2), ("nothing", 29.9), ("", 27.2)])
@@ -210,7 +197,7 @@ def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
     """Killed between any two writings: the folder is a dataset, and no set has changed."""
     script = Script(tmp_path / "cell", budget=2e5)
     monkeypatch.setattr(keep, "FRESH_S", 20.0)
-    real = {"unlink": Path.unlink, "write": keep.write_synced, "line": folder_module.append_line}
+    real = {"unlink": Path.unlink, "write": keep.write_synced}
 
     class Killed(BaseException):
         pass
@@ -232,7 +219,6 @@ def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
         before = {one.name: one.set for one in script.folder.segments()}
         monkeypatch.setattr(Path, "unlink", counted("unlink"))
         monkeypatch.setattr(folder_module, "write_synced", counted("write"))
-        monkeypatch.setattr(folder_module, "append_line", counted("line"))
         try:
             sink._begin()
             t_ns = np.arange(ROWS, dtype=np.int64) * PERIOD_NS
@@ -243,7 +229,6 @@ def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
         finally:
             monkeypatch.setattr(Path, "unlink", real["unlink"])
             monkeypatch.setattr(folder_module, "write_synced", real["write"])
-            monkeypatch.setattr(folder_module, "append_line", real["line"])
         script = Script(tmp_path / "cell", budget=2e5)
         after = {one.name: one.set for one in script.folder.segments()}
         assert all(before[name] == of for name, of in after.items() if name in before)
@@ -254,7 +239,7 @@ def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
     assert 0 < sum(one.bytes for one in script.folder.segments()) <= 1.6e5
 
 
-def test_damage_by_a_power_failure_is_removed(tmp_path):
+def test_damage_by_a_power_failure_is_set_aside(tmp_path):
     folder = Script(tmp_path / "cell").go(45).end()
     (folder.path / "seg-000005.parquet").write_bytes(b"")
     (folder.path / "seg-000004.parquet").write_bytes((folder.path / "seg-000004.parquet").read_bytes()[:-3])
@@ -263,6 +248,8 @@ def test_damage_by_a_power_failure_is_removed(tmp_path):
     assert [one.number for one in repaired(folder)] == [1, 2, 3]
     assert len(load_dataset(folder.path).split.train) == 3
     assert [one.number for one in Script(folder.path).go(10).end().segments()] == [1, 2, 3, 6]
+    assert (folder.path / "seg-000005.parquet.damaged").exists()
+    assert "seg-000004.parquet is kept as seg-000004.parquet.damaged" in folder.history()[0]["words"]
 
 
 def test_a_touch_without_a_number_belongs_to_the_newest_alarm_or_to_the_last_seconds(tmp_path):
@@ -289,14 +276,17 @@ def test_a_full_disk_while_recordings_are_dropped_leaves_none_uncounted(tmp_path
         raise OSError(28, "No space left on device")
 
     script.sink.close()
-    for name, budget in (("put_split", 1e5), ("put_index", 1e5), ("put_index", 5e4)):
-        script.sink._budget = budget
+    for _ in range(2):
+        script.sink._budget = 1e5
         with monkeypatch.context() as patched:
-            patched.setattr(CommissionFolder, name, full)
+            patched.setattr(CommissionFolder, "put_split", full)
             with pytest.raises(OSError, match="No space"):
                 script.sink._tidy()
         counted = {one.name for one in script.sink._segments}
         assert counted == {path.name for path in script.folder.path.glob("seg-*.parquet")}
+    script.sink._tidy()
+    split = load_dataset(script.folder.path).split
+    assert {*split.train, *split.test} == {path.name for path in script.folder.path.glob("seg-*.parquet")} < counted
 
 
 def test_damaged_coverage_costs_the_cells_but_no_time(tmp_path):
@@ -410,13 +400,16 @@ def test_what_was_learned_is_dropped_first():
     assert learned_up_to(CommissionFolder(Path("/nowhere"))) == 0
 
 
-def test_the_index_survives_damage(tmp_path):
-    folder = Script(tmp_path / "cell").go(25).end()
-    lines = (folder.path / "segments.jsonl").read_text()
-    (folder.path / "segments.jsonl").write_text(lines[: lines.index("\n") + 1] + '{"name": "seg-0')
-    assert [(one.number, one.set) for one in repaired(folder)] == [(1, "train"), (2, "train"), (3, "train")]
-    assert json.loads((folder.path / "split.json").read_text())["test"] == []
-    assert load_recording(folder.path / "seg-000003.parquet").samples == 250
+def test_a_lost_coverage_is_made_again_from_the_recordings(tmp_path):
+    folder = Script(tmp_path / "cell").go(45).end()
+    before = Coverage.load(folder.path / "coverage.npz", ARM)
+    for name in ("coverage.npz", "coverage.json"):
+        (folder.path / name).unlink()
+    Script(folder.path, start_ns=45_000_000_000).end()
+    after = Coverage.load(folder.path / "coverage.npz", ARM)
+    assert after.seconds == pytest.approx(45)
+    np.testing.assert_array_equal(after.cells, before.cells)
+    np.testing.assert_allclose(after.rest_s, before.rest_s)
 
 
 def test_a_bundle_is_in_charge_from_its_exchange_on():

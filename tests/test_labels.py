@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from tauext.check.preflight import check_calibration
 from tauext.data.free_motion import free_pieces, free_samples
-from tauext.data.labels import FILE_NAME, Label, append_label, labels_key, overlay, read_labels
+from tauext.data.labels import KIND, Label, labels_key, overlay, read_labels
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording, save_recording
-from tauext.files import append_file
-from tauext.files.append_file import RESERVE, RESERVED, append_line, read_lines, reserve, write_synced
+from tauext.files import append_file, journal
+from tauext.files.append_file import RESERVE, RESERVED, reserve, write_synced
 from tauext.progress import SILENT
 
 SECOND = 1_000_000_000
@@ -24,6 +24,10 @@ RATE_HZ = 100
 
 def label(id: int, from_s: float, to_s: float, answer: str, epoch: int = 1) -> Label:
     return Label(id, epoch, round(from_s * SECOND), round(to_s * SECOND), answer, "test", "today")
+
+
+def append_label(folder, label: Label) -> None:
+    journal.append(folder, KIND, asdict(label))
 
 
 def times(from_s: float, to_s: float) -> np.ndarray:
@@ -73,7 +77,7 @@ def test_a_recording_within_one_unanswered_alarm_is_not_free():
 
 
 def test_margins_reach_into_the_next_file(tmp_path):
-    (tmp_path / FILE_NAME).touch()
+    (tmp_path / journal.NAME).touch()
     first, second = segment(tmp_path, 0, 10), segment(tmp_path, 10, 20, name="seg-000002")
     append_label(tmp_path, label(1, 9.0, 9.95, "touched"))
     free = [free_samples(load_recording(path)) for path in (first, second)]
@@ -99,17 +103,19 @@ def test_the_last_label_of_an_id_counts_and_damaged_lines_do_not(tmp_path):
     append_label(tmp_path, label(1, 2, 3, "touched"))
     append_label(tmp_path, label(2, 4, 5, "withdrawn"))
     append_label(tmp_path, label(1, 2, 3, "withdrawn"))  # an answer that came meanwhile stays
-    with (tmp_path / FILE_NAME).open("ab") as file:  # the process was killed here
-        file.write(b'{"format": 1, "id": 3, "epo')
+    with (tmp_path / journal.NAME).open("ab") as file:  # the process was killed here
+        file.write(b'{"crc32": "00000000", "id": 3, "epo')
     assert [one.answer for one in read_labels(tmp_path)] == ["touched"]
     append_label(tmp_path, label(4, 6, 7, "nothing"))
-    with (tmp_path / FILE_NAME).open("ab") as file:
-        file.write(b'{"format": 1, "id": "x"}\n[1]\n\xff\xfe\n' + b'{"answer": "maybe"}\n')
+    for damaged in ({"id": "x"}, {"answer": "maybe"}):
+        journal.append(tmp_path, KIND, damaged)
+    with (tmp_path / journal.NAME).open("ab") as file:
+        file.write(b"[1]\n\xff\xfe\n")
     assert [one.id for one in read_labels(tmp_path)] == [1, 4]
 
 
 def test_a_full_disk_releases_the_reserve(tmp_path, monkeypatch):
-    append_line(tmp_path / "log.jsonl", {"number": 1})
+    journal.append(tmp_path, "a", {"id": 1})
     reserve(tmp_path)
     assert (tmp_path / RESERVE).stat().st_size >= 1 << 20
 
@@ -119,9 +125,9 @@ def test_a_full_disk_releases_the_reserve(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         real(file, line)
 
-    monkeypatch.setattr(append_file, "write_all", full)
-    append_line(tmp_path / "log.jsonl", {"number": 2})
-    assert [one["number"] for one in read_lines(tmp_path / "log.jsonl")] == [1, 2]
+    monkeypatch.setattr(journal, "write_all", full)
+    journal.append(tmp_path, "a", {"id": 2})
+    assert [one["id"] for one in journal.read(tmp_path).lines] == [1, 2]
     assert (tmp_path / RESERVE).stat().st_size == RESERVED  # what is left of it is reserved again
 
 
@@ -145,7 +151,7 @@ def test_a_full_disk_releases_the_reserve_for_a_small_file_and_a_partial_reserve
 
 def test_a_new_label_changes_the_keys_of_cached_results(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / FILE_NAME).touch()
+    (tmp_path / journal.NAME).touch()
     path, seen = segment(tmp_path, 0, 30), []
     monkeypatch.setattr("tauext.check.preflight.quick_checks", lambda one, limits: seen.append(one.contact.max()) or [])
     keys = [labels_key(tmp_path)]

@@ -12,6 +12,7 @@ import pytest
 from made_live_page import JOINTS, FakeLoop, line, write_folder
 
 from tauext.errors import ConfigError
+from tauext.files import journal
 from tauext.page.door import free_port, is_own_name
 from tauext.page.live_arm import arm_facts
 from tauext.page.live_server import MOST_CONNECTIONS, Server, line_of
@@ -82,9 +83,10 @@ def test_the_state_is_the_folders_files_and_follows_them(tmp_path):
     with served(tmp_path, "monitoring") as (port, _):
         state = json.loads(get(port, "/state")[1])
         assert state["name"] == "cell7" and state["active"] == {"bundle": "b0004"}
-        assert [one["id"] for one in state["events"]] == [15, 16] and len(state["history"]) == 9
-        with (tmp_path / "cell7" / "events.jsonl").open("a") as file:
-            file.write('{"id": 16, "answer": "nothing"}\n{"id": 17, "sent')  # the second is cut off by a kill
+        assert [one["id"] for one in state["events"]] == [15, 16] and len(state["history"]) == 10
+        journal.append(tmp_path / "cell7", "label", {"id": 16, "answer": "nothing"})
+        with (tmp_path / "cell7" / "journal.jsonl").open("a") as file:
+            file.write('{"crc32": "00000000", "number": 17, "sent')  # a line that is cut off by a kill
         (tmp_path / "cell7" / "coverage.json").write_text('{"secon')
         state = json.loads(get(port, "/state")[1])
         assert state["events"][-1]["answer"] == "nothing" and state["events"][-1]["sentence"]

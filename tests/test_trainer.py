@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_commission import active, add_event, filled, words
+from made_commission import active, add_event, cut_journal, filled, question, words
 
 from tauext import _core
 from tauext._core import CoreError
@@ -30,7 +30,7 @@ from tauext.commission.trainer import Trainer, why_not
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
-from tauext.data.labels import Label, append_label, read_labels
+from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
@@ -93,8 +93,8 @@ def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
 def test_a_killed_training_process_goes_on(copy):
     """Whatever was written last: what nothing names is removed, an activation has its line, progress is none."""
     copy.bundles.joinpath("b0007.tauext").write_bytes(b"half")
-    lines = copy.history_file.read_text().splitlines()
-    copy.history_file.write_text("\n".join(lines[:-1]) + '\n{"kind": "activ')
+    with (copy.path / "journal.jsonl").open("a") as file:
+        file.write('{"crc32": "00000000", "number": 99, "kind": "activ')
     copy.progress_file.write_text('{"doing": "training b0007"}')
     one = Trainer(copy)
     assert not list(copy.bundles.glob("b0007*")) and copy.next_bundle().stem == "b0002"
@@ -136,7 +136,8 @@ def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion,
 
 
 def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
-    copy.path.joinpath("active.json").unlink()
+    cut_journal(copy, lambda line: line["kind"] != "activation")
+    monkeypatch.setattr(CommissionFolder, "lost", lambda self: 0)
     content = {"bundle": "b0001", "minutes": 1, "trained_on": []}
     path = copy.pending_file
     for change, why in (
@@ -220,7 +221,7 @@ def test_answers_change_the_peaks(copy, motion, quick):
     filled(copy.path, [replace(cut(motion, slice(121_000, 200_000)), tau=pushed[121_000:200_000])])
     epoch = copy.facts["epoch"]
     alarm = Label(1, epoch, 140_000_000_000, 140_300_000_000, "unanswered", "nobody", "", "b0001")
-    append_label(copy.path, alarm)
+    copy.append_label(alarm)
     one = Trainer(copy)
     one.step()
 
@@ -228,14 +229,14 @@ def test_answers_change_the_peaks(copy, motion, quick):
         return max(float(of[0]) for joint in one.promises.ledger().collectors[0].peaks().nm for of in joint if len(of))
 
     free = largest()
-    append_label(copy.path, replace(alarm, answer="nothing", by="page"))
+    copy.append_label(replace(alarm, answer="nothing", by="page"))
     assert one.promises.ledger().news(copy.labels())
     one.promises.ledger().learn([], copy.segments())
     assert largest() > 3 * free
     assert one.promises.ledger().news(copy.labels())  # in the peaks, but in no limit yet
     one.promises.ledger().renewed()
     assert not one.promises.ledger().news(copy.labels())
-    append_label(copy.path, replace(alarm, answer="touched", by="page"))
+    copy.append_label(replace(alarm, answer="touched", by="page"))
     one.promises.ledger().learn([], copy.segments())
     assert largest() == free
     assert Ledger.load(copy, "b0001").collectors[0].peaks().hours == one.promises.ledger().hours
@@ -258,8 +259,9 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     epoch = copy.facts["epoch"]
     for k in range(1, 22):
         over = [0.5, 1.0 + 0.1 * k] if k % 2 else [1.3, 0.0]
-        add_event(copy, id=k, level="collision", bundle="b0002", answer="nothing" if k < 21 else None, over=over)
-        append_label(copy.path, Label(k, epoch, k * 10**9, k * 10**9, "nothing", "page", "", "b0002"))
+        add_event(copy, id=k, level="collision", bundle="b0002", over=over)
+        answer = "nothing" if k < 21 else "unanswered"
+        copy.append_label(Label(k, epoch, k * 10**9, k * 10**9, answer, "page", "", "b0002"))
     monkeypatch.setattr(CommissionFolder, "seconds", lambda self: 230.0)
     found = kept_of(copy.path, "b0002", 230.0)
     assert (found.false, found.unanswered, found.kept) == (20, 1, False) and "BROKEN" in found.words()
@@ -330,7 +332,7 @@ def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch
     assert one.step() == "judge" and min(part.number for part in seen) > strokes
     (morning,) = [line for line in copy.history() if line["kind"] == "morning" and line["segment"] > earlier]
     assert all(1.15 < factor < 1.5 for factor in morning["friction"].values())
-    assert not copy.question_file.exists() and "refit" in [line["kind"] for line in copy.history()]
+    assert not question(copy) and "refit" in [line["kind"] for line in copy.history()]
 
     # The next morning is compared with training, however often the friction was refitted.
     first = [one.days._factor("b0002", joint) for joint in ("joint1", "joint2")]
@@ -357,38 +359,12 @@ def test_a_bundle_that_was_judged_before_a_kill_is_not_judged_again(copy):
     assert Trainer(copy).facts().unseen_s is None and not copy.pending_file.exists()
 
 
-@pytest.mark.parametrize("lines", [0, 1])
-def test_a_question_survives_a_kill_between_its_writes(copy, monkeypatch, lines):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
-    Trainer(copy).step()
-    filled(copy.path, [another_day(ball_kg=1.5)])
-    one, left, note = Trainer(copy), [lines], CommissionFolder.note
-
-    def noted(*given, **facts) -> None:
-        if not left[0]:
-            raise OSError(errno.ENOSPC, "full")
-        left[0] -= 1
-        note(*given, **facts)
-
-    before = len(copy.history())
-    with monkeypatch.context() as full:
-        full.setattr(CommissionFolder, "note", noted)
-        with pytest.raises(OSError, match="full"):
-            one.step()
-    again = Trainer(copy)
-    assert again.facts().is_asking and again.step() == "nothing"
-    assert [line["kind"] for line in copy.history()[before:]] == ["morning", "step"]
-    question = json.loads(copy.question_file.read_text())
-    copy.question_file.write_text(json.dumps(question | {"answer": "leave"}))
-    assert [again.step() for _ in range(2)] == ["answer", "nothing"]  # it is asked once
-
-
 def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [cut(another_day(), slice(0, 62_000))])
-    append_label(copy.path, Label(1, copy.facts["epoch"], 0, 58_000_000_000, "touched", "page", "", "b0001"))
-    assert Trainer(copy).step() == "morning" and not copy.question_file.exists()
+    copy.append_label(Label(1, copy.facts["epoch"], 0, 58_000_000_000, "touched", "page", "", "b0001"))
+    assert Trainer(copy).step() == "morning" and not question(copy)
     assert words(copy)[-1].startswith("the first strokes are not compared with earlier days: a refit needs 10 s")
 
 
@@ -398,20 +374,20 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
     Trainer(copy).step()
     filled(copy.path, [another_day(ball_kg=1.5)])
     epoch = copy.facts["epoch"]  # the alarm stands for the whole time, and its motion is left out of a refit
-    append_label(copy.path, Label(1, epoch, 0, 130_000_000_000, "unanswered", "nobody", "", "b0001"))
-    append_label(copy.path, Label(2, epoch, 70_000_000_000, 72_000_000_000, "touched", "page", "", "b0001"))
+    copy.append_label(Label(1, epoch, 0, 130_000_000_000, "unanswered", "nobody", "", "b0001"))
+    copy.append_label(Label(2, epoch, 70_000_000_000, 72_000_000_000, "touched", "page", "", "b0001"))
     one = Trainer(copy)
     assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
-    question = json.loads(copy.question_file.read_text())
-    named = re.match(r"the hand carries ([0-9.]+) kg more than in training", question["words"])
-    assert named and abs(float(named[1]) - 1.5) < 0.2 * 1.5 and question["words"].endswith("another tool or load?")
-    copy.question_file.write_text(json.dumps(question | {"answer": answer}))
-    assert one.step() == "answer" and not copy.question_file.exists()
+    asked = question(copy)
+    named = re.match(r"the hand carries ([0-9.]+) kg more than in training", asked["words"])
+    assert named and abs(float(named[1]) - 1.5) < 0.2 * 1.5 and asked["words"].endswith("another tool or load?")
+    copy.append_reply(answer, "page")
+    assert one.step() == "answer" and not question(copy)
     assert one.facts().trained_min == (0 if answer == "learn" else 1) and active(copy) == "b0001"
     if answer == "learn":
         assert one.step() == "train" and json.loads(copy.pending_file.read_text())["bundle"] == "b0002"
         names = json.loads(copy.pending_file.read_text())["trained_on"]
-        assert min(names) >= f"seg-{question['segment']:06d}.parquet"
+        assert min(names) >= f"seg-{asked['segment']:06d}.parquet"
         assert [label.answer for label in copy.labels() if label.id > 0] == ["touched"]  # the arm raised it itself
         filled(copy.path, [another_day(ball_kg=1.5)])
         assert one.step() == "judge" and active(copy) == "b0002"  # it is not compared with one of another arm
@@ -436,24 +412,24 @@ def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, mo
     while one.step() != "nothing":
         pass
     alarm = Label(1, epoch, begin, end, "unanswered", "nobody", "", "b0001")
-    append_label(copy.path, alarm)
+    copy.append_label(alarm)
     assert one.step() == "nothing"  # the arm is new
     monkeypatch.setattr(arm_change, "CHANGED_AFTER_S", 100.0)
-    append_label(copy.path, replace(alarm, answer="touched"))
+    copy.append_label(replace(alarm, answer="touched"))
     assert one.step() == "nothing"
-    append_label(copy.path, replace(alarm, to_ns=begin + 60_000_000_000))
+    copy.append_label(replace(alarm, to_ns=begin + 60_000_000_000))
     assert one.step() == "nothing"
-    append_label(copy.path, alarm)
+    copy.append_label(alarm)
     assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
-    question = json.loads(copy.question_file.read_text())
-    assert re.match(r"the hand carries 1\.[2-8]\d* kg more than in training", question["words"])
-    copy.question_file.write_text(json.dumps(question | {"answer": "leave"}))
+    asked = question(copy)
+    assert re.match(r"the hand carries 1\.[2-8]\d* kg more than in training", asked["words"])
+    copy.append_reply("leave", "page")
     assert [one.step() for _ in range(2)] == ["answer", "nothing"]
 
 
 def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
     (copy.bundles / "b0001.tauext").unlink()
-    copy.history_file.unlink()
+    cut_journal(copy, lambda line: line["kind"] == "facts")
     one, failures = Trainer(copy), [os.strerror(errno.ENOSPC), "the motion teaches nothing"]
 
     def failing(*_: object) -> None:
@@ -474,7 +450,7 @@ def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypa
     Trainer(copy).step()
     filled(copy.path, [another_day(ball_kg=0.3)])
     assert Trainer(copy).step() == "morning"
-    named = re.match(r"the hand carries ([0-9.]+) kg more", json.loads(copy.question_file.read_text())["words"])
+    named = re.match(r"the hand carries ([0-9.]+) kg more", question(copy)["words"])
     assert named and abs(float(named[1]) - 0.3) < 0.1
 
 
@@ -483,7 +459,7 @@ def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
     Trainer(copy).step()
     filled(copy.path, [another_day(2.2)])
     assert Trainer(copy).step() == "morning"
-    asked = json.loads(copy.question_file.read_text())["words"]
+    asked = question(copy)["words"]
     assert asked.startswith("friction of joint1 is 2.") and asked.endswith("a replaced gear, wear or damage?")
 
 
@@ -581,19 +557,15 @@ def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, 
     run(capsys, "calibrate", "--bundle", bundle, "--data", str(copy.path), "--out", limits)
 
 
-def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
+def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys, monkeypatch):
     for name in ("cell1", "cell2"):
         shutil.copytree(learned.path, tmp_path / "arms" / name)
     empty = CommissionFolder.open(tmp_path / "arms" / "cell3", create=True)
     assert describe_folder(empty.path)["bundle"] is None
-    history = (tmp_path / "arms" / "cell1" / "history.jsonl").read_text()
-    (tmp_path / "arms" / "cell1" / "history.jsonl").write_text(
-        history.replace(time.strftime("%Y-", time.gmtime()), "2020-")
-        + json.dumps(
-            {"kind": "activation", "wall": "2021-01-02T03:04:05Z", "seconds": 9, "bundle": "b0001", "words": ""}
-        )
-        + "\n"
-    )
+    cell = CommissionFolder(tmp_path / "arms" / "cell1")
+    for date in ("2020-01-02", "2021-01-02"):
+        monkeypatch.setattr("tauext.commission.folder.wall", lambda date=date: f"{date}T03:04:05Z")
+        cell.activate("b0001", "a test", 9.0)
     visits = visits_of([tmp_path / "arms"])
     assert [(one.name, one.state) for one in visits if one.date < "2022"] == [
         ("cell3", "waiting"), ("cell1", "done"), ("cell1", "done")
@@ -601,7 +573,7 @@ def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys):
     run(capsys, "fleet", "report", str(tmp_path / "arms"), "--out", str(tmp_path / "report"))
     content = json.loads((tmp_path / "report" / "fleet-report.json").read_text())
     assert [(one["serial"], len(one["visits"])) for one in content["arms"]] == [
-        ("cell1", 2),
+        ("cell1", 3),
         ("cell2", 1),
         ("cell3", 1),
     ]

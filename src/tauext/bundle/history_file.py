@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from tauext.files.append_file import read_lines
-from tauext.files.copies import version_of
-from tauext.files.places import Place, is_stored
-from tauext.files.plain_file import expect_format, json_of, read_json, read_text
+from tauext.errors import ConfigError
+from tauext.files.journal import Contents, read
+from tauext.files.places import Place
+from tauext.files.plain_file import expect_format, read_json
 
 FACTS = "commission.json"
-ACTIVE = "active.json"
-HISTORY = "history.jsonl"
-EVENTS = "events.jsonl"
+NOTED = "journal"
+"""Entry of commission.json: number of a recent line of the journal, which shows whether its end is lost."""
 BUNDLES = "bundles"
 RESULTS = "results"
 
@@ -37,34 +36,71 @@ def read_facts(folder: Place) -> dict[str, Any]:
     return dict(content)
 
 
+def lost_lines(folder: Place, noted: int | None = None) -> int:
+    """Number of lines of the journal that are lost, until a person has accepted that.
+
+    Args:
+        noted: a number that a line had; None: that in commission.json.
+    """
+    if noted is None:
+        with suppress(ConfigError, TypeError, ValueError):
+            noted = int(read_facts(folder).get(NOTED) or 0)
+    return sum(last - first + 1 for first, last in read(folder).lost(noted or 0))
+
+
+def expect_journal(folder: Place) -> None:
+    """Raise ConfigError if lines of a commissioned folder's journal are lost: they may have been answers."""
+    if is_commissioned(folder) and (lost := lost_lines(folder)):
+        raise ConfigError(
+            f"{folder}: {lost_words(lost)}; nothing is trained on it before `tauext commission --out {folder} --repair`"
+        )
+
+
+def lost_words(lost: int) -> str:
+    return f"journal: {lost} confirmed line{'s are' if lost != 1 else ' is'} lost"
+
+
 def active_bundle(folder: Place) -> Place | None:
-    """File of the bundle that monitors, or that did last; None: none yet."""
-    try:
-        content = json_of(read_text(folder / ACTIVE))
-        path = folder / BUNDLES / f"{content['bundle']}.tauext"
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return path if path.is_file() else None
+    """File of the bundle that was put in charge last; None: none yet, or it is missing."""
+    begun = read(folder).kinds.get("activation")
+    path = folder / BUNDLES / f"{begun[-1].get('bundle')}.tauext" if begun else None
+    return path if path is not None and path.is_file() else None
 
 
 def read_history(folder: Place) -> list[dict[str, Any]]:
     """Trainings, activations, promises, steps and notes in order; each has `kind`, `wall`, `seconds` and `words`."""
-    path = folder / HISTORY
-    return list(_history(path, "" if is_stored(path) else version_of(path))) if path.is_file() else []
+    return list(_history(read(folder)))
 
 
 @lru_cache(maxsize=4)
-def _history(path: Place, version: str) -> tuple[dict[str, Any], ...]:
-    return tuple(one for one in read_lines(path) if isinstance(one.get("kind"), str))
+def _history(journal: Contents) -> tuple[dict[str, Any], ...]:
+    return tuple(one for one in journal.lines if "words" in one and "seconds" in one)
 
 
 def read_events(folder: Place) -> list[dict[str, Any]]:
-    """Alarms in order of their first line; of each id the newest line."""
+    """Alarms in order of their first line; of each id the newest line, and the answer of its label."""
+    return [dict(one) for one in _events(read(folder))]
+
+
+@lru_cache(maxsize=4)
+def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     newest: dict[Any, dict[str, Any]] = {}
-    for one in read_lines(folder / EVENTS):
-        with suppress(TypeError):
-            newest[one.get("id")] = one
-    return [one for key, one in newest.items() if key is not None]
+    for one in journal.kinds.get("event", ()):
+        newest[one.get("id")] = one | {"answer": None}
+    for one in journal.kinds.get("label", ()):
+        if one.get("answer") in ("touched", "nothing") and one.get("id") in newest:
+            newest[one["id"]] |= {"answer": one["answer"], "by": one.get("by")}
+    return tuple(newest.values())
+
+
+def read_question(folder: Place) -> dict[str, Any]:
+    """The change of the arm that waits for a person, with `answer` once it is given; empty: none."""
+    kinds = read(folder).kinds
+    asked = (kinds.get("step") or [{}])[-1]
+    if not asked or "learned" in asked:
+        return {}
+    replies = [one for one in kinds.get("reply", ()) if one["number"] > asked["number"]]
+    return asked | ({key: replies[-1].get(key) for key in ("answer", "by")} if replies else {})
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ def commission(
     disk_gb: float = 5.0,
     core: int | None = None,
     priority: int | None = None,
+    repair: bool = False,
 ) -> None:
     """Commission a live arm: record, learn and monitor it, better every hour.
 
@@ -64,7 +65,16 @@ def commission(
         core: processor core of the loop and the receiver of samples. None: any.
         priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
             scheduling.
+        repair: print what was rebuilt in the folder and what is lost, accept the loss, and begin the training again.
+            Without --source that is all.
     """
+    if repair and out is not None:
+        from tauext.commission.run import repaired_folder
+
+        for line in repaired_folder(out):
+            say(line)
+        if source is None:
+            return
     if source is None or out is None:
         missing = "--out" if out is None else "--source"
         raise ConfigError(f"{missing} is missing: tauext commission --source ur:HOST --out cell7")

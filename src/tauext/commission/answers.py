@@ -1,4 +1,4 @@
-"""Alarms as events.jsonl keeps them, and answers that count once the disk holds them."""
+"""Alarms as the journal keeps them, and answers that count once the disk holds them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
-from tauext.bundle.history_file import EVENTS, read_events
-from tauext.data.labels import Label, read_labels
+from tauext.bundle.history_file import read_events
+from tauext.commission.folder import CommissionFolder
+from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.files.append_file import append_line
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.sink import Answer, AnswerKind, Control, LoopReport, Verdict
 
@@ -41,23 +39,17 @@ def age_s(at: Any) -> float:
 class EventKeeper:
     """Writes alarms to the folder in a thread of its own; the loop and the page never wait for the disk."""
 
-    def __init__(self, folder: Path, epoch: Callable[[], int], note: Callable[[str], None]):
+    def __init__(self, folder: CommissionFolder, epoch: Callable[[], int], note: Callable[[str], None]):
         """
         Args:
             epoch: number of the source's present clock.
             note: receives messages for the user.
         """
-        self._path, self._epoch, self._note = folder / EVENTS, epoch, note
+        self._folder, self._epoch, self._note = folder, epoch, note
         self.learn: Callable[[bool, str], None] = lambda yes, by: None
         """Called in the keeper's thread with the answer about a named change of the arm, and its origin; may raise
         ConfigError."""
-        self._events = {one["id"]: one for one in read_events(folder)[-MOST_EVENTS:] if isinstance(one["id"], int)}
-        for label in read_labels(folder):  # an answer whose line in the events was lost
-            event = self._events.get(label.id)
-            if event is not None and label.answer in ("touched", "nothing") and event.get("answer") != label.answer:
-                event |= {"answer": label.answer, "by": label.by}
-                with suppress(OSError):
-                    append_line(self._path, event)
+        self._events = {one["id"]: one for one in read_events(folder.path)[-MOST_EVENTS:] if isinstance(one["id"], int)}
         self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
         """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
         self._news = threading.Condition()
@@ -156,7 +148,8 @@ class EventKeeper:
                 if isinstance(one, Answer):
                     self.learn(one.what == "learn", one.by)
                 elif isinstance(one, Label):
-                    self._put(one.id, answer=one.answer, by=one.by)
+                    if one.id in self._events and one.answer != "unanswered":
+                        self._events[one.id] |= {"answer": one.answer, "by": one.by}
                 elif isinstance(one, FlightNews):
                     self._flown(one)
                 else:
@@ -182,7 +175,7 @@ class EventKeeper:
             number = event["id"]
             self._note(f"alarm {number}: {event['sentence']}; answer: `touched {number}` or `nothing {number}`")
         if self._events[event["id"]] != known:
-            append_line(self._path, self._events[event["id"]])
+            self._folder.append_event(self._events[event["id"]])
         if len(self._events) > MOST_EVENTS:
             del self._events[min(self._events)]
 
@@ -191,13 +184,8 @@ class EventKeeper:
         for event in reversed(self._events.values()):
             is_its = news.what != "fault" and event["epoch"] == self._epoch()  # a contact may have become a collision
             if news.path is not None and is_its and event["t_ns"] <= news.t_ns <= event["held_ns"]:
-                return self._put(event["id"], flight=str(news.path).rpartition("/")[2])
-
-    def _put(self, number: int, **facts: str) -> None:
-        event = self._events.get(number)
-        if event is not None and facts.get("answer") != "unanswered" and event | facts != event:
-            event |= facts
-            append_line(self._path, event)
+                event["flight"] = str(news.path).rpartition("/")[2]
+                return self._folder.append_event(event)
 
 
 class Steering:

@@ -12,15 +12,15 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.history_file import read_question
 from tauext.commission.connect import load_known
-from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
+from tauext.commission.folder import CommissionFolder, Segment, up_to
 from tauext.commission.keep import LEARN_FROM, segments_of_arm
 from tauext.commission.promises import THREADS, base_of, meets
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TauextError, TooLittleMotionError
 from tauext.files.append_file import write_synced
-from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
 from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_frame, see
 from tauext.progress import WallTimes
@@ -131,12 +131,8 @@ class Days:
         self.folder = folder
 
     def question(self) -> dict[str, Any]:
-        """The question about a change, with its answer if there is one; empty: none."""
-        try:
-            content = json_of(read_text(self.folder.question_file))
-        except (OSError, ValueError):
-            return {}
-        return content if isinstance(content, dict) else {}
+        """See read_question()."""
+        return read_question(self.folder.path)
 
     def strokes(self, segments: Sequence[Segment], history: Sequence[dict[str, Any]]) -> list[Segment]:
         """Motion to compare with earlier days, up to STROKES_S, but for motion that was compared before.
@@ -146,7 +142,7 @@ class Days:
         """
         begins = [k for k, (a, b) in enumerate(pairwise(segments), 1) if b.epoch != a.epoch or _pause(a, b) > PAUSE_S]
         first = segments[begins[-1]].number if begins else 0
-        done = max((int(one.get("segment") or 0) for one in history if one["kind"] == "morning"), default=0)
+        done = max((int(one.get("segment") or 0) for one in compared(history)), default=0)
         if begins and first > done:
             return up_to(segments[begins[-1] :], STROKES_S)
         asked = max((int(one.get("segment") or 0) for one in history if one["kind"] == "step"), default=-1)
@@ -185,7 +181,7 @@ class Days:
             return folder.note("morning", folder.seconds(), words, **facts)
         factors = {one.joint: one.coulomb[0] * self._factor(active.stem, one.joint) for one in refitted.joints}
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
-        earlier = [one["friction"] for one in history if one["kind"] == "morning" and one.get("friction")]
+        earlier = [one["friction"] for one in compared(history) if one.get("friction")]
         if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
             causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
             return self._ask(f"{'; '.join(steps)}: {causes}?", facts)
@@ -226,31 +222,21 @@ class Days:
 
     def _ask(self, words: str, facts: dict[str, Any]) -> None:
         """Name a change and ask a person whether it may be learned."""
-        content = {"words": words, "asked": wall(), "segment": facts["segment"], "facts": facts}
-        write_synced(self.folder.question_file, json.dumps(content) + "\n")
-        self.complete()
-
-    def complete(self) -> None:
-        """Add what the history lacks of the question: it is the question's file that a kill must not separate."""
-        folder, question, history = self.folder, self.question(), self.folder.history()
-        if not isinstance(facts := question.get("facts"), dict):
-            return
-        lines = {"morning": ("the arm differs from earlier days", facts)}
-        lines["step"] = (str(question.get("words")), {"segment": question.get("segment")})
-        for kind, (words, about) in lines.items():
-            if not any(one["kind"] == kind and one.get("segment") == question.get("segment") for one in history):
-                folder.note(kind, folder.seconds(), words, **about)
+        self.folder.note("step", self.folder.seconds(), words, **facts)
 
     def answer(self) -> None:
         """learn: train on motion since the change alone. leave: the bundle in charge stays, and the motion is used."""
-        self.complete()
         folder, question = self.folder, self.question()
         learns = question["answer"] == "learn"
         if learns:
             folder.save(**{LEARN_FROM: int(question.get("segment") or 0)})
         words = "the change is learned: training begins again" if learns else "the change is not learned"
         folder.note("step", folder.seconds(), f"{words} ({question.get('words')})", learned=learns)
-        folder.question_file.unlink(missing_ok=True)
+
+
+def compared(history: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Comparisons of first strokes with earlier days, those that led to a question included."""
+    return [one for one in history if one["kind"] == "morning" or (one["kind"] == "step" and "learned" not in one)]
 
 
 def is_changed(history: Sequence[dict[str, Any]]) -> bool:

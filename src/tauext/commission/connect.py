@@ -19,17 +19,20 @@ from tauext.check.examine import Diagnosis, examine
 from tauext.check.finding import CODES, Finding
 from tauext.check.motion import MOVING_RAD_S
 from tauext.commission.folder import CommissionFolder, Segment
+from tauext.data.dataset import ROBOT_FILES
 from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
 from tauext.data.servo import AMPERES, FROM_AMPERES, RAW_SIGNALS, derives_velocity, servo_facts, servo_of
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
+from tauext.files.plain_file import read_json
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
 from tauext.monitor.turns import Turns
 from tauext.robot.capsules import SHAPES_FILE, write_shapes
 from tauext.robot.load import load_tree
 from tauext.robot.write import is_placeholder, write_placeholder, write_robot
+from tauext.robot.xml_file import read_xml
 from tauext.sources.describing import why_another
 
 # --- Findings about a live stream.
@@ -447,6 +450,16 @@ def write_arm(facts: SourceFacts, robot: Path | None, folder: Path) -> Arm:
     with atomic_write(path) as part:
         part.write_text(content, encoding="utf-8")
     return arm
+
+
+ARM_FILES = ("arm.toml", SHAPES_FILE, *ROBOT_FILES)
+"""Files of write_arm(), which the journal of the folder keeps, too."""
+
+
+def restore_arm(folder: CommissionFolder) -> None:
+    """Write files of write_arm() again that are missing or damaged."""
+    check: dict[str, Callable[[Path], object]] = dict.fromkeys(ROBOT_FILES, read_xml)
+    folder.restore(check | {"arm.toml": load_arm, SHAPES_FILE: read_json})
 
 
 def description(facts: SourceFacts, model: str) -> str:

@@ -1,38 +1,39 @@
-"""The folder of one commissioned arm: names, facts, index of recordings, bundles, history, log."""
+"""The folder of one commissioned arm: names, facts, journal, recordings, bundles, log."""
 
 from __future__ import annotations
 
 import json
+import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import (
-    ACTIVE,
     BUNDLES,
-    EVENTS,
     FACTS,
-    HISTORY,
+    NOTED,
     RESULTS,
     active_bundle,
+    lost_lines,
+    lost_words,
     read_facts,
     read_history,
 )
 from tauext.data.dataset import FILE_NAME as SPLIT
 from tauext.data.dataset import Split
-from tauext.data.labels import FILE_NAME as LABELS
-from tauext.data.labels import Label, append_label, read_labels
+from tauext.data.labels import EPOCH, Label, read_labels
+from tauext.data.labels import KIND as LABEL
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load_recording
+from tauext.data.recording_file import load_recording, stretch_of
 from tauext.errors import ConfigError, TauextError
-from tauext.files.append_file import append_line, lock, read_lines, reserve, write_synced
-from tauext.files.copies import version_of
+from tauext.files import journal
+from tauext.files.append_file import lock, reserve, set_aside, write_synced
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import write_json
@@ -40,7 +41,6 @@ from tauext.files.provenance import write_json
 # --- The index of recordings, from which split.json follows.
 
 
-INDEX = "segments.jsonl"
 JOIN_S = 0.1
 """Longest gap between two recordings that are one motion, [s]."""
 
@@ -84,53 +84,87 @@ def split_of(segments: Iterable[Segment]) -> Split:
 
 LEAST_DISK = 1 << 26
 """Free space that a new folder needs, [bytes]."""
+LASTING = ("created", "source", "epoch", "first", "arm", "learn_from", "running")
+"""Entries of commission.json that are lines of the journal, too."""
+WRITTEN = (
+    "split.json", "coverage.json", "coverage.npz", "findings.json", "trainer.json", "pending.json", "learned.json",
+    "peaks.state", "carried.bin", "log.txt", "lock", "trainer.lock", ".facts.lock", ".reserve", ".trial.sock",
+)  # fmt: skip
+"""Files that are written again when they are missing or damaged."""
+EARLIER = "segments.jsonl"
+"""File of the development version before the journal."""
 
 
 class CommissionFolder:
-    """Paths and small files of one arm. The recorder alone writes the index, the trainer alone active.json and bundles;
-    facts, labels, history and log may be written by both."""
+    """Paths and small files of one arm. Journal, facts and log may be written by each process; the recorder alone adds
+    recordings, the trainer alone bundles."""
 
     def __init__(self, path: Path):
         self.path = path
         self.bundles, self.results, self.flights = path / BUNDLES, path / RESULTS, path / "flights"
-        self.history_file, self.events_file = path / HISTORY, path / EVENTS
         self.coverage_file, self.findings_file = path / "coverage.json", path / "findings.json"
-        self.question_file, self.progress_file = path / "question.json", path / "trainer.json"
+        self.progress_file = path / "trainer.json"
         self.pending_file = path / "pending.json"
         """The bundle that waits to be judged, and what it was trained on."""
+        self.shown = 0
+        """Lines of the history when the folder was opened: later ones are news."""
+        self._known: dict[str, tuple[tuple[int, int], Segment | None]] = {}
 
     @classmethod
     def open(cls, path: Path, create: bool = False) -> CommissionFolder:
         """The folder of an arm.
 
         Args:
-            create: make a new one where the path does not exist or is empty.
+            create: make a new one where the path does not exist or is empty, and mend what is damaged.
 
         Raises:
             ConfigError: it is no such folder, cannot be written, or holds something else.
         """
         folder = cls(path)
-        if not (path / FACTS).is_file():
-            if not create:
+        if not create:
+            if not (path / FACTS).is_file():
                 raise ConfigError(f"{path}: is no folder of `tauext commission`; it has no {FACTS}")
-            if path.exists() and (not path.is_dir() or any(path.iterdir())):
-                raise ConfigError(f"{path}: is not empty and no folder of `tauext commission`; choose another --out")
-            expect_folder(path, LEAST_DISK)
-            try:
+            read_facts(path)
+            return folder
+        is_new = not os.path.lexists(path / FACTS) and not journal.is_journal(path)
+        if is_new and path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise ConfigError(f"{path}: is not empty and no folder of `tauext commission`; choose another --out")
+        if (path / EARLIER).exists() and not journal.is_journal(path):
+            why = "was made by a version of tauext without a journal"
+            raise ConfigError(f"{path}: {why}; go on with that version, or begin again with a new --out")
+        try:
+            if is_new:
+                expect_folder(path, LEAST_DISK)
                 path.mkdir(parents=True, exist_ok=True)
-                write_synced(path / FACTS, json.dumps({"format": FORMAT, "created": wall(), "epoch": 0}) + "\n")
-            except OSError as error:
-                raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
-        read_facts(path)
-        if create:
-            try:
-                for one in (folder.bundles, folder.results, folder.flights):
-                    one.mkdir(exist_ok=True)
-                (path / LABELS).touch()
-            except OSError as error:
-                raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
-            reserve(path)
+                folder.save(created=wall(), epoch=0)
+            folder._mend()
+        except OSError as error:
+            raise ConfigError(f"{error.filename or path}: cannot be written ({error.strerror or error})") from error
+        reserve(path)
         return folder
+
+    def _mend(self) -> None:
+        """Refill the journal, and set aside what lies in the place of the folder's other files."""
+        words = journal.mend(self.path)
+        self.shown = len(self.history())
+        if words:
+            self.report(words)
+        files, folders = [self.path / name for name in WRITTEN], [self.bundles, self.results, self.flights]
+        for path in (*files, *folders):
+            if os.path.lexists(path) and not (path.is_dir() if path in folders else is_usable(path)):
+                self.set_aside(path, "it is no folder" if path in folders else "it is no file, or cannot be written")
+        for one in folders:
+            one.mkdir(exist_ok=True)
+        _ = self.facts  # written again where it is damaged
+
+    def set_aside(self, path: Path, why: str) -> None:
+        """Rename a damaged file, and report it."""
+        self.report(f"{path.name} is kept as {set_aside(path).name}: {' '.join(why.split())}")
+
+    def report(self, words: str) -> None:
+        """Add a note about what was mended to the history, from which the command prints it."""
+        with suppress(OSError):  # a full disk
+            self.note("note", self.seconds(), words)
 
     def progress(self, doing: str, share: float = 0.0) -> None:
         """Show what the training process does; empty: nothing."""
@@ -157,54 +191,152 @@ class CommissionFolder:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Content of commission.json."""
-        return read_facts(self.path)
+        """Content of commission.json; the journal counts where the two differ, and replaces a damaged file.
+
+        Raises:
+            ConfigError: both are damaged, or the file has another format.
+        """
+        content, damage = self._facts()
+        if damage is not None:
+            self.save()
+            self.report(f"{FACTS} was missing or damaged, and is written again")
+        return content
+
+    def _facts(self) -> tuple[dict[str, Any], ConfigError | None]:
+        lasting: dict[str, Any] = {}
+        for one in journal.read(self.path).kinds.get("facts", ()):
+            lasting |= {key: one[key] for key in LASTING if key in one}
+        try:
+            return read_facts(self.path) | lasting, None
+        except ConfigError as error:
+            with suppress(OSError, ValueError, AttributeError):
+                if json_of(read_text(self.path / FACTS)).get("format", FORMAT) != FORMAT:
+                    raise
+            if not lasting:
+                raise
+            return {"format": FORMAT} | lasting, error
 
     def save(self, **changes: Any) -> None:
         """Change entries of commission.json; the new content is on the disk on return."""
+        before: dict[str, Any] = {"format": FORMAT}
+        with suppress(ConfigError):
+            before = self._facts()[0]
+        if new := {key: value for key, value in changes.items() if key in LASTING and before.get(key) != value}:
+            self._append("facts", new)
         with (self.path / ".facts.lock").open("a") as file:
             lock(file.fileno())
-            write_synced(self.path / FACTS, json.dumps(self.facts | changes, indent=1, allow_nan=False) + "\n")
+            with suppress(ConfigError):
+                before = self._facts()[0]
+            newest = {NOTED: max(journal.read(self.path).last, noted(before))}
+            write_synced(self.path / FACTS, json.dumps(before | changes | newest, indent=1, allow_nan=False) + "\n")
+
+    # The journal.
+
+    def _append(self, kind: str, content: dict[str, Any]) -> None:
+        """Add a line to the journal; it is on the disk on return."""
+        after = 0
+        with suppress(ConfigError):
+            after = noted(read_facts(self.path))
+        if words := journal.append(self.path, kind, content, after):
+            self.report(words)
+
+    def append_event(self, event: dict[str, Any]) -> None:
+        """Keep the facts of an alarm; its answer is its label's."""
+        self._append("event", {key: value for key, value in event.items() if key not in ("answer", "by")})
+
+    def append_label(self, label: Label) -> None:
+        """Keep a label; it is on the disk on return."""
+        self._append(LABEL, asdict(label))
+
+    def append_reply(self, answer: str, by: str) -> None:
+        """Keep the answer to the question about a change of the arm."""
+        self._append("reply", {"answer": answer, "by": by, "wall": wall()})
+
+    def labels(self) -> tuple[Label, ...]:
+        """The newest label of each id."""
+        return read_labels(self.path)
+
+    def lost(self) -> int:
+        """Number of lines of the journal that are lost, until a person accepts it with `--repair`."""
+        return lost_lines(self.path, noted(self.facts))
+
+    def sync(self) -> None:
+        """Note in commission.json how long the journal is, and mend it if another program has changed it."""
+        if journal.read(self.path).last > noted(self.facts):
+            self.save()
+        if not journal.is_even(self.path) and (words := journal.mend(self.path)):
+            self.report(words)
+
+    def repair(self) -> list[str]:
+        """Accept the loss of lines of the journal: training begins again with the next recording; what was done."""
+        gaps = journal.read(self.path).lost(noted(self.facts))
+        if gaps:
+            words = f"{lost_words(sum(b - a + 1 for a, b in gaps))}; a person accepts it, and training begins again"
+            self.save(learn_from=self.next_number())
+            self.note(journal.REPAIR, self.seconds(), f"{words} with the next recording", lost=gaps)
+        return [str(one["words"]) for one in self.history()[self.shown :]]
+
+    def keep_files(self, *names: str) -> None:
+        """Keep the text of small files in the journal, for restore()."""
+        for name in names:
+            if (self.path / name).is_file():
+                self._append("file", {"name": name, "text": read_text(self.path / name)})
+
+    def restore(self, check: dict[str, Callable[[Path], object]]) -> None:
+        """Write files that are missing, or whose check raises TauextError, again as they were."""
+        kept = {str(one.get("name")): str(one.get("text")) for one in journal.read(self.path).kinds.get("file", ())}
+        for name, text in kept.items():
+            path, why = self.path / name, "it was missing"
+            try:
+                if path.is_file() and check[name](path) is not None:
+                    continue
+            except (OSError, TauextError) as error:
+                why = str(error)
+            if os.path.lexists(path):
+                set_aside(path)
+            write_synced(path, text)
+            self.report(f"{name} is written again: {' '.join(why.split())}")
 
     # Recordings.
 
     def segments(self) -> list[Segment]:
-        """Recordings that exist, in order of their numbers."""
-        index = self.path / INDEX
-        there = {path.name for path in self.path.glob("seg-*.parquet")}
-        return [one for one in _indexed(index, version_of(index)) if one.name in there] if index.is_file() else []
-
-    def add_segment(self, segment: Segment) -> None:
-        """Add a recording whose file is complete to the index."""
-        append_line(self.path / INDEX, asdict(segment))
-
-    def put_index(self, segments: Iterable[Segment]) -> None:
-        """Replace the index; numbers are not given twice."""
-        lines = [json.dumps({"number": int(self.next_segment().stem[4:]) - 1})]
-        write_synced(self.path / INDEX, "\n".join([*lines, *(json.dumps(asdict(one)) for one in segments)]) + "\n")
+        """Recordings that can be read, in order of their numbers; the footer of each file is read once."""
+        known: dict[str, tuple[tuple[int, int], Segment | None]] = {}
+        with os.scandir(self.path) as files:
+            for one in files:
+                if one.name.startswith("seg-") and one.name.endswith(".parquet"):
+                    with suppress(FileNotFoundError):
+                        status = one.stat()
+                        stamp = (status.st_size, status.st_mtime_ns)
+                        known[one.name] = self._known.get(one.name, ((0, 0), None))
+                        if known[one.name][0] != stamp:
+                            known[one.name] = (stamp, segment_of(self.path / one.name, status.st_size))
+        self._known = known
+        return sorted((one for _, one in known.values() if one is not None), key=lambda one: one.number)
 
     def put_split(self, segments: Iterable[Segment]) -> None:
-        """Write split.json, so that the folder is a dataset."""
-        content = {"format": FORMAT} | asdict(split_of(segments))
+        """Write split.json of the arm as it is, so that the folder is a dataset."""
+        begin = int(self.facts.get("learn_from") or 0)
+        content = {"format": FORMAT} | asdict(split_of(one for one in segments if one.number >= begin))
         write_synced(self.path / SPLIT, json.dumps(content, indent=1) + "\n")
 
-    def next_segment(self) -> Path:
-        """File of the next recording: a number that no earlier one had."""
-        numbers = [int(path.stem[4:]) for path in self.path.glob("seg-*.parquet") if path.stem[4:].isdecimal()]
-        numbers += [number for line in read_lines(self.path / INDEX) if isinstance(number := line.get("number"), int)]
-        return self.path / f"seg-{max(numbers, default=0) + 1:06d}.parquet"
+    def next_number(self) -> int:
+        """Number of the next recording, which no earlier one had."""
+        named = (name.partition(".")[0][4:] for name in os.listdir(self.path) if name.startswith("seg-"))
+        numbers = [int(number) for number in named if number.isdecimal()]
+        return max([int(self.facts.get("first") or 1), *(one + 1 for one in numbers)])
 
     def load(self, segments: Iterable[Segment]) -> list[Recording]:
         """Recordings with their labels, those that follow each other at once joined; one that was dropped meanwhile is
-        left out."""
+        left out, and a damaged one is set aside."""
         runs: list[list[Recording]] = []
         last: Segment | None = None
         for one in segments:
             try:
                 recording = load_recording(self.path / one.name)
-            except TauextError:
-                if (self.path / one.name).exists():
-                    raise
+            except TauextError as error:
+                if os.path.lexists(self.path / one.name):
+                    self.set_aside(self.path / one.name, str(error))
                 continue
             if last is not None and one.epoch == last.epoch and 0 < one.from_ns - last.to_ns < JOIN_S * 1e9:
                 runs[-1].append(recording)
@@ -213,28 +345,51 @@ class CommissionFolder:
             last = one
         return [joined(run) for run in runs]
 
-    # Labels, bundles, history, log.
-
-    def append_label(self, label: Label) -> None:
-        """Keep a label; it is on the disk on return."""
-        append_label(self.path, label)
-
-    def labels(self) -> tuple[Label, ...]:
-        """The newest label of each id."""
-        return read_labels(self.path)
+    # Bundles, history, log.
 
     def active(self) -> Path | None:
-        """File of the bundle in charge; None: none yet."""
+        """File of the bundle in charge; None: none yet, or it is missing."""
         found = active_bundle(self.path)
         return None if found is None else Path(str(found))
 
     def activate(self, bundle: str, why: str, seconds: float, **facts: Any) -> None:
-        """Put a bundle in charge: the loop takes it over. A later bundle of the same name is another activation."""
-        old = self.active()
-        replaced = None if old is None else old.stem
-        content = {"format": FORMAT, "bundle": bundle, "replaces": replaced, "at": wall(), "why": why}
-        write_synced(self.path / ACTIVE, json.dumps(content) + "\n")
-        self.note("activation", seconds, f"{bundle} is chosen: {why}", bundle=bundle, replaces=replaced, **facts)
+        """Put a bundle in charge: the loop takes it over. A later line of the same name is another activation."""
+        old = journal.read(self.path).kinds.get("activation")
+        replaced = old[-1].get("bundle") if old else None
+        words = f"{bundle} is chosen: {why}"
+        self.note("activation", seconds, words, bundle=bundle, replaces=replaced, why=why, **facts)
+
+    @property
+    def activation(self) -> int:
+        """Number of the newest activation; 0: there was none."""
+        begun = journal.read(self.path).kinds.get("activation")
+        return int(begun[-1]["number"]) if begun else 0
+
+    def fall_back(self) -> Path | None:
+        """The bundle in charge if it is whole; else the newest whole one of this arm, which is put in charge."""
+        history, arm, why = self.history(), self.facts.get("arm") or {}, ""
+        begun = [str(one["bundle"]) for one in reversed(history) if one["kind"] == "activation"]
+        if not begun and not self.lost():
+            return None
+        unfit = {str(one.get("bundle")) for one in history if one.get("passed") is False}
+        with suppress(OSError, ValueError, AttributeError):
+            unfit.add(str(json_of(read_text(self.pending_file)).get("bundle")))
+        others = sorted({path.stem for path in self.bundles.glob("b*.tauext")} - unfit, reverse=True)
+        for name in dict.fromkeys((*begun, *others)):
+            path = self.bundles / f"{name}.tauext"
+            try:
+                bundle = load_bundle(path)
+                if [one.joint_name for one in bundle.links] != list(arm.get("joints") or ()) and arm:
+                    raise ConfigError(f"{path}: it is of an arm with other joints")
+                if bundle.observer.sample_period_ns != arm.get("period_ns") and arm:
+                    raise ConfigError(f"{path}: it is of an arm with another rate")
+            except TauextError as error:
+                why = why or " ".join(str(error).split())
+                continue
+            if [name] != begun[:1]:
+                self.activate(name, why or "it is the newest whole bundle", self.seconds())
+            return path
+        return None
 
     def next_bundle(self) -> Path:
         """File of the next bundle."""
@@ -253,8 +408,7 @@ class CommissionFolder:
             seconds: received samples up to then, [s].
             words: one sentence for a person.
         """
-        line = {"kind": kind, "wall": wall(), "seconds": round(seconds, 3), "words": words} | facts
-        append_line(self.history_file, line)
+        self._append(kind, {"wall": wall(), "seconds": round(seconds, 3), "words": words} | facts)
         self.log(words)
 
     def log(self, text: str) -> None:
@@ -264,7 +418,8 @@ class CommissionFolder:
 
     def seconds(self) -> float:
         """Samples received so far, [s]: the clock of all decisions."""
-        return float(self.coverage().get("seconds") or 0.0)
+        history = self.history()
+        return max(float(self.coverage().get("seconds") or 0.0), float(history[-1]["seconds"]) if history else 0.0)
 
     def coverage(self) -> dict[str, Any]:
         """Content of coverage.json; empty before the first recording."""
@@ -274,15 +429,24 @@ class CommissionFolder:
         return {}
 
 
-@lru_cache(maxsize=2)
-def _indexed(index: Path, version: str) -> tuple[Segment, ...]:
-    """Recordings in the index, in order of their numbers; it is read once a second, and changes seldom."""
-    found: dict[str, Segment] = {}
-    for line in read_lines(index):
-        with suppress(TypeError):
-            one = Segment(**line)
-            found[one.name] = one
-    return tuple(sorted(found.values(), key=lambda one: one.number))
+def segment_of(path: Path, size: int) -> Segment | None:
+    """The facts in the footer of a recording; None: it cannot be read, or is none of the recorder."""
+    try:
+        head, from_ns, to_ns = stretch_of(path)
+        about, seconds = head.provenance, head.samples / head.rate_hz
+        return Segment(path.name, int(about["seq"]), about["set"], about[EPOCH], from_ns, to_ns, seconds, size)
+    except (TauextError, KeyError, TypeError, ValueError):
+        return None
+
+
+def is_usable(path: Path) -> bool:
+    """Whether it is a file that this process can read and write."""
+    return path.is_file() and os.access(path, os.R_OK | os.W_OK)
+
+
+def noted(facts: dict[str, Any]) -> int:
+    """Number of a recent line of the journal, as commission.json notes it."""
+    return number if isinstance(number := facts.get(NOTED), int) else 0
 
 
 def joined(recordings: list[Recording]) -> Recording:

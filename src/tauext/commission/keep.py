@@ -19,7 +19,7 @@ from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.files.append_file import reserve, write_synced
+from tauext.files.append_file import reserve, set_aside, write_synced
 from tauext.files.plain_file import json_of, read_text
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.record_sink import RecordSink
@@ -104,6 +104,8 @@ class Coverage:
             np.savez(file, sums=sums, **{name: getattr(self, name) for name in ARRAYS})
             file.flush()
             os.fsync(file.fileno())
+        if path.is_dir():
+            set_aside(path)
         part.replace(path)
 
     def see(self, q: np.ndarray, dq: np.ndarray, period_s: float) -> tuple[np.ndarray, float]:
@@ -328,10 +330,14 @@ class KeepSink(RecordSink):
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         folder = self._kept
         self.epoch = self._writing = int(folder.facts.get("epoch") or 0) + 1
-        folder.save(epoch=self.epoch)
         self._segments = repaired(folder)
-        self._number = int(folder.next_segment().stem[4:]) - 1
+        self._number = folder.next_number() - 1
+        folder.save(epoch=self.epoch, first=self._number + 1)
         self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
+        self._is_lost = not self._coverage.visited.any() and bool(self._segments)
+        if self._is_lost:
+            self._coverage.seconds = max(folder.seconds(), sum(one.seconds for one in self._segments))
+            self._coverage.kept_s = motion_s(folder, self._segments, ("train", "test"))
         self._labels = {one.id: one for one in folder.labels()}
         self._owed: list[Label] = []
         with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
@@ -415,6 +421,8 @@ class KeepSink(RecordSink):
     # The recorder's thread.
 
     def _work(self) -> None:
+        if self._is_lost:
+            self._see_again()
         while (work := self._waiting.get()) is not None:
             try:
                 if isinstance(work, Label):
@@ -428,6 +436,18 @@ class KeepSink(RecordSink):
             except Exception as error:  # a full disk, for example: the next recording is tried again
                 self.count.error = self.count.error or f"{type(error).__name__}: {error}"
         self._pay()
+
+    def _see_again(self) -> None:
+        """Rebuild the coverage from the recordings; its file is missing or damaged."""
+        self._kept.report("coverage.npz was missing or damaged, and is made again from the recordings")
+        coverage = self._coverage
+        coverage.begin = learns_from(self._kept)
+        for one in [one for one in self._segments if one.number >= coverage.begin][-MOST_SEEN:]:
+            with suppress(TauextError):
+                motion = load_recording(self._kept.path / one.name, ("q", "dq"))
+                coverage.keep(coverage.see(motion.q, motion.dq, 1 / motion.rate_hz)[0])
+        with suppress(OSError):
+            self._tidy()
 
     def _pay(self) -> None:
         """Write the labels that the disk does not hold yet."""
@@ -460,28 +480,16 @@ class KeepSink(RecordSink):
     def _keep(self, segment: dict[str, np.ndarray], seconds: float, is_news: bool, flat: np.ndarray) -> None:
         self._number += 1
         path = self._folder / f"seg-{self._number:06d}.parquet"
-        facts = {"command": "tauext commission", "epoch": self._writing, "seq": self._number}
+        of_set = set_of(self._number, is_news, motion_s(self._kept, self._segments))
+        facts = {"command": "tauext commission", "epoch": self._writing, "seq": self._number, "set": of_set}
         columns = {name: values for name, values in segment.items() if name != "contact"}
         self.is_losing = self._save(columns, path, facts) is None
         if self.is_losing:
             self._number -= 1
             return
-        train_s = motion_s(self._kept, self._segments)
-        kept = Segment(
-            path.name,
-            self._number,
-            set_of(self._number, is_news, train_s),
-            self._writing,
-            int(segment["t_ns"][0]),
-            int(segment["t_ns"][-1]),
-            seconds,
-            path.stat().st_size,
-        )
-        self._segments.append(kept)
         self._coverage.keep(flat)
-        if kept.set != "calibration":
+        if of_set != "calibration":
             self._coverage.kept_s += seconds
-        self._kept.add_segment(kept)
 
     def _is_near_label(self, t_ns: np.ndarray) -> bool:
         return any(
@@ -490,21 +498,18 @@ class KeepSink(RecordSink):
         )
 
     def _tidy(self) -> None:
-        """Drop recordings and flights beyond the bound; write the index, the split and the coverage."""
+        """Drop recordings and flights beyond the bound; write the split and the coverage."""
         folder, most = self._kept, int(RECORDINGS_SHARE * self._budget)
+        self._segments = folder.segments()
         first_test = next((one.number for one in self._segments if one.set == "calibration"), self._number)
         dropped = to_drop(self._segments, list(self._labels.values()), most, learned_up_to(folder), first_test)
-        if dropped:
-            names = {one.name for one in dropped}
-            kept = [one for one in self._segments if one.name not in names]
-            folder.put_split(kept)
-            for one in dropped:
-                (folder.path / one.name).unlink(missing_ok=True)
-                self._coverage.dropped_s += one.seconds
-            self._segments = kept
-            folder.put_index(kept)  # last: a full disk may refuse it, and lines without a file do not count
-        else:
-            folder.put_split(self._segments)
+        names = {one.name for one in dropped}
+        kept = [one for one in self._segments if one.name not in names]
+        folder.put_split(kept)
+        for one in dropped:
+            (folder.path / one.name).unlink(missing_ok=True)
+            self._coverage.dropped_s += one.seconds
+        self._segments = kept
         trim_flights(folder.flights, int(FLIGHTS_SHARE * self._budget))
         kept_s = motion_s(folder, self._segments, ("train", "test"))
         needs = next((60 * minutes - kept_s for minutes in SCHEDULE_MIN if 60 * minutes > kept_s), None)
@@ -526,48 +531,26 @@ def learned_up_to(folder: CommissionFolder) -> int:
         return 0
 
 
+MOST_SEEN = 600
+"""Newest recordings from which a lost coverage is made again."""
 CHECKED = 6
 """Newest recordings that are read at the start: a power failure may have damaged them."""
 
 
 def repaired(folder: CommissionFolder) -> list[Segment]:
-    """The recordings of a folder whose last process was killed or lost its power.
-
-    A complete recording that is missing in the index is added; one that cannot be read is removed.
-    """
+    """The recordings of a folder whose last process was killed or lost its power; damaged ones are set aside."""
     segments = folder.segments()
-    segments_before = list(segments)
-    known, last = {one.name for one in segments}, max((one.number for one in segments), default=0)
-    for path in sorted(folder.path.glob("seg-*.parquet")):
-        if path.name not in known and path.stem[4:].isdecimal() and int(path.stem[4:]) > last:
-            segments.append(Segment(path.name, int(path.stem[4:]), "", 0, 0, 0, 0.0, 0))
-        elif path.name not in known:
-            path.unlink()
-    good = segments[:-CHECKED]
+    whole = {one.name for one in segments[:-CHECKED]}
     for one in segments[-CHECKED:]:
-        path = folder.path / one.name
-        try:
-            recording = load_recording(path)
-            if not one.set:
-                train_s = motion_s(folder, good)
-                one = Segment(
-                    one.name,
-                    one.number,
-                    set_of(one.number, True, train_s),
-                    int(recording.provenance["epoch"]),
-                    int(recording.t_ns[0]),
-                    int(recording.t_ns[-1]),
-                    recording.samples / recording.rate_hz,
-                    path.stat().st_size,
-                )
-            good.append(one)
-        except (TauextError, KeyError, TypeError, ValueError):
-            folder.log(f"{one.name} cannot be read and is removed")
-            path.unlink(missing_ok=True)
+        with suppress(TauextError):
+            load_recording(folder.path / one.name)
+            whole.add(one.name)
+    for path in sorted(folder.path.glob("seg-*.parquet")):
+        if path.name not in whole:
+            folder.set_aside(path, "it cannot be read")
+    good = [one for one in segments if one.name in whole]
     with suppress(OSError):  # a full disk: what was there before serves as well
         folder.put_split(good)
-        if good != segments_before:
-            folder.put_index(good)
     return good
 
 

@@ -21,18 +21,28 @@ from pathlib import Path
 from typing import Any, cast
 
 from tauext import _core
-from tauext.bundle.history_file import ACTIVE
+from tauext.bundle.history_file import is_commissioned, lost_words, read_question
 from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
-from tauext.commission.connect import another_arm, as_data, as_entries, connect, facts_of_data, sentence_of, write_arm
-from tauext.commission.folder import CommissionFolder, wall
-from tauext.commission.keep import KeepSink
+from tauext.commission.connect import (
+    ARM_FILES,
+    another_arm,
+    as_data,
+    as_entries,
+    connect,
+    facts_of_data,
+    restore_arm,
+    sentence_of,
+    write_arm,
+)
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.keep import KeepSink, repaired
 from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
-from tauext.files.plain_file import json_of
+from tauext.files.journal import is_journal
 from tauext.monitor.control_lines import ControlSocket
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop, LoopSettings
@@ -116,6 +126,23 @@ def run(
         commission.run()
 
 
+def repaired_folder(path: Path) -> list[str]:
+    """Mend the folder of an arm and accept that lines of its journal are lost; what was done and what is lost.
+
+    Raises:
+        ConfigError: it is no such folder, cannot be written, or another process uses it.
+    """
+    if not is_commissioned(path) and not is_journal(path):
+        raise ConfigError(f"{path}: is no folder of `tauext commission`, so nothing can be repaired")
+    folder = CommissionFolder.open(path, create=True)
+    with folder.locked():
+        if "arm" in folder.facts:
+            restore_arm(folder)
+        folder.put_split(repaired(folder))
+        folder.fall_back()
+        return [*folder.repair(), f"{path}: the journal is whole; it holds {len(folder.labels())} labels"]
+
+
 # --- Sources, and sockets beside the folder's files.
 
 
@@ -164,9 +191,12 @@ class Commission:
         self._source: Source | None = None
         self._loop: Loop | None = None
         at = socket_folder(folder.path, stack)
+        for name in ("live.sock", "control.sock"):
+            if os.path.lexists(at / name) and not (at / name).is_socket():
+                folder.set_aside(at / name, "it is no socket")
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
-        self._keeper = EventKeeper(folder.path, lambda: self._record.epoch if self._record else 0, self._note)
+        self._keeper = EventKeeper(folder, lambda: self._record.epoch if self._record else 0, self._note)
         stack.callback(self._keeper.end)
         self._keeper.learn = self._learn
         self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
@@ -179,16 +209,16 @@ class Commission:
             arguments = (folder.path, at / "live.sock", at / "control.sock", options.host, options.port, options.token)
             self._children.append(Child("page", options.page, arguments))
         self._trainer = Child("training process", run_trainer, (folder.path,), is_low=True)
-        self._shown = len(folder.history())
+        self._shown = folder.shown
         self._active = 0
-        """Time of active.json when the loop took its bundle."""
+        """Number of the activation whose bundle the loop took."""
         self._exchanges: deque[Exchanged] = deque()
         self._why_refused, self._again_s = ("", ""), math.inf
         """The newest bundle that did not take over and why, and the monotonic time at which it is tried again."""
         self._again = False
         self._has_ended = False
         """The source has ended for good."""
-        self._failed = ""
+        self._failed, self._lost = "", ""
         """The last failure of what is done beside the loop."""
         self._arm: Any = None
         """The description with which the loop runs."""
@@ -200,6 +230,10 @@ class Commission:
         self._echo(f"{self._text}: connecting; NOTHING IS MONITORED")
         if self._folder.facts.get("arm") and self._options.robot is not None and self._robot() == self._options.robot:
             self._note("--robot is not used: this folder began without a robot file; use a new --out to have one")
+        self._show_lost()
+        if "arm" in self._folder.facts:
+            restore_arm(self._folder)
+        self._show_news()
         self._live.says = "connecting: the stream is checked for 3 s before anything is recorded"
         with self._until_signal():
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
@@ -261,6 +295,7 @@ class Commission:
         for live in found.lives:
             if live.severity in ("fault", "warning"):
                 self._note(sentence_of(live))
+        self._folder.keep_files(*ARM_FILES)
         self._folder.save(arm=as_data(found.facts))
         return found.facts
 
@@ -307,7 +342,7 @@ class Commission:
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
             live.follow(bundle, loop.monitor)
-            with suppress(FileNotFoundError):
+            with suppress(OSError):
                 carried = (folder.path / CARRIED).read_bytes()
                 if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
@@ -331,23 +366,17 @@ class Commission:
 
     def _first_bundle(self) -> _core.Bundle | None:
         """The bundle that ran last: the one in charge may still wait for its turn, and is then exchanged again."""
-        active = self._folder.active()
+        active = self._folder.fall_back()
         name = self._folder.facts.get("running") or (active.stem if active else None)
-        path = self._folder.bundles / f"{name}.tauext"
-        if name is None or not path.is_file():
-            return None
-        try:
-            bundle = _core.Bundle.load(str(path))
-        except TauextError as error:
-            self._note(f"{error}; the arm is not monitored until another bundle is active")
-            return None
-        self._active = self._stamp() if active is not None and active.stem == name else 0
-        return bundle
-
-    def _stamp(self) -> int:
-        with suppress(OSError):
-            return (self._folder.path / ACTIVE).stat().st_mtime_ns
-        return 0
+        for path in (self._folder.bundles / f"{name}.tauext", active):
+            if path is not None and name is not None:
+                with suppress(TauextError):
+                    bundle = _core.Bundle.load(str(path))
+                    self._active = self._folder.activation if path == active else 0
+                    return bundle
+        if self._folder.activation:
+            self._note("no bundle of this arm is whole; the arm is not monitored until another one is trained")
+        return None
 
     # Once a second, beside the loop.
 
@@ -373,6 +402,7 @@ class Commission:
         for child in (*self._children, *([self._trainer] if self._loop is not None else [])):
             if text := child.tend():
                 self._note(text)
+        self._folder.sync()
         self._show_news()
         self._show_state()
         if (loop := self._loop) is None:
@@ -386,7 +416,7 @@ class Commission:
 
     def _exchange(self, loop: Loop, now_s: float) -> None:
         """Bring the bundle in charge into the loop, again if it could not take over; write what took over."""
-        path, is_new = self._folder.active(), (now := self._stamp()) != self._active
+        path, is_new = self._folder.active(), (now := self._folder.activation) != self._active
         if path is not None and (is_new or (now_s > self._again_s and path.stem != self._live.bundle)):
             self._active, self._again_s = now, math.inf
             loop.exchange(path, lambda why: self._refused(path.stem, why))
@@ -449,6 +479,8 @@ class Commission:
             live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
         elif loop is not None:
             live.says = "waiting for the first sample" if state == "connecting" else ""
+        if lost := self._show_lost():
+            live.says = lost
         if (record := self._record) is not None and record.is_losing:
             live.says = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
         if state != live.state:
@@ -460,21 +492,28 @@ class Commission:
             elif before == "connecting":
                 self._echo(f"{live.bundle} monitors the arm" if live.bundle else "NOTHING IS MONITORED")
 
+    def _show_lost(self) -> str:
+        """Report lines of the journal that are lost; returns the words for the page."""
+        lost, path = self._folder.lost(), self._folder.path
+        words = (
+            f"{lost_words(lost)}; nothing is trained before `tauext commission --out {path} --repair`" if lost else ""
+        )
+        if words != self._lost:
+            self._lost = words
+            self._note(words or "journal: the loss is accepted")
+        return words
+
     # Answers and messages.
 
     def _question(self) -> dict[str, Any]:
         """The named change that waits for an answer."""
-        with suppress(OSError, ValueError):
-            content = json_of(self._folder.question_file.read_text(encoding="utf-8"))
-            if isinstance(content, dict) and not content.get("answer"):
-                return content
-        return {}
+        question = read_question(self._folder.path)
+        return {} if question.get("answer") else question
 
     def _learn(self, yes: bool, by: str) -> None:
-        if not (question := self._question()):
+        if not self._question():
             raise ConfigError("no change of the arm waits for an answer")
-        answer = {"answer": "learn" if yes else "leave", "by": by, "answered": wall()}
-        write_synced(self._folder.question_file, json.dumps(question | answer) + "\n")
+        self._folder.append_reply("learn" if yes else "leave", by)
 
     def _note(self, text: str) -> None:
         self._folder.log(text)

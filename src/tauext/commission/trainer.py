@@ -43,6 +43,7 @@ from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.results import EvaluatedBundle, to_json
 from tauext.files.append_file import write_synced
+from tauext.files.journal import REPAIR
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
 from tauext.files.provenance import provenance, write_json
@@ -75,19 +76,13 @@ class Trainer:
         self._repair()
 
     def _repair(self) -> None:
-        """After a kill: lines that the history lacks are added; bundles that nothing names are removed."""
+        """After a kill: bundles that nothing names are removed, unless older ones have lost their names."""
         folder, history = self.folder, self.folder.history()
         active, pending = folder.active(), self._pending()
-        begun = [one.get("bundle") for one in history if one["kind"] == "activation"]
-        if active is not None and (not begun or begun[-1] != active.stem):
-            words = f"{active.stem} is chosen"
-            folder.note(
-                "activation", folder.seconds(), words, bundle=active.stem, replaces=begun[-1] if begun else None
-            )
-        self.days.complete()
         named = {str(one.get("bundle")) for one in history} | {str(pending.get("bundle"))}
-        for path in folder.bundles.glob("b*.tauext"):
-            if path.stem not in named and (active is None or path != active):
+        is_known = not folder.lost() and (active is not None or not folder.activation)
+        for path in folder.bundles.glob("b*.tauext") if is_known else ():
+            if path.stem not in named and path.stem > max(named - {"None"}, default=""):
                 for one in folder.bundles.glob(f"{path.stem}.*"):
                     one.unlink(missing_ok=True)
         self.folder.progress("")
@@ -99,7 +94,7 @@ class Trainer:
         folder = self.folder
         history, segments, question = folder.history(), segments_of_arm(folder), self.days.question()
         seconds, pending, active = folder.seconds(), self._pending(), folder.active()
-        learned = max((k for k, one in enumerate(history) if one.get("learned")), default=0)
+        learned = max((k for k, one in enumerate(history) if one.get("learned") or one["kind"] == REPAIR), default=0)
         trained = [float(one.get("minutes") or 0.0) for one in history[learned:] if one["kind"] == "training"]
         promised = [float(one["seconds"]) for one in history if one["kind"] in ("promise", "activation")]
         ledger = self.promises.ledger() if active is not None else None
@@ -147,7 +142,11 @@ class Trainer:
     # One step.
 
     def step(self) -> str:
-        """Do the most urgent work; returns what it was, `nothing` if there is none."""
+        """Do the most urgent work; returns what it was, `nothing` if there is none, or the journal has lost lines."""
+        if self.folder.lost():
+            return "nothing"
+        if self.folder.activation and self.folder.active() is None:
+            self.folder.fall_back()
         step = next_step(self.facts())
         work: dict[str, Callable[[], None]] = {
             "check": self._check,
@@ -417,6 +416,7 @@ def run_trainer(pipe: Connection, path: Path) -> None:
             except TauextError as error:
                 folder.log(f"the training process failed: {error}")
                 failed[str(error)] = failed.get(str(error), 0) + 1
+                folder.fall_back()  # the bundle in charge may be damaged
             try:
                 if pipe.poll(POLL_S * min(60, 2 ** max(failed.values(), default=0)) if what == "nothing" else 0):
                     pipe.recv()

@@ -1,25 +1,23 @@
-"""Labels of touches beside the recordings of `tauext commission`, and how they become `contact`."""
+"""Labels of touches in the journal of `tauext commission`, and how they become `contact` of recordings."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from tauext.config import FreeMotionConfig
-from tauext.files.append_file import append_line, read_lines
-from tauext.files.copies import version_of
-from tauext.files.places import Place, is_stored
-from tauext.files.plain_file import FORMAT
+from tauext.files.journal import Contents, is_journal, read
+from tauext.files.places import Place
 
 LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
-FILE_NAME = "labels.jsonl"
+KIND = "label"
+"""Kind of a label's line in the journal of its folder."""
 MARGINS = FreeMotionConfig()
 SUSPECT_MARGINS = FreeMotionConfig(after_s=0.3)
 """Margins of a suspect: its end follows from the errors themselves, so filters alone need time."""
@@ -49,27 +47,15 @@ class Label:
     """Bundle that raised the alarm or found the touch."""
 
 
-def append_label(folder: Path, label: Label) -> None:
-    """Add a label and wait until the disk holds it.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    append_line(folder / FILE_NAME, {"format": FORMAT} | asdict(label))
-
-
 def read_labels(folder: Place) -> tuple[Label, ...]:
-    """The newest label of each id; lines that a killed process left incomplete count as none."""
-    path = folder / FILE_NAME
-    if not path.is_file():
-        return ()
-    return _read(path, "" if is_stored(path) else version_of(path))
+    """The newest label of each id in the journal of a folder."""
+    return _labels(read(folder))
 
 
 @lru_cache(maxsize=8)
-def _read(path: Place, version: str) -> tuple[Label, ...]:
+def _labels(journal: Contents) -> tuple[Label, ...]:
     newest: dict[int, Label] = {}
-    for content in read_lines(path):
+    for content in journal.kinds.get(KIND, ()):
         with suppress(KeyError, TypeError, ValueError):
             label = label_of(content)
             if label.answer == "withdrawn" and label.id in newest and newest[label.id].answer in ("touched", "nothing"):
@@ -92,7 +78,7 @@ def type_of(name: object) -> type:
 
 def has_labels(folder: Place) -> bool:
     """Whether labels lie beside the folder's recordings."""
-    return (folder / FILE_NAME).is_file()
+    return is_journal(folder)
 
 
 def labels_key(folder: Place) -> str:

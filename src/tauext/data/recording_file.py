@@ -197,6 +197,22 @@ def describe(path: Place | str) -> Description:
     return replace(head, signals=(*head.signals, "contact"))
 
 
+def stretch_of(path: Place | str) -> tuple[Description, int, int]:
+    """Description, first and last stamp [ns] of a recording, from its footer alone.
+
+    Raises:
+        RecordingError: see describe(), or the footer has no stamps.
+    """
+    path = place_of(path)
+    with opened(path) as file:
+        head, groups = read_head(path, file), file.metadata.num_row_groups
+        column = file.schema_arrow.get_field_index("t_ns")
+        ends = [file.metadata.row_group(g).column(column).statistics for g in range(groups)] if column >= 0 else []
+        if not ends or not all(one is not None and one.has_min_max for one in ends):
+            raise RecordingError(f"{path}: its footer has no stamps")
+        return head, int(ends[0].min), int(ends[-1].max)
+
+
 def fingerprint(path: Place | str) -> str:
     """SHA-256 of the footer of a recording's file: metadata, and extremes and sizes of every column.
 

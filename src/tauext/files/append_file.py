@@ -1,17 +1,12 @@
-"""Files of JSON lines that several processes append to; a line survives `kill -9`, a reboot and a full disk."""
+"""Small files that stay whole: reserved space for a full disk, locks, names of damaged files."""
 
 from __future__ import annotations
 
 import errno
-import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
-
-from tauext.files.places import Place
-from tauext.files.plain_file import json_of, read_text
 
 RESERVE = ".reserve"
 """File in the same folder that holds space for lines and small files, released when the disk is full."""
@@ -40,52 +35,14 @@ def write_reserved(folder: Path, write: Callable[[], None]) -> None:
             reserve(folder)
 
 
-def append_line(path: Path, content: Mapping[str, Any]) -> None:
-    """Append one JSON object as a line and wait until the disk holds it.
-
-    A line that a killed process left incomplete is closed first, so that it damages no other line.
-
-    Raises:
-        OSError: the line cannot be written; the file then ends as before.
-    """
-    line = json.dumps(content, allow_nan=False).encode() + b"\n"
-    is_new = not path.exists()
-    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        lock(file)
-        end = os.lseek(file, 0, os.SEEK_END)
-        if end and os.pread(file, 1, end - 1) != b"\n":
-            line = b"\n" + line
-
-        def write() -> None:
-            try:
-                write_all(file, line)
-                os.fsync(file)
-            except OSError:
-                os.ftruncate(file, end)
-                raise
-
-        write_reserved(path.parent, write)
-    finally:
-        os.close(file)
-    if is_new:
-        sync_folder(path.parent)
-
-
-def read_lines(path: Place) -> list[dict[str, Any]]:
-    """The objects in order; incomplete and damaged lines are left out, and a missing file has none."""
-    try:
-        text = read_text(path)
-    except FileNotFoundError:
-        return []
-    except ValueError:  # a damaged block: keep the lines that are text
-        text = path.read_bytes().decode("utf-8", errors="replace")
-    found = []
-    for line in text.splitlines():
-        with suppress(ValueError):
-            if isinstance(one := json_of(line), dict):
-                found.append(one)
-    return found
+def set_aside(path: Path) -> Path:
+    """Rename what lies in the place of a file, so that it is kept and the place is free; returns its new name."""
+    number, there = 1, path.with_name(f"{path.name}.damaged")
+    while os.path.lexists(there):
+        number += 1
+        there = path.with_name(f"{path.name}.damaged-{number}")
+    path.rename(there)
+    return there
 
 
 def write_synced(path: Path, text: str) -> None:
@@ -99,6 +56,8 @@ def write_synced(path: Path, text: str) -> None:
             os.fsync(file.fileno())
 
     write_reserved(path.parent, write)
+    if path.is_dir() and not path.is_symlink():
+        set_aside(path)
     part.replace(path)
     sync_folder(path.parent)
 

@@ -23,13 +23,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext.page.door import is_own_name
 
 LONGEST_BODY = 1000
 LONGEST_LINE = 1 << 20
 """Bytes of a line from the loop."""
-TAIL = 1 << 18
-"""Bytes of an append-only file that are read from its end."""
 MOST_CONNECTIONS = 16
 PATIENCE_S = 10.0
 """Time for a request, for an answer of the control socket, and between two signs of life of /live."""
@@ -44,7 +43,7 @@ MOST_LOAD_KG, MOST_COLD = 5.0, 3.0
 """Bounds of the load in a simulated hand, and of the factor on a simulated arm's friction."""
 WARM_MINUTES = 20
 """Time constant with which the friction of a simulated cold morning falls to the arm's own."""
-WHOLE = ("commission", "coverage", "findings", "trainer", "question", "active")
+WHOLE = ("commission", "coverage", "findings", "trainer")
 """JSON files of the folder that the page reads."""
 
 
@@ -60,16 +59,15 @@ class Folder:
         """All that the page shows beside the live line; a missing or damaged file is None or empty."""
         with self._reading:
             whole = {name: self._read(f"{name}.json", json.loads) for name in WHOLE}
-            history = self._read("history.jsonl", lines_of) or []
-            events = self._read("events.jsonl", lines_of) or []
-        by_id: dict[Any, dict[str, Any]] = {}
-        for line in events:
-            by_id[line.get("id")] = by_id.get(line.get("id"), {}) | line
+        history = read_history(self.path)
+        begun = [one for one in history if one["kind"] == "activation"]
         return whole | {
+            "active": {"bundle": begun[-1].get("bundle")} if begun else None,
+            "question": read_question(self.path) or None,
             "name": self.path.resolve().name,
             "robot": self._robot_stamp(),
             "history": history[-SHOWN_HISTORY:],
-            "events": list(by_id.values())[-SHOWN_EVENTS:],
+            "events": read_events(self.path)[-SHOWN_EVENTS:],
         }
 
     def arm(self) -> dict[str, Any]:
@@ -108,24 +106,12 @@ class Folder:
             now = path.stat()
             stamp = (now.st_mtime_ns, now.st_size)
             if name not in self._kept or self._kept[name][0] != stamp:
-                with path.open("rb") as file:
-                    file.seek(max(0, now.st_size - TAIL) if name.endswith("l") else 0)
-                    self._kept[name] = stamp, parse(file.read())
+                self._kept[name] = stamp, parse(path.read_bytes())
             return self._kept[name][1]
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
             return self._kept.get(name, (0, None))[1]
-
-
-def lines_of(content: bytes) -> list[dict[str, Any]]:
-    """Objects of JSON lines; a line that is cut off at either end is left out."""
-    found = []
-    for line in content.splitlines():
-        with suppress(ValueError):
-            if isinstance(one := json.loads(line), dict):
-                found.append(one)
-    return found
 
 
 def trace_of(path: Path, event_ns: int) -> dict[str, Any] | None:

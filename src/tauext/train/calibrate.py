@@ -15,6 +15,7 @@ from pathlib import Path
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
+from tauext.bundle.history_file import expect_journal
 from tauext.bundle.loss_history import read_loss_history
 from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
@@ -199,6 +200,8 @@ def calibrate_bundle(
         with no_freeze(bundle):
             store = HeldStore(kept)
             found = collect_peaks(bundle, load_all(), alarm.holds_s, threads, margins=margins, kept=store)
+            for folder in folders_of(loaders):
+                expect_journal(folder)
             labels = [label for folder in folders_of(loaders) for label in read_labels(folder)]
             suspects = find_suspects(bundle, found[-1], lambda k: loaders[k](), labels, threads)
             forget(store.collectors, suspects)

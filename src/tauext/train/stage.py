@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.history_file import expect_journal
 from tauext.check.preflight import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
@@ -189,6 +190,7 @@ def train_bundle(
     with times.phase("read"):
         training, validation = dataset.training(), dataset.recordings("validation")
     calibration = dataset.stretches("calibration")
+    expect_journal(dataset.folder)
     labels = read_labels(dataset.folder)
     given = Given(
         robot_file, PAPER_CASES[case], training, validation, calibration, network=own, labels=labels, meshes=meshes

@@ -21,6 +21,7 @@ import tempfile
 import threading
 import time
 import urllib.request
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -28,6 +29,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from commission_pictures import ask, photograph
 from common import head, table_row
 
@@ -37,7 +39,7 @@ from made_browser import Browser
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import ALARMS, HEALTHS, NONE
-from tauext.bundle.history_file import active_bundle, read_events, read_history, watches
+from tauext.bundle.history_file import active_bundle, lost_lines, read_events, read_history, read_question, watches
 from tauext.commission.answers import ASKING_S
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
@@ -270,7 +272,7 @@ class Confirmed:
         there = sum(labels.get(number) == answer for number, answer in self.answers.items())
         if self.answers:
             measured = f"{there} of {len(self.answers)}"
-            self.report.check(f"{when}: confirmed answers in labels.jsonl", measured, there == len(self.answers))
+            self.report.check(f"{when}: confirmed answers in the journal", measured, there == len(self.answers))
         readable = 0
         for name, size in self.recordings.items():
             with suppress(OSError, TauextError):
@@ -289,7 +291,7 @@ class Confirmed:
             asked = [event["id"] for event in read_events(self.folder) if not event.get("answer")]
             for number in asked:
                 self.answer(command, f"nothing {number}")
-            if not asked and (self.folder / "question.json").exists():
+            if not asked and read_question(self.folder):
                 command.tell("learn no")
             time.sleep(1.2)
 
@@ -392,6 +394,57 @@ def kills(report: Report, folder: Path, arm: str, out: Path, browser: Browser) -
         standing = (command.live()["alarm"] or {}).get("id")
         report.check(f"answered: alarm {alarm} stands no more", f"alarm {standing or 'none'}", standing != alarm)
         command.stop()
+
+
+MANY_KILLS = """\
+`kill -9` of the main process at random moments, %d times: while it connects, learns, monitors and asks, also while an
+answer is being stored. The clock of the samples is set back by an hour now and then. The same command is started again
+each time. An answer counts as confirmed when `ok` came."""
+LEARNING_SHARE = 0.2
+"""Share of the kills before the first bundle."""
+
+
+def many_kills(report: Report, folder: Path, arm: str, number: int) -> None:
+    part = report.part(f"{number} kills", MANY_KILLS % number)
+    kept, rng, states = Confirmed(report, folder), np.random.default_rng(0), Counter[str]()
+    jumps, refused = 0, 0
+    for k in range(number):
+        is_early = k < LEARNING_SHARE * number
+        with running(report, folder, arm) as command:
+            if k == int(LEARNING_SHARE * number):
+                wait_for(lambda: active_bundle(folder), "the first bundle", 600.0)
+            limit_s = time.monotonic() + rng.uniform(0.0, 8.0)
+            with suppress(TimeoutError, OSError, ValueError):
+                if rng.random() < 0.8:
+                    wanted = ("learning", "monitoring", "asking") if is_early else ("monitoring", "asking")
+                    command.state(*wanted)
+                    limit_s = time.monotonic() + rng.uniform(0.0, 2.5)
+                    if rng.random() < 0.3:
+                        jumps += command.tell("sim clock seconds=-3600") == "ok"
+                    if not is_early:
+                        command.tell(PUSH)
+                        time.sleep(rng.uniform(0.0, 1.5))
+                    newest = max((int(one["id"]) for one in read_events(folder)), default=0)
+                    line = f"{rng.choice(['touched', 'nothing'])} {newest}" if newest and k % 2 else "touched"
+                    refused += not kept.answer(command, line)
+                    if rng.random() < 0.3:  # this one is killed while it is stored
+                        threading.Thread(target=tell_in_vain, args=(command,), daemon=True).start()
+            time.sleep(max(0.0, limit_s - time.monotonic()))
+            with suppress(OSError, ValueError):
+                states[command.live()["state"]] += 1
+            command.kill()
+    part.lines[:] = part.lines[:20]
+    labels = {one.id: one.answer for one in read_labels(folder)}
+    there = sum(labels.get(one) == answer for one, answer in kept.answers.items())
+    report.check("states at the kill", ", ".join(f"{name} {count}" for name, count in states.items()), True)
+    report.check("clock set back", f"{jumps} times", jumps > 0)
+    report.check("confirmed answers in the journal", f"{there} of {len(kept.answers)}", there == len(kept.answers) > 0)
+    report.check("lines of the journal that are lost", lost_lines(folder), not lost_lines(folder))
+
+
+def tell_in_vain(command: Command) -> None:
+    with suppress(OSError, ValueError):
+        command.tell("touched")
 
 
 def within(began: float, limit_s: float) -> tuple[str, bool]:
@@ -758,6 +811,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, help="folder of failures.md and its pictures")
     parser.add_argument("--arm", default="rig")
+    parser.add_argument("--kills", type=int, default=200, help="number of kills at random moments")
     parser.add_argument("--keep", action="store_true", help="keep the folders of the arm, and print where")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -769,6 +823,7 @@ def main() -> None:
     try:
         parts: list[Callable[[], None]] = [
             lambda: kills(report, folder, arm, out, browser),
+            lambda: many_kills(report, work / "killed", arm, options.kills),
             lambda: full_disk(report, folder, work, arm, out, browser),
             lambda: silence(report, folder, arm, out, browser),
             lambda: silent_hour(report, folder, work, arm),

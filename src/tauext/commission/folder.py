@@ -159,7 +159,11 @@ class CommissionFolder:
 
     def set_aside(self, path: Path, why: str) -> None:
         """Rename a damaged file, and report it."""
-        self.report(f"{path.name} is kept as {set_aside(path).name}: {' '.join(why.split())}")
+        self.report(f"{path.name} is kept as {set_aside(path).name}: {self._inside(why)}")
+
+    def _inside(self, words: str) -> str:
+        """Words in one line, without the path of the folder."""
+        return " ".join(words.replace(f"{self.bundles}{os.sep}", "").replace(f"{self.path}{os.sep}", "").split())
 
     def report(self, words: str) -> None:
         """Add a note about what was mended to the history, from which the command prints it."""
@@ -274,6 +278,7 @@ class CommissionFolder:
             words = f"{lost_words(sum(b - a + 1 for a, b in gaps))}; a person accepts it, and training begins again"
             self.save(learn_from=self.next_number())
             self.note(journal.REPAIR, self.seconds(), f"{words} with the next recording", lost=gaps)
+            self._append("facts", {key: value for key, value in self.facts.items() if key in LASTING})
         return [str(one["words"]) for one in self.history()[self.shown :]]
 
     def keep_files(self, *names: str) -> None:
@@ -295,7 +300,7 @@ class CommissionFolder:
             if os.path.lexists(path):
                 set_aside(path)
             write_synced(path, text)
-            self.report(f"{name} is written again: {' '.join(why.split())}")
+            self.report(f"{name} is written again: {self._inside(why)}")
 
     # Recordings.
 
@@ -384,10 +389,10 @@ class CommissionFolder:
                 if bundle.observer.sample_period_ns != arm.get("period_ns") and arm:
                     raise ConfigError(f"{path}: it is of an arm with another rate")
             except TauextError as error:
-                why = why or " ".join(str(error).split())
+                why = why or str(error)
                 continue
             if [name] != begun[:1]:
-                self.activate(name, why or "it is the newest whole bundle", self.seconds())
+                self.activate(name, self._inside(why or "it is the newest whole bundle"), self.seconds())
             return path
         return None
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import active_bundle, read_events, read_facts, read_history, watches
+from tauext.bundle.history_file import active_bundle, lost_lines, read_events, read_facts, read_history, watches
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
@@ -31,7 +31,7 @@ class Kept:
     hours: float
     """Hours that it monitored."""
     false_alarms: Sequence[dict[str, Any]]
-    """Collision alarms that a person answered with `nothing`, as events.jsonl has them."""
+    """Collision alarms that a person answered with `nothing`, as read_events() returns them."""
     unanswered: int
     """Collision alarms without an answer, which may be false."""
 
@@ -107,6 +107,7 @@ def describe_folder(folder: Place) -> dict[str, Any]:
         "recordings_gb": round(float(coverage.get("bytes") or 0.0) / 1e9, 3),
         "trainings": sum(one["kind"] == "training" for one in history),
         "bundles_in_charge": sum(one["kind"] == "activation" for one in history),
+        "lost_lines": lost_lines(folder),
         "alarms": len(events),
         "touched": sum(one.get("answer") == "touched" for one in events),
         "nothing": sum(one.get("answer") == "nothing" for one in events),

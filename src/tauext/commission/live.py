@@ -37,7 +37,7 @@ MOST_CHANGES = 1000
 
 
 class AlarmBook:
-    """The alarm that stands and the one before, as the page and events.jsonl show them."""
+    """The alarm that stands and the one before, as the page and the journal have them."""
 
     def __init__(self, joints: tuple[str, ...], units: Sequence[str]):
         self.joints, self.units = joints, tuple(units)

@@ -140,6 +140,8 @@ def repaired_folder(path: Path) -> list[str]:
             restore_arm(folder)
         folder.put_split(repaired(folder))
         folder.fall_back()
+        if folder.lost():
+            folder.keep_files(*ARM_FILES)
         return [*folder.repair(), f"{path}: the journal is whole; it holds {len(folder.labels())} labels"]
 
 
@@ -176,6 +178,13 @@ def socket_folder(folder: Path, stack: ExitStack) -> Path:
     return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tauext-")))
 
 
+def free_sockets(at: Path, folder: CommissionFolder) -> None:
+    """Free the places of the sockets from what is no socket."""
+    for name in ("live.sock", "control.sock"):
+        if os.path.lexists(at / name) and not (at / name).is_socket():
+            folder.set_aside(at / name, "it is no socket")
+
+
 # --- The main process.
 
 
@@ -191,9 +200,7 @@ class Commission:
         self._source: Source | None = None
         self._loop: Loop | None = None
         at = socket_folder(folder.path, stack)
-        for name in ("live.sock", "control.sock"):
-            if os.path.lexists(at / name) and not (at / name).is_socket():
-                folder.set_aside(at / name, "it is no socket")
+        free_sockets(at, folder)
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
         self._keeper = EventKeeper(folder, lambda: self._record.epoch if self._record else 0, self._note)

@@ -268,7 +268,8 @@ def _mend(folder: Path) -> str:
                 set_aside(path)
             write_synced(path, text.decode())
         if not is_late or path.name == NAME or missing > 1:  # else a process was killed between the two files
-            words.append(f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled")
+            other = COPY if path.name == NAME else NAME
+            words.append(f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled from {other}")
     _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], contents, True)
     return "; ".join(words)
 

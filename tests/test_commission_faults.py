@@ -1,0 +1,280 @@
+"""Every file of a commissioned folder damaged in every way: nothing confirmed is lost silently, a bundle monitors."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from made_commission import cut_journal
+from made_faults import ANSWERS, BACKUP, FAULTS, alone, files_of, outcome, prepare
+
+from tauext import _core
+from tauext.bundle.history_file import expect_journal, read_events, read_question
+from tauext.cli import main
+from tauext.commission.connect import restore_arm
+from tauext.commission.folder import CommissionFolder
+from tauext.commission.history import describe_folder
+from tauext.commission.keep import repaired
+from tauext.commission.run import free_sockets
+from tauext.commission.trainer import Trainer
+from tauext.data.dataset import load_dataset
+from tauext.data.labels import Label
+from tauext.errors import ConfigError
+from tauext.files import journal
+
+CONFIRMED = {k: "touched" if k % 2 else "nothing" for k in range(1, ANSWERS + 1)}
+EXPECTED = (
+    (r"journal\.jsonl", ".*", r"journal\.jsonl was damaged: \d+ of \d+ lines are refilled"),
+    (r"journal\.copy\.jsonl", ".*", r"journal\.copy\.jsonl was damaged: \d+ of \d+ lines are refilled"),
+    (r"bundles/b0002\.tauext", "(?!older)", r"b0001 is chosen: b0002\.tauext: "),
+    (r"commission\.json", "(?!older)", r"commission\.json was missing or damaged, and is written again"),
+    (r"arm\.toml|robot\..*", "(?!older)", r"is written again: "),
+    (
+        r"seg-.*",
+        "(?!older|deleted)",
+        r"seg-\d+\.parquet is kept as seg-\d+\.parquet\.damaged(-\d+)?: it cannot be read",
+    ),
+    (r".*", "directory|symlink", r"is kept as .*\.damaged(-\d+)?: "),
+)
+"""Pattern of a file, of a fault, and of a line in the history: the first that fits counts."""
+QUIET = ("bundles/b0001.tauext", "results/", ".journal.lock")
+"""Files of which only commands that read them report anything."""
+
+
+def expected(name: str, fault: str) -> str | None:
+    if name.startswith(QUIET):
+        return None
+    for file, kind, line in EXPECTED:
+        if re.fullmatch(file, name) and re.match(kind, fault):
+            return line
+        if re.fullmatch(file, name) and file != ".*":
+            return None
+    return None
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory) -> Path:
+    with alone():
+        return prepare(tmp_path_factory.mktemp("faults"))
+
+
+@pytest.fixture
+def copy(prepared, tmp_path) -> Path:
+    journal._seen.clear()
+    shutil.copytree(prepared, tmp_path / "cell")
+    return tmp_path / "cell"
+
+
+def start(path: Path) -> CommissionFolder:
+    """What the command does with a folder before it monitors."""
+    journal._seen.clear()
+    folder = CommissionFolder.open(path, create=True)
+    restore_arm(folder)
+    repaired(folder)
+    return folder
+
+
+NAMES = (
+    ".facts.lock", ".journal.lock", ".reserve", "arm.toml", "bundles/b0001.tauext", "bundles/b0002.tauext",
+    "carried.bin", "commission.json", "coverage.json", "coverage.npz", "findings.json", "journal.copy.jsonl",
+    "journal.jsonl", "learned.json", "lock", "log.txt", "peaks.state", "pending.json", "results/b0001/results.json",
+    "results/b0002/results.json", "robot.shapes.json", "robot.urdf", "seg-000001.parquet", "seg-000007.parquet",
+    "split.json", "trainer.json",
+)  # fmt: skip
+
+
+def test_the_matrix_has_every_file_of_the_folder(prepared):
+    assert files_of(prepared) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_damaged_file_loses_nothing_that_was_confirmed(name, prepared, copy):
+    whole = {one: (copy / one).read_bytes() for one in ("journal.jsonl", "robot.urdf", "arm.toml", "robot.shapes.json")}
+    for fault, damage in FAULTS.items():
+        if fault == "no permission" and os.geteuid() == 0:
+            continue
+        backup = prepared.parent / BACKUP / name
+        if not os.path.lexists(copy / name) or (fault == "older copy" and not backup.exists()):
+            continue
+        lines = len(CommissionFolder(copy).history())
+        damage(copy / name, backup)
+        folder = start(copy)
+        labels = {one.id: one.answer for one in folder.labels()}
+        assert labels == CONFIRMED and not folder.lost(), fault
+        assert {one["id"]: one["answer"] for one in read_events(copy)} == labels, fault
+        assert _core.Bundle.load(str(folder.fall_back())).name == ("b0001" if name.endswith("2.tauext") else "b0002")
+        news = [one["words"] for one in folder.history()[lines:]]
+        if line := expected(name, fault):
+            assert any(re.search(line, one) for one in news), (fault, news)
+        else:
+            assert len(news) <= 1, (fault, news)
+        for one in ("robot.urdf", "arm.toml", "robot.shapes.json"):
+            assert (copy / one).read_bytes() == whole[one], fault
+        assert (copy / journal.NAME).read_bytes() == (copy / journal.COPY).read_bytes()
+        if name.startswith(("bundles/b0002", "results/", "seg-")):  # set aside for good, so that one fault is enough
+            if os.path.lexists(copy / name):
+                (copy / name).unlink() if not (copy / name).is_dir() else shutil.rmtree(copy / name)
+            shutil.copyfile(prepared / name, copy / name)
+            if name.endswith("2.tauext"):
+                folder.activate("b0002", "a test", 0.0)
+
+
+def test_lost_lines_stop_all_learning_until_a_person_accepts_it(copy, capsys):
+    folder, arm = CommissionFolder.open(copy), CommissionFolder(copy).facts["arm"]
+    cut_journal(folder, lambda line: not 5 <= line["number"] < 9 and line["kind"] != "file")
+    noted = folder.facts["journal"]
+    lost = folder.lost()
+    assert lost > 4 and Trainer(folder).step() == "nothing"
+    folder.append_label(Label(99, 1, 1, 2, "touched", "page", "", "b0002"))  # answers are stored all the same
+    assert folder.lost() == lost and journal.read(copy).last == noted + 1
+    with pytest.raises(ConfigError, match=f"{lost} confirmed lines are lost; nothing is trained on it before"):
+        expect_journal(copy)
+    assert describe_folder(copy)["lost_lines"] == lost
+    assert main(["train", "--data", str(copy), "--recipe", "prior", "--out", str(copy.parent / "b.tauext")]) == 2
+    assert "confirmed lines are lost" in capsys.readouterr().err and not (copy.parent / "b.tauext").exists()
+    with folder.locked():
+        assert main(["commission", "--out", str(copy), "--repair"]) == 2
+    assert "another `tauext commission` uses this folder" in capsys.readouterr().err
+    assert main(["commission", "--out", str(copy), "--repair"]) == 0
+    told = capsys.readouterr().out
+    assert f"journal: {lost} confirmed lines are lost; a person accepts it" in told and "journal is whole" in told
+    journal._seen.clear()
+    after = start(copy)
+    assert after.lost() == 0 and Trainer(after).facts().kept_s == 0.0  # training begins again
+    assert not load_dataset(copy).split.train and after.facts["arm"] == arm
+    assert {one.id for one in after.labels()} > {99}
+    (copy / "robot.urdf").unlink()
+    assert start(copy) and (copy / "robot.urdf").is_file()
+    assert main(["commission", "--out", str(copy), "--repair"]) == 0 and "lines are lost" not in capsys.readouterr().out
+    assert main(["commission", "--out", str(copy.parent), "--repair"]) == 2
+
+
+def test_a_journal_that_is_gone_is_noticed_and_a_whole_bundle_monitors(copy):
+    for name in (journal.NAME, journal.COPY):
+        (copy / name).unlink()
+    folder = start(copy)
+    assert folder.lost() >= ANSWERS and folder.fall_back().stem == "b0002"
+    assert Trainer(folder).step() == "nothing" and len(list(folder.bundles.glob("*.tauext"))) == 2
+
+
+@pytest.mark.parametrize("change", [{"period_ns": 2_000_000}, {"joints": ["shoulder", "wrist"]}])
+def test_a_bundle_of_another_arm_is_no_fallback(copy, change):
+    (copy / "bundles" / "b0002.tauext").write_bytes(b"")
+    folder = CommissionFolder.open(copy)
+    folder.save(arm=folder.facts["arm"] | change)
+    assert folder.fall_back() is None and folder.active().stem == "b0002"
+
+
+def test_a_folder_of_an_earlier_version_and_one_without_facts_are_refused(tmp_path):
+    for name, why in (("commission.json", "without a journal"), ("x", "not empty and no folder")):
+        path = tmp_path / name
+        path.mkdir()
+        (path / "segments.jsonl").touch()
+        if name != "x":
+            (path / name).write_text('{"format": 1}')
+        with pytest.raises(ConfigError, match=why):
+            CommissionFolder.open(path, create=True)
+        assert sorted(one.name for one in path.iterdir()) == sorted({"segments.jsonl", name} - {"x"})
+
+
+@pytest.mark.parametrize("what", ["directory", "file", "dangling"])
+def test_things_in_the_place_of_the_sockets_are_set_aside(what, copy):
+    for name in ("control.sock", "live.sock"):
+        path = copy / name
+        {"directory": path.mkdir, "file": path.touch, "dangling": lambda path=path: path.symlink_to("nothing")}[what]()
+    free_sockets(copy, CommissionFolder.open(copy))
+    assert not list(copy.glob("*.sock")) and len([one for one in os.listdir(copy) if "sock.damaged" in one]) == 2
+
+
+def test_the_answer_to_a_question_outlives_a_kill(copy):
+    folder = CommissionFolder.open(copy)
+    folder.note("step", 1.0, "another tool?", segment=3)
+    assert "answer" not in read_question(copy)
+    folder.append_reply("learn", "page")
+    journal._seen.clear()
+    assert read_question(copy)["answer"] == "learn" and read_question(copy)["segment"] == 3
+    folder.note("step", 1.0, "it is learned", learned=True)
+    assert read_question(copy) == {}
+
+
+# --- The journal itself.
+
+
+@pytest.mark.parametrize("is_new", [True, False], ids=["start", "running"])
+@pytest.mark.parametrize("fault", [*(set(FAULTS) - {"no permission"}), "in place"])
+def test_each_file_of_a_journal_is_refilled_from_the_other(fault, is_new, tmp_path):
+    (tmp_path / "other").touch()
+    for k in range(20):
+        assert journal.append(tmp_path, "answer", {"id": k}) == ""
+        if k == 9:
+            shutil.copytree(tmp_path, tmp_path / "backup", ignore=lambda *_: ["backup"])
+    for name, other in ((journal.NAME, journal.COPY), (journal.COPY, journal.NAME)):
+        path, count = tmp_path / name, len(journal.read(tmp_path).lines)
+        if fault == "in place":
+            path.write_bytes(path.read_bytes()[:500] + b"??" + path.read_bytes()[502:])
+        else:
+            FAULTS[fault](path, tmp_path / "backup" / name)
+        if is_new:
+            journal._seen.clear()
+        assert len(journal.read(tmp_path).lines) == count and not journal.read(tmp_path).lost(count)
+        assert re.fullmatch(
+            f"{name} was damaged: \\d+ of {count} lines are refilled from {other}",
+            journal.append(tmp_path, "answer", {"id": 99}),
+        )
+        assert path.read_bytes() == (tmp_path / other).read_bytes() and path.read_bytes().count(b"\n") == count + 1
+        journal._seen.clear()
+        assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, count + 2))
+
+
+def test_a_damaged_line_never_counts_and_gaps_are_counted(tmp_path):
+    for k in range(9):
+        journal.append(tmp_path, "answer", {"id": k})
+    for name in (journal.NAME, journal.COPY):
+        lines = (tmp_path / name).read_bytes().replace(b'"id": 3', b'"id": 4')  # a bit flip in both files
+        (tmp_path / name).write_bytes(lines)
+    journal._seen.clear()
+    assert [one["id"] for one in journal.read(tmp_path).lines] == [0, 1, 2, 4, 5, 6, 7, 8]
+    assert journal.read(tmp_path).lost() == [(4, 4)] and journal.read(tmp_path).lost(12) == [(4, 4), (10, 12)]
+    journal.append(tmp_path, journal.REPAIR, {"lost": [(4, 4), (10, 12)]}, 12)
+    assert journal.read(tmp_path).last == 13 and not journal.read(tmp_path).lost()
+
+
+def test_lines_of_several_processes_get_different_numbers(tmp_path):
+    import subprocess
+    import sys
+
+    code = "import sys; from pathlib import Path; from tauext.files import journal\n"
+    code += "for k in range(30): journal.append(Path(sys.argv[1]), 'a', {'id': k})"
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(2)]
+    while any(one.poll() is None for one in writers):
+        journal.read(tmp_path)  # a reader meanwhile
+    assert [one.returncode for one in writers] == [0, 0]
+    assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, 61))
+    assert (tmp_path / journal.NAME).read_bytes() == (tmp_path / journal.COPY).read_bytes()
+
+
+# --- The whole command, without its children.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("when", ["start", "running"])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_command_survives_every_fault(name, when, prepared, tmp_path):
+    for fault in FAULTS:
+        if fault == "no permission" and os.geteuid() == 0:
+            continue
+        (tmp_path / fault).mkdir()
+        found = outcome(prepared, tmp_path / fault, (name,), fault, when)
+        assert (found.traceback, found.lost_silently, found.is_monitored, found.refused) == ("", 0, True, ""), fault
+
+
+@pytest.mark.parametrize("fault", ["garbage", pytest.param("deleted", marks=pytest.mark.slow)])
+def test_the_command_reports_a_journal_that_both_files_have_lost(fault, prepared, tmp_path):
+    found = outcome(prepared, tmp_path, (journal.NAME, journal.COPY), fault, "start")
+    assert found.is_monitored and not found.traceback
+    assert any(re.search(r"journal: \d+ confirmed lines are lost", line) for line in found.lines)
+    assert json.loads((tmp_path / "cell" / "commission.json").read_text())["journal"] > 20

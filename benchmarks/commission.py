@@ -38,7 +38,7 @@ from unseen.working import NAMES, STRETCH_S, Part, Working, working
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
-from tauext.bundle.history_file import read_events, read_history
+from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext.commission.connect import as_data, provenance_of, write_arm
 from tauext.commission.folder import CommissionFolder, wall
 from tauext.commission.history import promise_of
@@ -52,8 +52,6 @@ from tauext.data.recording import Recording, runs_of
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
 from tauext.evaluate.comparison import evaluate
-from tauext.files.append_file import append_line, write_synced
-from tauext.files.plain_file import json_of
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.replay import replay as replayed
@@ -239,18 +237,17 @@ class Simulation:
 
     def answer(self, seconds: float) -> None:
         """A person lets every change of the arm be learned, after two minutes."""
-        path = self.folder.question_file
-        if not path.exists():
+        question = read_question(self.folder.path)
+        if not question or "answer" in question:
             self.asked_s = 0.0
             return
         if not self.asked_s:
             self.asked_s = seconds
-            words = str(json_of(path.read_text())["words"])
+            words = str(question["words"])
             self.outcomes[-1].asked.append(words)
             print(f"  {seconds / 60:7.1f} min  asked: {words[:160]}", flush=True)
         elif seconds > self.asked_s + ANSWER_S:
-            question = json_of(path.read_text())
-            write_synced(path, json.dumps(question | {"answer": "learn", "by": "sim", "answered": wall()}) + "\n")
+            self.folder.append_reply("learn", "sim")
             self.outcomes[-1].waited_s, self.learned_s = None, seconds
             self.newest_s = int(seconds)
 
@@ -296,7 +293,7 @@ class Simulation:
             content = {"id": self.alarms, "epoch": self.sink.epoch, "t_ns": one.t_ns, "wall": wall(), "level": level}
             lasts = (part.t_ns >= one.t_ns) & (part.t_ns < one.t_ns + 2_000_000_000)
             content["over"] = np.nan_to_num(ratio[lasts].max(axis=0)).round(4).tolist()
-            append_line(self.folder.events_file, content | {"bundle": self.bundle, "answer": answer})
+            self.folder.append_event(content | {"bundle": self.bundle})
             end = int(later[(later >= one.t_ns) & (later < one.t_ns + 2_000_000_000)].max(initial=one.t_ns))
             span = self.sink.epoch, one.t_ns, end
             self.newest = Label(self.alarms, *span, answer or "unanswered", "sim", wall(), self.bundle)

@@ -5,6 +5,11 @@
 Runs the command in real time on a simulated arm and checks that nothing is lost that was confirmed. Writes
 OUT/failures.md with eight pictures of the page, and exits with 1 if a check fails. Needs Linux, Chromium and the
 websockets (extra `dev`); the full disk also needs the right to mount a file system. Takes ten minutes.
+
+    python benchmarks/commission_failures.py docs/results/commission --damage
+
+Damages every file of a folder in every way instead, and kills the command 200 times at random moments. Writes
+OUT/damage.md. Needs Linux. Takes 40 minutes.
 """
 
 from __future__ import annotations
@@ -35,6 +40,7 @@ from common import head, table_row
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import commission_pictures
+import made_faults
 from made_browser import Browser
 
 from tauext.bundle.bundle_file import load_bundle
@@ -46,6 +52,7 @@ from tauext.commission.keep import KeepSink
 from tauext.data.labels import read_labels
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
+from tauext.files import journal
 from tauext.files.append_file import RESERVE, RESERVED
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.sim.source import SimSource
@@ -80,6 +87,7 @@ class Part:
     lines: list[str] = field(default_factory=list)
     checks: list[tuple[str, str, bool]] = field(default_factory=list)
     """What was checked, what was measured, and whether it passed."""
+    table: list[str] = field(default_factory=list)
     skipped: str = ""
 
 
@@ -442,6 +450,41 @@ def many_kills(report: Report, folder: Path, arm: str, number: int) -> None:
     report.check("lines of the journal that are lost", lost_lines(folder), not lost_lines(folder))
 
 
+DAMAGE = """\
+Each file of a folder, of numbered ones the first and the last, is damaged before the start, or while the command runs,
+which then is started again. Every run is the whole command but for its child processes: one step of the training is
+done in its place. Columns are kinds of damage. `quiet`: nothing is printed, since the file is written again anyway or
+nothing uses it. `reported`: a line is printed. `older bundle`: the newest whole bundle monitors, and the reason is
+printed."""
+
+
+def damage(report: Report, work: Path) -> None:
+    part = report.part("Damaged files", DAMAGE)
+    with made_faults.alone():
+        prepared = made_faults.prepare(work)
+    kinds, counts = list(made_faults.faults(work)), Counter[str]()
+    both = (journal.NAME, journal.COPY)
+    names = [*((name,) for name in made_faults.files_of(prepared)), both]
+    for when in ("start", "running"):
+        part.table += ["", *head(" | ".join([when, *kinds]))]
+        for files in names:
+            cells = []
+            for kind in kinds:
+                shutil.rmtree(work / "case", ignore_errors=True)
+                (work / "case").mkdir()
+                found = made_faults.outcome(prepared, work / "case", files, kind, when)
+                counts["combinations"] += 1
+                counts["tracebacks"] += bool(found.traceback)
+                counts["answers lost silently"] += found.lost_silently
+                counts["arms that are not monitored"] += not found.is_monitored
+                cells.append(found.words)
+            part.table.append(table_row(" and ".join(f"`{name}`" for name in files), *cells))
+            print(part.table[-1], flush=True)
+    report.check("combinations", counts["combinations"], True)
+    for name in ("tracebacks", "answers lost silently", "arms that are not monitored"):
+        report.check(name, counts[name], not counts[name])
+
+
 def tell_in_vain(command: Command) -> None:
     with suppress(OSError, ValueError):
         command.tell("touched")
@@ -774,11 +817,11 @@ def hours(folder: Path) -> dict[str, float]:
 # --- The page of results.
 
 
-def page_of(report: Report, arm: str) -> str:
-    """Text of failures.md."""
-    text = ["# Failures of `tauext commission`", ""]
+def page_of(report: Report, arm: str, title: str = "Failures of `tauext commission`", option: str = "") -> str:
+    """Text of failures.md, or of damage.md."""
+    text = [f"# {title}", ""]
     text += [
-        f"Made by `benchmarks/commission_failures.py OUT --arm {arm}` on a simulated arm, in real time. Times in the"
+        f"Made by `benchmarks/commission_failures.py OUT --arm {arm}{option}` on a simulated arm, in real time. Times in the"
     ]
     passed = sum(passed for part in report.parts for *_, passed in part.checks)
     total = sum(len(part.checks) for part in report.parts)
@@ -790,6 +833,7 @@ def page_of(report: Report, arm: str) -> str:
             continue
         text += [*head("check | measured | result")]
         text += [table_row(what, measured, "pass" if good else "**FAIL**") for what, measured, good in part.checks]
+        text += part.table
         if part.pictures:
             text += ["", *head("page | phone, light | desktop, dark")]
         for name in part.pictures:
@@ -811,6 +855,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, help="folder of failures.md and its pictures")
     parser.add_argument("--arm", default="rig")
+    parser.add_argument("--damage", action="store_true", help="damage files and kill at random moments instead")
     parser.add_argument("--kills", type=int, default=200, help="number of kills at random moments")
     parser.add_argument("--keep", action="store_true", help="keep the folders of the arm, and print where")
     options = parser.parse_args()
@@ -818,12 +863,19 @@ def main() -> None:
     commission_pictures.SIZES.update(SIZES)
     report, work = Report(), Path(tempfile.mkdtemp())
     folder, arm, out = work / "try", options.arm, options.out
+    if options.damage:
+        damage(report, work)
+        many_kills(report, work / "killed", arm, options.kills)
+        shutil.rmtree(work, ignore_errors=True)
+        (options.out / "damage.md").write_text(
+            page_of(report, arm, "Damage to a folder of `tauext commission`", " --damage")
+        )
+        sys.exit(1 if report.failed else 0)
     (work / "browser").mkdir()
     browser = Browser(work / "browser")
     try:
         parts: list[Callable[[], None]] = [
             lambda: kills(report, folder, arm, out, browser),
-            lambda: many_kills(report, work / "killed", arm, options.kills),
             lambda: full_disk(report, folder, work, arm, out, browser),
             lambda: silence(report, folder, arm, out, browser),
             lambda: silent_hour(report, folder, work, arm),

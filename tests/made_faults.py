@@ -192,6 +192,14 @@ FAULTS: dict[str, Callable[[Path, Path], None]] = {
 }
 
 
+def faults(work: Path) -> dict[str, Callable[[Path, Path], None]]:
+    """All faults; without removed permissions where they refuse nothing, as for root."""
+    (trial := work / "trial").touch(mode=0)
+    refuses = not os.access(trial, os.R_OK)
+    trial.unlink()
+    return {name: fault for name, fault in FAULTS.items() if refuses or name != "no permission"}
+
+
 def files_of(path: Path) -> list[str]:
     """Files of a folder, of each kind of numbered ones the first and the last."""
     names = sorted(str(one.relative_to(path)) for one in path.rglob("*") if one.is_file() and not one.is_symlink())
@@ -212,7 +220,14 @@ class Outcome:
 
     @property
     def words(self) -> str:
-        return "traceback" if self.traceback else "refused" if self.refused else f"{len(self.lines)} lines"
+        """In a word or two, worst first."""
+        if self.traceback or self.lost_silently:
+            return "traceback" if self.traceback else f"{self.lost_silently} answers lost"
+        if not self.is_monitored:
+            return "refused" if self.refused else "not monitored"
+        if any(" is chosen: " in line for line in self.lines):
+            return "older bundle"
+        return "reported" if any("monitors the arm" not in line for line in self.lines) else "quiet"
 
 
 def outcome(prepared: Path, work: Path, names: tuple[str, ...], fault: str, when: str) -> Outcome:

@@ -820,9 +820,8 @@ def hours(folder: Path) -> dict[str, float]:
 def page_of(report: Report, arm: str, title: str = "Failures of `tauext commission`", option: str = "") -> str:
     """Text of failures.md, or of damage.md."""
     text = [f"# {title}", ""]
-    text += [
-        f"Made by `benchmarks/commission_failures.py OUT --arm {arm}{option}` on a simulated arm, in real time. Times in the"
-    ]
+    made = f"Made by `benchmarks/commission_failures.py OUT --arm {arm}{option}` on a simulated arm, in real time."
+    text += [f"{made} Times in the"]
     passed = sum(passed for part in report.parts for *_, passed in part.checks)
     total = sum(len(part.checks) for part in report.parts)
     text += [f"transcripts count from the start of the script. {passed} of {total} checks passed."]

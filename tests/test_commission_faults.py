@@ -174,8 +174,9 @@ def test_a_folder_of_an_earlier_version_and_one_without_facts_are_refused(tmp_pa
         (path / "segments.jsonl").touch()
         if name != "x":
             (path / name).write_text('{"format": 1}')
-        with pytest.raises(ConfigError, match=why):
-            CommissionFolder.open(path, create=True)
+        for create in (True, False):
+            with pytest.raises(ConfigError, match=why if create or name != "x" else "no folder of `tauext commission`"):
+                CommissionFolder.open(path, create)
         assert sorted(one.name for one in path.iterdir()) == sorted({"segments.jsonl", name} - {"x"})
 
 

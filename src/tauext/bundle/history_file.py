@@ -32,7 +32,10 @@ def read_facts(folder: Place) -> dict[str, Any]:
         ConfigError: it is missing or damaged, or of another format.
     """
     content = read_json(folder / FACTS, "there is no such file; `tauext commission` makes one in its folder")
-    expect_format(content, folder / FACTS, "use the version of tauext that made the folder")
+    remedy = "use the version of tauext that made the folder"
+    expect_format(content, folder / FACTS, remedy)
+    if NOTED not in content:
+        raise ConfigError(f"{folder}: was made by a version of tauext without a journal; {remedy}")
     return dict(content)
 
 

@@ -91,8 +91,6 @@ WRITTEN = (
     "peaks.state", "carried.bin", "log.txt", "lock", "trainer.lock", ".facts.lock", ".reserve", ".trial.sock",
 )  # fmt: skip
 """Files that are written again when they are missing or damaged."""
-EARLIER = "segments.jsonl"
-"""File of the development version before the journal."""
 
 
 class CommissionFolder:
@@ -129,9 +127,8 @@ class CommissionFolder:
         is_new = not os.path.lexists(path / FACTS) and not journal.is_journal(path)
         if is_new and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise ConfigError(f"{path}: is not empty and no folder of `tauext commission`; choose another --out")
-        if (path / EARLIER).exists() and not journal.is_journal(path):
-            why = "was made by a version of tauext without a journal"
-            raise ConfigError(f"{path}: {why}; go on with that version, or begin again with a new --out")
+        if not is_new and not journal.is_journal(path):
+            read_facts(path)  # refuses a folder of an earlier version
         try:
             if is_new:
                 expect_folder(path, LEAST_DISK)

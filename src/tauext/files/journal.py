@@ -291,8 +291,13 @@ def _add(path: Path, line: bytes) -> None:
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     path = folder / LOCK
-    if os.path.lexists(path) and _own_status(path) is None:
-        set_aside(path)
-    with _reading, path.open("a") as file:
-        lock(file.fileno())
-        yield
+    while True:
+        if os.path.lexists(path) and _own_status(path) is None:
+            set_aside(path)
+        with _reading, path.open("a") as file:
+            lock(file.fileno())
+            status = _own_status(path)
+            if status is None or status.st_ino != os.fstat(file.fileno()).st_ino:
+                continue  # removed meanwhile: another process may hold a newer one
+            yield
+            return

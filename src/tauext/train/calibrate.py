@@ -187,6 +187,8 @@ def calibrate_bundle(
     """
     kept = kept_peaks(out, bundle, loaders, [asdict(alarm), asdict(margins)])
     names = list(kept.names) if kept else []
+    for folder in folders_of(loaders):
+        expect_journal(folder)
     left_out = LeftOut("calibration")
     with report.progress(f"calibrate {name}") as show:
 
@@ -200,8 +202,6 @@ def calibrate_bundle(
         with no_freeze(bundle):
             store = HeldStore(kept)
             found = collect_peaks(bundle, load_all(), alarm.holds_s, threads, margins=margins, kept=store)
-            for folder in folders_of(loaders):
-                expect_journal(folder)
             labels = [label for folder in folders_of(loaders) for label in read_labels(folder)]
             suspects = find_suspects(bundle, found[-1], lambda k: loaders[k](), labels, threads)
             forget(store.collectors, suspects)

@@ -225,6 +225,8 @@ class Outcome:
             return "traceback" if self.traceback else f"{self.lost_silently} answers lost"
         if not self.is_monitored:
             return "refused" if self.refused else "not monitored"
+        if any("confirmed line" in line for line in self.lines):
+            return "loss reported"
         if any(" is chosen: " in line for line in self.lines):
             return "older bundle"
         return "reported" if any("monitors the arm" not in line for line in self.lines) else "quiet"

@@ -38,6 +38,9 @@ def now(ago_s: float = 0.0) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - ago_s))
 
 
+LOST = "journal: 12 confirmed lines are lost; nothing is trained before `tauext commission --out cell7 --repair`"
+
+
 def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
     """A line of the loop in this state."""
     n = len(joints)
@@ -63,7 +66,9 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "t_ns": round(t_s * 1e9),
         "wall": now(),
         "state": "asking" if state in ("alarm", "question") else state if not bundle else "monitoring",
-        "says": "at most one false alarm in 20 minutes"
+        "says": LOST
+        if state == "journal"
+        else "at most one false alarm in 20 minutes"
         if bundle
         else "learning: 40 s more motion until the first training",
         "lost": "no sample for 12 s; connecting again" if state == "lost" else "",

@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
+from made_live_page import LOST
 from test_live_page import served
 
 pytestmark = [
@@ -49,6 +50,7 @@ def until(true, what):
         ("question", "seven"),
         ("silent", "rig"),
         ("lost", "rig"),
+        ("journal", "rig"),
     ],
 )
 def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
@@ -64,6 +66,8 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             return page.value("banner.className + ': ' + banner.innerText")
 
         shown = f"bad: NOTHING IS MONITORED\n{RED[state]}" if state in RED else "good: Monitored by b0004"
+        if state == "journal":
+            shown = f"bad: Monitored by b0004, but learning stopped\n{LOST}"
         until(lambda: banner().startswith(shown), shown)
         until(lambda: arm == "none" or page.value("!!(arm && shown && shown.drawn.length)"), "the arm")
         assert page.value("document.documentElement.scrollWidth") <= width  # nothing hangs over

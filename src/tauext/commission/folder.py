@@ -281,7 +281,7 @@ class CommissionFolder:
     def keep_files(self, *names: str) -> None:
         """Keep the text of small files in the journal, for restore()."""
         for name in names:
-            if (self.path / name).is_file():
+            with suppress(FileNotFoundError, ValueError):  # ValueError: no UTF-8
                 self._append("file", {"name": name, "text": read_text(self.path / name)})
 
     def restore(self, check: dict[str, Callable[[Path], object]]) -> None:

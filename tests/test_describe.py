@@ -265,10 +265,10 @@ def test_ros2_joints_rate_and_publisher_are_found_out(request, tmp_path):
         fields["effort"] = []
         time.sleep(0.05)
         with pytest.raises(ConfigError, match="effort is empty"):
-            described(1.5, names=("a", "b"))
+            described(0.5, names=("a", "b"))
         fields["effort"] = [float("nan"), 1.0]
         with pytest.raises(ConfigError, match="no finite position, velocity and effort of b"):
-            described(1.5, names=("a", "b"))
+            described(0.5, names=("a", "b"))
     finally:
         ended.set()
         thread.join()

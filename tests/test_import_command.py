@@ -42,11 +42,17 @@ LOOKED_AT = (
 )
 
 
+DRAWN = ("test_training_takes_what_an_import_wrote",)
+"""Whose pictures are drawn in earnest."""
+
+
 @pytest.fixture(autouse=True)
 def seldom_examined(request):
     """What is imported is looked at in the end, which takes most of the time, and is the subject of few tests."""
     if request.node.name not in LOOKED_AT:
         request.getfixturevalue("unexamined")
+    if request.node.name not in DRAWN:
+        request.getfixturevalue("undrawn")
 
 
 @pytest.fixture

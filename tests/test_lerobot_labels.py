@@ -345,7 +345,7 @@ def test_the_current_is_added_as_the_page_describes():
 
 def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    arms.write_dataset(Path("free"), arms.six_joints(range(6), 600), "v3.0", motors=JOINTS)
+    arms.write_dataset(Path("free"), arms.six_joints(range(6), 220), "v3.0", motors=JOINTS)
     arms.write_dataset(Path("demos"), arms.six_joints(range(100, 103), 240, wall=True), "v3.0", motors=JOINTS)
     quickstart = Page(PAGE, "Quickstart")
     (description,), (program,) = quickstart.blocks("toml"), quickstart.blocks("python")

@@ -43,8 +43,8 @@ def test_too_few_peaks_have_no_level():
 
 @pytest.fixture(scope="module")
 def motion():
-    """Two minutes without labels, in which nothing touches the arm."""
-    made = simulate_recording(RigConfig(), "free", 120.0, 3, 0)
+    """Eighty seconds without labels, in which nothing touches the arm."""
+    made = simulate_recording(RigConfig(), "free", 80.0, 3, 0)
     return replace(made, tau_ext=None, contact=None, contact_link=None, q_des=None, tau_ext_sensor=None)
 
 
@@ -62,7 +62,7 @@ def trained(recording, out):
 def clean(motion, tmp_path_factory):
     """The bundle of the untouched motion."""
     bundle, suspects = trained(motion, tmp_path_factory.mktemp("clean") / "clean.tauext")
-    assert len(suspects) <= 1  # of 200 s; the level is exceeded 0.1 times in each of four regions
+    assert len(suspects) <= 1  # the level is exceeded 0.1 times in each of four regions
     return bundle
 
 
@@ -144,7 +144,7 @@ def test_calibration_gives_the_promise_with_and_without_suspects(motion, clean):
         def progress(self, title):
             return nullcontext(lambda *_: None)
 
-    parts = [cut(motion, slice(0, 60_000)), cut(motion, slice(60_000, 120_000))]
+    parts = [cut(motion, slice(0, 40_000)), cut(motion, slice(40_000, 80_000))]
     free, _ = calibrate_bundle(bundle, "x", [lambda one=one: one for one in parts], AlarmConfig(), 1)
     parts[1] = touched(parts[1], clean, at_s=20.0, newtons=60.0)
     found, facts = calibrate_bundle(

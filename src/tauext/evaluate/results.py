@@ -38,6 +38,7 @@ def default_of(one: Any) -> Any:
 
 
 hints_of = cache(lambda kind: get_type_hints(kind, include_extras=True))
+origin_of, arguments_of = cache(get_origin), cache(get_args)
 
 
 @dataclass(frozen=True)
@@ -67,18 +68,20 @@ class JsonReader:
 
     def value(self, kind: Any, value: Any, place: str, key: str) -> Any:
         """A value of this type; None or an empty list or object if it is null or absent and the type allows that."""
-        if get_origin(kind) is Annotated:
+        if origin_of(kind) is Annotated:
             return self._numbers(value, place, key)
         if isinstance(kind, UnionType):  # of something and None
-            return None if value is None else self.value(get_args(kind)[0], value, place, key)
+            return None if value is None else self.value(arguments_of(kind)[0], value, place, key)
         if is_dataclass(kind):
             return self.object(kind, {} if value is None else value, f"{place}, {key}")
-        if get_origin(kind) is tuple:
+        if origin_of(kind) is tuple:
             items = self._expect(list, [] if value is None else value, place, key)
-            return self._list(get_args(kind), items, place, key)
-        if get_origin(kind) is dict:
+            return self._list(arguments_of(kind), items, place, key)
+        if origin_of(kind) is dict:
             content = self._expect(dict, {} if value is None else value, place, key)
-            return {name: self.value(get_args(kind)[1], one, f"{place}, {key}", name) for name, one in content.items()}
+            return {
+                name: self.value(arguments_of(kind)[1], one, f"{place}, {key}", name) for name, one in content.items()
+            }
         return value if kind is Any else self._expect(kind, value, place, key)
 
     def _list(self, kinds: tuple[Any, ...], items: list[Any], place: str, key: str) -> tuple[Any, ...]:

@@ -45,7 +45,7 @@ OFFSET = np.array([2.8, -0.5])
 """The shoulder crosses pi, the elbow 0."""
 
 
-def swinging(seconds: float = 2.6):
+def swinging(seconds: float = 3.0):
     made = pushed(seconds=seconds)
     return replace(made, q=made.q + OFFSET)
 
@@ -62,7 +62,7 @@ def at_each_end(q: np.ndarray) -> np.ndarray:
 def restarted(q: np.ndarray) -> np.ndarray:
     """The encoder of the last joint loses two turns, then one comes back."""
     lost = np.zeros(q.shape)
-    lost[1200:, -1], lost[1900:, -1] = 2 * TURN, TURN
+    lost[1500:, -1], lost[2200:, -1] = 2 * TURN, TURN
     return q - lost
 
 

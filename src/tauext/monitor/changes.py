@@ -129,7 +129,7 @@ class WeighChange(Change):
 
 
 def shifted(last: int, values: np.ndarray) -> np.ndarray:
-    """Each value's predecessor; `last` precedes the first. np.append takes 4 us, and the live loop has single samples."""
+    """Predecessor of each value; `last` precedes the first. The live loop has single samples: np.append takes 4 us."""
     before = np.empty_like(values)
     before[0], before[1:] = last, values[:-1]
     return before

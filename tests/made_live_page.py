@@ -5,7 +5,9 @@ python tests/made_live_page.py STATE PORT [ARM]   shows one; STATE is one of STA
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import functools
 import json
 import math
 import socket
@@ -239,18 +241,38 @@ class FakeLoop:
                 wire.sendall(self.answer.encode() + b"\n")
 
 
+@contextlib.contextmanager
+def serving(*arguments):
+    """A page's server in a thread, see tauext.page.live_server.Server; gives its port."""
+    from tauext.page.live_server import Server
+
+    server, end = Server(*arguments), []
+
+    async def run() -> None:
+        serving = asyncio.create_task(server.run())
+        end.append(functools.partial(asyncio.get_running_loop().call_soon_threadsafe, serving.cancel))
+        with contextlib.suppress(asyncio.CancelledError):
+            await serving
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()), daemon=True)
+    thread.start()
+    try:
+        yield server.port
+    finally:
+        end[0]()
+        thread.join()
+
+
 def main() -> None:
     import tempfile
-
-    from tauext.page.live_server import Server
 
     state, port, arm = sys.argv[1], int(sys.argv[2]), (sys.argv[3:] or ["rig"])[0]
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "cell7"
         write_folder(folder, state, arm)
         loop = FakeLoop(folder, state, arm)
-        with Server("127.0.0.1", port, folder, loop.live, loop.control, "") as server:
-            server.serve_forever()
+        with serving("127.0.0.1", port, folder, loop.live, loop.control, ""):
+            threading.Event().wait()
 
 
 if __name__ == "__main__":

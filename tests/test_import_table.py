@@ -24,7 +24,7 @@ ORDER = {
     "fleet": {"numpy", "scipy", "jinja2", "matplotlib"},
     "sim": {"numpy", "mujoco"},
     "commission": {"numpy"},
-    "page": {"numpy"},
+    "page": {"numpy", "aiohttp"},
     "cli": {"tyro", "rich"},
 }
 """Packages in order, with their outside libraries: each may import those before it."""

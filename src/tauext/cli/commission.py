@@ -85,8 +85,8 @@ def commission(
 
     from tauext.commission.run import Options, run
     from tauext.monitor.reaction_file import load_reactions
+    from tauext.page import serve
     from tauext.page.door import LOOPBACK, free_port
-    from tauext.page.live_server import serve
     from tauext.sources.open import SourceOptions
 
     token, found, address = "", port, ""

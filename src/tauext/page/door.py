@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+from collections.abc import Mapping
+from urllib.parse import urlsplit
 
 from tauext.errors import ConfigError
 
@@ -32,6 +34,33 @@ def is_own_name(name: str, host: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def is_own_host(host_header: str, host: str) -> bool:
+    """As is_own_name(), for a Host header."""
+    try:
+        called = urlsplit(f"//{host_header}")
+        return not called.path and is_own_name(called.hostname or "", host)
+    except ValueError:
+        return False
+
+
+def is_from_own_page(method: str, path: str, headers: Mapping[str, str]) -> bool:
+    """Whether a request comes from the server's own page, or a person opens the page.
+
+    Browsers send Origin with every POST and WebSocket, and with what one page requests of another's server.
+    Sec-Fetch-Site comes with every request to this computer (`none`: typed), but not to an address of the network.
+
+    Args:
+        headers: of the request; their names in any case.
+    """
+    own, origin, site = f"http://{headers.get('Host')}", headers.get("Origin"), headers.get("Sec-Fetch-Site")
+    if origin != own and (origin is not None or method != "GET" or path == "/live"):
+        return False
+    if site in (None, "same-origin") or site == "none" and method == "GET":
+        return True
+    is_link = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
+    return method == "GET" and path == "/" and is_link
 
 
 def free_port(host: str, wanted: int) -> int:

@@ -1,8 +1,9 @@
 """The server of a live page: a process of its own that reads the loop's socket and the folder's files, and sends lines
-to the control socket. It serves one HTML file and JSON; only the standard library is needed."""
+to the control socket. It serves one HTML file, JSON, and the loop's lines on a WebSocket."""
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
 import hmac
@@ -11,27 +12,29 @@ import re
 import socket
 import sys
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection as Pipe
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+
+from aiohttp import web
 
 from tauext.bundle.history_file import read_events, read_history, read_question
-from tauext.page.door import is_own_name
+from tauext.page.connections import Connection
+from tauext.page.door import is_from_own_page, is_own_host
 
 LONGEST_BODY = 1000
 LONGEST_LINE = 1 << 20
 """Bytes of a line from the loop."""
-MOST_CONNECTIONS = 16
 PATIENCE_S = 10.0
-"""Time for a request, for an answer of the control socket, and between two signs of life of /live."""
+"""Time for an answer of the control socket."""
+ALIVE_S = 4.0
+"""Time between two pings of a stream; one without an answer for half as long is closed."""
+UNREAD_S = 10.0
+"""Time in which a stream must take a line."""
 RETRY_S = 0.3
 MOST_ROWS = 800
 """Rows of a trace that the page draws."""
@@ -141,43 +144,46 @@ class Live:
     """The newest line of the loop's socket, for any number of readers; connects again for ever."""
 
     def __init__(self, path: Path):
-        self._path, self._line, self._number = path, b"", 0
-        self._news = threading.Condition()
-        self._connection: socket.socket | None = None
-        threading.Thread(target=self._work, name="live socket", daemon=True).start()
+        self._path, self._line, self._number = path, "", 0
+        self._news = asyncio.Condition()
 
-    def next(self, number: int, wait_s: float) -> tuple[int, bytes]:
-        """Number and text of the newest line once it is not this one; the same number if none came in time."""
-        with self._news:
-            self._news.wait_for(lambda: self._number != number, wait_s)
+    async def next(self, number: int) -> tuple[int, str]:
+        """Number and text of the newest line once it is not this one."""
+        async with self._news:
+            await self._news.wait_for(lambda: self._number != number)
             return self._number, self._line
 
-    def _work(self) -> None:
+    async def follow(self) -> None:
+        """Read lines until it is cancelled."""
         while True:
-            with (
-                suppress(OSError),
-                socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire,
-            ):
-                wire.connect(str(self._path))
-                with wire.makefile("rb") as lines:
-                    while (line := lines.readline(LONGEST_LINE)).endswith(b"\n"):
-                        with self._news:
-                            self._line, self._number = line.strip(), self._number + 1
+            with suppress(OSError, ValueError):  # ValueError: a line is too long
+                lines, wire = await asyncio.open_unix_connection(self._path, limit=LONGEST_LINE)
+                try:
+                    while (line := await lines.readline()).endswith(b"\n"):
+                        async with self._news:
+                            self._line, self._number = line.decode(errors="replace").strip(), self._number + 1
                             self._news.notify_all()
-            time.sleep(RETRY_S)
+                finally:
+                    wire.close()
+            await asyncio.sleep(RETRY_S)
 
 
-def ask(path: Path, line: str) -> str:
+async def ask(path: Path, line: str) -> str:
     """Send a line to the control socket; its answer, `ok` or `error: ...`."""
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
-            wire.settimeout(PATIENCE_S)
-            wire.connect(str(path))
-            wire.sendall(line.encode() + b"\n")
-            with wire.makefile("r", encoding="utf-8") as answers:
-                return answers.readline(LONGEST_BODY).strip() or "error: the loop has ended"
-    except OSError:
+        async with asyncio.timeout(PATIENCE_S):
+            answers, wire = await asyncio.open_unix_connection(path)
+            try:
+                wire.write(line.encode() + b"\n")
+                answer = await answers.readline()
+            finally:
+                wire.close()
+    except (OSError, ValueError):
         return "error: the loop does not answer; look at the events for what was stored"
+    return answer.decode(errors="replace").strip() or "error: the loop has ended"
+
+
+COMMANDS = ("/answer", "/reset", "/learn", "/push", "/sim")
 
 
 def line_of(path: str, body: dict[str, Any]) -> str | None:
@@ -225,176 +231,178 @@ def is_whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 53
 
 
-class Server(ThreadingHTTPServer):
-    """At most MOST_CONNECTIONS at a time; a further one is closed."""
-
-    daemon_threads = True
-    request_queue_size = 32
+class Server:
+    """The page's server; its address accepts connections from the start, run() answers them."""
 
     def __init__(self, host: str, port: int, folder: Path, live: Path, control: Path, token: str):
-        """token: that a browser must show; empty: none."""
-        self.host, self.token, self.control = host, token, control
-        self.folder, self.live = Folder(folder), Live(live)
-        self.page = files("tauext.page").joinpath("live_page.html").read_bytes()
-        script = self.page.partition(b"<script>")[2].partition(b"</script>")[0]
-        kept = base64.b64encode(hashlib.sha256(script).digest()).decode()
-        self.policy = (
-            f"default-src 'none'; script-src 'sha256-{kept}'; style-src 'unsafe-inline'; connect-src 'self'; "
-            "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-        )
-        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        if ":" in host:
-            self.address_family = socket.AF_INET6
-        super().__init__((host, port), Handler)
+        """token: that a browser must show; empty: none. OSError: the address cannot be used."""
+        self._host, self._token, self._control, self._live_path = host, token, control, live
+        self._folder = Folder(folder)
+        self._page = files("tauext.page").joinpath("live_page.html").read_text(encoding="utf-8")
+        script = self._page.partition("<script>")[2].partition("</script>")[0]
+        kept = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        self._headers = {
+            "Content-Security-Policy": f"default-src 'none'; script-src 'sha256-{kept}'; style-src 'unsafe-inline'; "
+            "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+        }
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.create_server((host, port), family=family)
+        self.port: int = self._socket.getsockname()[1]
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    async def run(self) -> None:
+        """Serve until it is cancelled."""
+        self._live = Live(self._live_path)
+        app = web.Application(middlewares=[self._guard], client_max_size=LONGEST_BODY + 1)
+        app.on_response_prepare.append(self._finish_head)
+        pages = {"/": self._show, "/state": self._state, "/arm": self._arm, "/live": self._stream}
+        app.add_routes([web.get(path, show, allow_head=False) for path, show in pages.items()])
+        app.add_routes([web.get(r"/event/{id:[0-9]{1,18}}", self._event, allow_head=False)])
+        app.add_routes([web.post(path, self._send) for path in COMMANDS])
+        runner = web.AppRunner(app, handle_signals=False)
+        await runner.setup()
+        assert runner.server is not None
+        server, loop = runner.server, asyncio.get_running_loop()
+        open_ones: set[Connection] = set()
+        listening = await loop.create_server(lambda: Connection(open_ones, server, loop), sock=self._socket)
         try:
-            super().process_request_thread(request, client_address)
+            await self._live.follow()
         finally:
-            self._free.release()
+            listening.close()
+            for one in tuple(open_ones):
+                one.abort()
+            await runner.cleanup()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A connection that breaks off is not reported."""
+    # Who may use it.
 
-
-class Handler(BaseHTTPRequestHandler):
-    """One request a connection."""
-
-    server: Server
-    server_version, sys_version = "tauext", ""
-    timeout = PATIENCE_S
-
-    def log_message(self, format: str, *arguments: Any) -> None:
-        pass
-
-    def do_GET(self) -> None:
-        path, _, query = self.path.partition("?")
-        if path == "/" and query and self._is_named():
-            return self._let_in(query)
-        if not self._is_allowed():
-            return
-        if path == "/":
-            self._send(self.server.page, "text/html; charset=utf-8")
-        elif path == "/state":
-            self._json(self.server.folder.state())
-        elif path == "/arm":
-            self._json(self.server.folder.arm())
-        elif path.startswith("/event/") and path[7:].isascii() and path[7:].isdigit() and len(path) < 25:
-            found = self.server.folder.trace(int(path[7:]))
-            self._json(found, HTTPStatus.OK if found else HTTPStatus.NOT_FOUND)
-        elif path == "/live":
-            self._stream()
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
-
-    def do_POST(self) -> None:
-        if not self._is_allowed():
-            return
-        called = self.headers.get("Host", "")
-        if self.headers.get("Origin", "") != f"http://{called}":
-            return self._refuse(HTTPStatus.FORBIDDEN, "only its own page may send to this server")
-        if self.headers.get("Content-Type", "").partition(";")[0].strip().lower() != "application/json":
-            return self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "only JSON is accepted")
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit()) or int(length) > LONGEST_BODY:
-            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LONGEST_BODY} bytes are accepted")
+    @web.middleware
+    async def _guard(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        """Refuse a request that is not of its own page; a failure is reported to the browser."""
         try:
-            body = json.loads(self.rfile.read(int(length)))
+            if why := self._refusal(request):
+                return refuse(HTTPStatus.FORBIDDEN, why)
+            if request.method != "POST":
+                connection_of(request).has_request()
+            return await handler(request)
+        except web.HTTPException as error:
+            return refuse(HTTPStatus(error.status), error.reason)
+        except OSError:  # the connection has ended
+            raise
+        except Exception as error:
+            return refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"the request failed: {type(error).__name__}: {error}")
+
+    def _refusal(self, request: web.Request) -> str:
+        """Why this request is refused; empty: it is not."""
+        names = request.headers.getall("Host", [""])
+        if len(names) > 1 or not is_own_host(names[0], self._host):
+            return "this server has another name"
+        if not is_from_own_page(request.method, request.path, request.headers):
+            return "only its own page may use this server"
+        is_link = request.path == "/" and bool(request.query_string)
+        shown = request.query.get("token", "") if is_link else request.cookies.get(COOKIE, "")
+        if not self._token:
+            return ""
+        if hmac.compare_digest(shown.encode(), self._token.encode()):
+            connection_of(request).is_trusted = True
+            return ""
+        if is_link:
+            return "this token is not valid: each start makes a new one; open the address that was printed last"
+        return "open the address with the token that `tauext commission` printed"
+
+    async def _finish_head(self, request: web.Request, response: web.StreamResponse) -> None:
+        response.headers.update(self._headers)
+        response.force_close()
+
+    # What it shows.
+
+    async def _show(self, request: web.Request) -> web.StreamResponse:
+        if not request.query_string:
+            return web.Response(text=self._page, content_type="text/html")
+        # The address with the token is exchanged for a cookie, so that the token stays in no history.
+        found = web.Response(status=HTTPStatus.SEE_OTHER, headers={"Location": "/"})
+        if self._token:
+            found.set_cookie(COOKIE, self._token, httponly=True, samesite="Strict", path="/")
+        return found
+
+    async def _state(self, request: web.Request) -> web.StreamResponse:
+        return web.json_response(await asyncio.to_thread(self._folder.state))
+
+    async def _arm(self, request: web.Request) -> web.StreamResponse:
+        return web.json_response(await asyncio.to_thread(self._folder.arm))
+
+    async def _event(self, request: web.Request) -> web.StreamResponse:
+        found = await asyncio.to_thread(self._folder.trace, int(request.match_info["id"]))
+        return web.json_response(found) if found else refuse(HTTPStatus.NOT_FOUND, "this event has no trace")
+
+    async def _stream(self, request: web.Request) -> web.StreamResponse:
+        """The newest line each time, as a message; one that a slow browser has not taken is skipped."""
+        stream = web.WebSocketResponse(heartbeat=ALIVE_S, compress=False, max_msg_size=LONGEST_BODY, writer_limit=0)
+        await stream.prepare(request)
+        connection = connection_of(request)
+        connection.has_stream()
+        sending = asyncio.create_task(self._send_lines(stream, connection))
+        try:
+            await stream.receive()  # answers pings; a page sends nothing, so any message ends the stream
+        finally:
+            sending.cancel()
+            connection.abort()
+        return stream
+
+    async def _send_lines(self, stream: web.WebSocketResponse, connection: Connection) -> None:
+        number = 0
+        with suppress(OSError):
+            while True:
+                number, line = await self._live.next(number)
+                async with asyncio.timeout(UNREAD_S):
+                    await stream.send_str(line)
+        connection.abort()
+
+    # What it sends to the loop.
+
+    async def _send(self, request: web.Request) -> web.StreamResponse:
+        if request.content_type != "application/json":
+            return refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "only JSON is accepted")
+        if (request.content_length or 0) > LONGEST_BODY:
+            raise web.HTTPRequestEntityTooLarge(LONGEST_BODY, request.content_length or 0)
+        content = await request.read()
+        connection_of(request).has_request()
+        try:
+            body = json.loads(content)
         except (ValueError, RecursionError):
             body = None
-        line = line_of(self.path, body) if isinstance(body, dict) else None
+        line = line_of(request.path, body) if isinstance(body, dict) else None
         if line is None:
-            return self._refuse(HTTPStatus.BAD_REQUEST, "the request is malformed")
-        answer = ask(self.server.control, line)
-        self._json({"answer": answer}, HTTPStatus.OK if answer == "ok" else HTTPStatus.CONFLICT)
+            return refuse(HTTPStatus.BAD_REQUEST, "the request is malformed")
+        answer = await ask(self._control, line)
+        return web.json_response({"answer": answer}, status=HTTPStatus.OK if answer == "ok" else HTTPStatus.CONFLICT)
 
-    def _is_named(self) -> bool:
-        """Whether the browser calls the server by a name that no other machine can take; else it is refused."""
-        names = self.headers.get_all("Host") or [""]
-        called = urlsplit(f"//{names[0]}")
-        if len(names) == 1 and not called.path and is_own_name(called.hostname or "", self.server.host):
-            return True
-        self._refuse(HTTPStatus.FORBIDDEN, "this server has another name")
-        return False
 
-    def _is_allowed(self) -> bool:
-        """Whether name and token are right; else the request is refused."""
-        if not self._is_named():
-            return False
-        shown = ""
-        with suppress(CookieError):
-            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(COOKIE)
-            shown = cookie.value if cookie else ""
-        if not self.server.token or self._is_token(shown):
-            return True
-        self._refuse(HTTPStatus.FORBIDDEN, "open the address with the token that `tauext commission` printed")
-        return False
+def connection_of(request: web.Request) -> Connection:
+    assert isinstance(request.protocol, Connection)
+    return request.protocol
 
-    def _is_token(self, shown: str) -> bool:
-        return hmac.compare_digest(shown.encode(), self.server.token.encode())
 
-    def _let_in(self, query: str) -> None:
-        """Exchange the address with the token for a cookie, so that the token stays in no history."""
-        shown = parse_qs(query).get("token", [""])[0]
-        if self.server.token and not self._is_token(shown):
-            words = "this token is not valid: each start makes a new one; open the address that was printed last"
-            return self._refuse(HTTPStatus.FORBIDDEN, words)
-        self.send_response(HTTPStatus.SEE_OTHER)
-        self.send_header("Location", "/")
-        if self.server.token:
-            self.send_header("Set-Cookie", f"{COOKIE}={shown}; HttpOnly; SameSite=Strict; Path=/")
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def _json(self, content: Any, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self._send(json.dumps(content).encode(), "application/json", status)
-
-    def _refuse(self, status: HTTPStatus, why: str) -> None:
-        self._send(f"{why}\n".encode(), "text/plain; charset=utf-8", status)
-
-    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        self._head(kind)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
-
-    def _head(self, kind: str) -> None:
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Security-Policy", self.server.policy)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cache-Control", "no-store")
-
-    def _stream(self) -> None:
-        """Server-sent events: the newest line each time; one that a slow browser has not taken is skipped."""
-        self.send_response(HTTPStatus.OK)
-        self._head("text/event-stream")
-        self.end_headers()
-        number = 0
-        while True:
-            was = number
-            number, line = self.server.live.next(was, PATIENCE_S / 2)
-            self.wfile.write(b": no news\n\n" if number == was else b"data: " + line + b"\n\n")
+def refuse(status: HTTPStatus, why: str) -> web.Response:
+    return web.Response(text=f"{why}\n", status=status)
 
 
 def serve(
-    pipe: Connection, folder: Path, live: Path, control: Path, host: str, port: int, token: str
+    pipe: Pipe, folder: Path, live: Path, control: Path, host: str, port: int, token: str
 ) -> None:  # pragma: no cover - a process of its own
     """Serve until the pipe to the parent closes."""
-    import signal
+    try:
+        server = Server(host, port, folder, live, control, token)
+    except OSError as error:
+        sys.exit(f"tauext: the page cannot be served at {host}, port {port}: {error.strerror or error}")
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    server = Server(host, port, folder, live, control, token)
-    threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    with suppress(EOFError, OSError):
-        pipe.send("serving")
-        while True:
-            pipe.recv()
-    sys.exit(0)
+    async def run() -> None:
+        serving = asyncio.create_task(server.run())
+        asyncio.get_running_loop().add_reader(pipe.fileno(), serving.cancel)  # the parent sends nothing: it has ended
+        with suppress(asyncio.CancelledError):
+            await serving
+
+    asyncio.run(run())

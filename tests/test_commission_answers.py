@@ -2,11 +2,12 @@
 
 import json
 import math
+import select
 import socket
 import threading
 import time
 from collections import deque
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,7 @@ from tauext.bundle.history_file import read_events
 from tauext.commission.answers import EventKeeper, Steering
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
-from tauext.commission.live import LiveSink, rounded
+from tauext.commission.live import MOST_READERS, LiveSink, rounded
 from tauext.commission.processes import Child
 from tauext.commission.run import AGAIN_S, Commission
 from tauext.data.labels import Label, read_labels
@@ -253,6 +254,30 @@ def test_lines_come_before_there_is_an_arm_and_slow_readers_hold_up_nobody(tmp_p
         slow.close()
         live.end()
     assert not (tmp_path / "live.sock").exists()
+
+
+def test_readers_that_only_hold_the_line_take_no_place_of_the_page(tmp_path):
+    live = LiveSink(tmp_path / "live.sock")
+    with ExitStack() as stack:
+        stack.callback(live.end)
+        for _ in range(5 * MOST_READERS):
+            silent = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            silent.connect(str(tmp_path / "live.sock"))
+        assert len(lines_of(tmp_path / "live.sock", 2)) == 2
+
+
+def test_a_reader_that_takes_no_line_is_closed(tmp_path, monkeypatch):
+    monkeypatch.setattr("tauext.commission.live.UNREAD_S", 0.3)
+    live = LiveSink(tmp_path / "live.sock")
+    live.says = "x" * 100_000  # a line fills the buffer
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as silent:
+        silent.connect(str(tmp_path / "live.sock"))
+        poll = select.poll()
+        poll.register(silent, 0)
+        try:
+            until(lambda: poll.poll(0), "its end")  # the other end is closed
+        finally:
+            live.end()
 
 
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):

@@ -1,6 +1,7 @@
 """What a monitor bears beside its loop: callers who only hold the line, and a disk that is full."""
 
 import socket
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,7 +14,7 @@ from tauext.cli import main
 from tauext.data.recording_file import save_recording
 from tauext.errors import RecordingError
 from tauext.files import preflight
-from tauext.monitor import record_sink
+from tauext.monitor import control_lines, record_sink
 from tauext.monitor.control_lines import MOST_CONNECTIONS, ControlSocket
 
 
@@ -67,6 +68,34 @@ def test_many_who_come_at_once_do_not_drive_out_who_spoke(listening):
             call(listening, stack)
         assert ask(call(listening, stack)) == b"ok\n"
         assert ask(speaking) == b"ok\n"
+
+
+def test_many_at_once_that_read_no_answer_keep_nobody_out(listening):
+    with ExitStack() as stack:
+        for _ in range(400):
+            call(listening, stack).sendall(b"acknowledge\n" * 20)  # EAGAIN where the queue of callers is full
+        assert ask(call(listening, stack)) == b"ok\n"
+
+
+def test_who_takes_no_answers_is_closed(listening, monkeypatch):
+    monkeypatch.setattr(control_lines, "UNREAD_S", 1)
+    with ExitStack() as stack:
+        one = call(listening, stack)
+        with pytest.raises(BrokenPipeError):
+            while True:
+                one.sendall(b"acknowledge\n" * 1000)
+
+
+def test_a_line_that_is_executed_is_answered_however_many_come_meanwhile(listening, monkeypatch):
+    go_on = threading.Event()
+    monkeypatch.setattr(Asked, "resume", lambda self, by: go_on.wait(5), raising=False)
+    with ExitStack() as stack:
+        waiting = call(listening, stack)
+        waiting.sendall(b"resume\n")
+        for _ in range(3 * MOST_CONNECTIONS):
+            assert ask(call(listening, stack)) == b"ok\n"
+        go_on.set()
+        assert waiting.recv(100) == b"ok\n"
 
 
 @pytest.fixture

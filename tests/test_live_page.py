@@ -1,17 +1,22 @@
 """The live page's server: who may use it, what it shows of the folder and the loop, and which lines it sends."""
 
+import gzip
 import http.client
+import itertools
 import json
 import socket
-from contextlib import contextmanager
+import time
+from contextlib import ExitStack, contextmanager, suppress
 
 import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tauext.errors import ConfigError
 from tauext.files import journal
+from tauext.page import connections, live_server
 from tauext.page.door import free_port, is_own_name
 from tauext.page.live_arm import arm_facts
 from tauext.page.live_server import line_of
@@ -67,7 +72,8 @@ def ask(port, method, path, body, headers):
 def listen(port, origin=None, **headers):
     """The stream of lines."""
     origin = origin or f"http://127.0.0.1:{port}"
-    return connect(f"ws://127.0.0.1:{port}/live", origin=origin, additional_headers=headers, open_timeout=PATIENCE_S)
+    wait = {"open_timeout": PATIENCE_S, "close_timeout": 0.5}
+    return connect(f"ws://127.0.0.1:{port}/live", origin=origin, additional_headers=headers, **wait)
 
 
 # --- What it shows.
@@ -298,17 +304,6 @@ def test_a_page_for_a_network_needs_the_token_everywhere(guarded):
     assert post(port, "/answer", {"what": "touched"}, **shown)[0] == 200 and loop.received == ["touched"]
 
 
-def test_bytes_that_are_no_http_end_their_connection_without_a_word(page, capfd):
-    port = page[0]
-    for raw in (b"\x16\x03\x01\x02garbage\r\n\r\n", b"\xff" * 5000, b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 500, b"\r\n"):
-        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
-            wire.sendall(raw)
-            wire.shutdown(socket.SHUT_WR)
-            while wire.recv(4096):
-                pass
-    assert get(port)[0] == 200 and capfd.readouterr().err == ""
-
-
 def test_a_server_for_a_network_goes_by_addresses_and_its_own_name():
     own = socket.gethostname()
     for name in ("192.168.0.7", "[fe80::1]", own, f"{own}.local", "localhost"):
@@ -331,6 +326,235 @@ def test_a_busy_port_is_passed_over(monkeypatch):
     for host in ("192.0.2.1", "\xe4\udcff"):
         with pytest.raises(ConfigError, match="must be an address of this machine"):
             free_port(host, 8080)
+
+
+# --- Strangers.
+
+
+@pytest.mark.parametrize(
+    "path, headers, status",
+    [
+        ("/", {"Sec-Fetch-Site": "none", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 200),  # typed
+        ("/?token=x", {"Sec-Fetch-Site": "none", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 303),
+        ("/", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 200),
+        ("/", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "iframe"}, 403),
+        ("/", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "image"}, 403),
+        ("/state", {"Sec-Fetch-Site": "same-origin"}, 200),
+        ("/state", {"Sec-Fetch-Site": "same-site"}, 403),  # another port of this computer
+        ("/state", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 403),
+        ("/state", {"Sec-Fetch-Site": "x"}, 403),
+        ("/state", {"Origin": "http://evil.example"}, 403),
+        ("/arm", {"Origin": "null"}, 403),
+        ("/event/16", {"Origin": "http://127.0.0.1:1"}, 403),
+        ("/none", {"Origin": "http://evil.example"}, 403),
+    ],
+)
+def test_another_page_gets_nothing_and_a_person_gets_the_page(page, path, headers, status):
+    assert get(page[0], path, **headers)[0] == status
+
+
+def test_another_page_gets_no_stream(page):
+    port = page[0]
+    for origin, headers in (
+        ("http://evil.example", {}),
+        (f"https://127.0.0.1:{port}", {}),
+        ("null", {}),
+        (None, {"Sec-Fetch-Site": "cross-site"}),
+    ):
+        with pytest.raises(InvalidStatus, match="403"):
+            listen(port, origin, **headers)
+    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    assert get(port, "/live", **upgrade, **{"Sec-WebSocket-Key": "A" * 22 + "=="})[0] == 403  # without an origin
+    assert get(port, "/live", Origin=f"http://127.0.0.1:{port}")[0] == 400  # no WebSocket
+    with listen(port) as stream:
+        stream.send("x")
+        with pytest.raises(ConnectionClosed):
+            while True:
+                stream.recv(PATIENCE_S)
+
+
+def raw(port, content, ends=False):
+    """What the server answers to these bytes until it closes."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+        found = b""
+        with suppress(OSError):
+            wire.sendall(content)
+            if ends:
+                wire.shutdown(socket.SHUT_WR)
+            while more := wire.recv(1 << 16):
+                found += more
+        return found
+
+
+PACKED = gzip.compress(b'{"what":"touched"}')
+
+
+@pytest.mark.parametrize(
+    "body, extra, status",
+    [
+        (b"12\r\n" + b'{"what":"touched"}' + b"\r\n0\r\n\r\n", b"", b"200"),
+        (b"5\r\n{}   \r\n0\r\n\r\n", b"", b"400"),
+        (b"7d0\r\n" + b" " * 2000 + b"\r\n0\r\n\r\n", b"", b"413"),
+        (b"-1\r\nx\r\n0\r\n\r\n", b"", b"400"),
+        (b"zz\r\n", b"", b"400"),
+        (b"12\r\n" + b'{"what":"touched"}' + b"\r\n0\r\n\r\n", b"Content-Length: 18\r\n", b"400"),  # two lengths
+        (b"%x\r\n" % len(PACKED) + PACKED + b"\r\n0\r\n\r\n", b"Content-Encoding: gzip\r\n", b"400"),
+    ],
+)
+def test_a_body_in_chunks_is_bounded_too(page, body, extra, status):
+    port, loop = page
+    before = len(loop.received)
+    head = f"POST /answer HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\n"
+    head = head.encode() + b"Content-Type: application/json\r\nTransfer-Encoding: chunked\r\n" + extra + b"\r\n"
+    assert raw(port, head + body).split()[1] == status
+    assert len(loop.received) - before == (status == b"200")
+
+
+def test_only_the_first_of_requests_in_one_packet_is_answered(page):
+    port, loop = page
+    before, body = len(loop.received), b'{"what":"nothing"}'
+    head = f"POST /answer HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\n"
+    one = head.encode() + b"Content-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(body) + body
+    assert raw(port, one * 50).count(b"HTTP/1.1") == 1 and len(loop.received) == before + 1
+
+
+def test_paths_lead_nowhere_else(page):
+    for path in (
+        "/../../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/event/..%2f..%2fcommission.json",
+        "/event/16%00",
+        "/event/16/../15",
+        "/events.jsonl",
+        "//127.0.0.1/state",
+        "/" + "a" * 5000,
+        "*",
+    ):
+        answer = raw(page[0], f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{page[0]}\r\n\r\n".encode())
+        assert answer.split()[1] in (b"400", b"403", b"404"), (path, answer)
+
+
+def test_bytes_that_are_no_http_end_their_connection_without_a_word(page, capfd):
+    port, own = page[0], f"Host: 127.0.0.1:{page[0]}\r\n".encode()
+    for content in (
+        b"\x16\x03\x01\x02garbage\r\n\r\n",
+        b"\xff" * 5000,
+        b"\r\n",
+        b"",
+        b"GET / HTTP/1.1\r\n" + own + b"a: b\r\n" * 500 + b"\r\n",
+        b"GET / HTTP/1.1\r\n" + own + b"a: " + b"b" * 20_000 + b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + own + (b"a: " + b"b" * 4000 + b"\r\n") * 40 + b"\r\n",
+        b"GET / HTTP/9.9\r\n" + own + b"\r\n",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"BREW / HTTP/1.1\r\n" + own + b"\r\n",
+        b"HEAD / HTTP/1.1\r\n" + own + b"\r\n",
+        b"GET / HTTP/1.1\r\n" + own + b"Cookie: tauext=\xff; \x80\r\n\r\n",
+    ):
+        answers = raw(port, content, ends=True)
+        assert b" 200 " not in answers or content.endswith(b"\x80\r\n\r\n"), content
+    assert get(port)[0] == 200 and capfd.readouterr().err == ""
+
+
+def dripped(port, content):
+    """Time until the server closes a connection that sends a byte every 50 ms, [s]."""
+    began_s = time.monotonic()
+    with socket.create_connection(("127.0.0.1", port), timeout=0.05) as wire, suppress(ConnectionError):
+        for byte in itertools.cycle(content):
+            wire.sendall(bytes([byte]))
+            with suppress(TimeoutError):
+                if not wire.recv(1 << 16):
+                    break
+            assert time.monotonic() < began_s + PATIENCE_S, "it is held for ever"
+    return time.monotonic() - began_s
+
+
+def test_the_time_limit_is_that_of_the_whole_request(page, monkeypatch):
+    port, own = page[0], f"127.0.0.1:{page[0]}"
+    monkeypatch.setattr(connections, "REQUEST_S", 0.4)
+    assert 0.3 < dripped(port, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\na: aaaaaaaa\r\n") < 3
+    head = f"POST /answer HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nContent-Type: application/json\r\n"
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+        wire.sendall(f"{head}Content-Length: 900\r\n\r\n".encode())
+        assert wire.recv(100) == b""  # its body does not come
+
+
+def test_a_stream_that_is_not_read_ends_and_one_that_is_read_lasts(page, monkeypatch):
+    monkeypatch.setattr(live_server, "ALIVE_S", 0.3)
+    with listen(page[0]) as stream, unread_stream(page[0]) as wire:
+        began_s = time.monotonic()
+        while not is_closed(wire):
+            assert time.monotonic() < began_s + PATIENCE_S
+            time.sleep(0.05)
+            stream.recv(PATIENCE_S)
+        while time.monotonic() < began_s + 1.5:
+            stream.recv(PATIENCE_S)
+
+
+def unread_stream(port, cookie=""):
+    """A connection that asks for the stream and reads nothing."""
+    wire = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+    own = f"127.0.0.1:{port}"
+    wire.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\nCookie: {cookie}\r\n\r\n".encode()
+    )
+    return wire
+
+
+def is_closed(wire):
+    """Whether the server has closed this connection, which nobody reads."""
+    state = wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 1)[0]
+    return state != 1  # TCP_ESTABLISHED
+
+
+@pytest.mark.parametrize("token", ["", TOKEN])
+def test_slow_connections_and_unread_streams_keep_nobody_out(tmp_path, token):
+    """The connections of the issue's kind stay open; a page is loaded, and its stream goes on."""
+    own = {"Cookie": f"tauext={token}"} if token else {}
+    with served(tmp_path, host="0.0.0.0" if token else "127.0.0.1", token=token) as (port, _), ExitStack() as stack:
+        early = stack.enter_context(listen(port, **own)) if token else None
+        for _ in range(24):
+            slow = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+            slow.sendall(b"GET / HTTP/1.1\r\nHo")
+        for _ in range(200):
+            stack.enter_context(unread_stream(port))
+        took_s = []
+        for path in ("/", "/state", "/arm"):
+            began_s = time.monotonic()
+            assert get(port, path, **own)[0] == 200
+            took_s.append(time.monotonic() - began_s)
+        assert took_s[0] < 2.0
+        for stream in filter(None, (stack.enter_context(listen(port, **own)), early)):
+            for _ in range(3):
+                stream.recv(PATIENCE_S)
+
+
+def test_the_oldest_that_wait_go_first_then_young_streams_and_whoever_has_the_token_last(monkeypatch, tmp_path):
+    monkeypatch.setattr(connections, "MOST_OF_ADDRESS", 4)
+    monkeypatch.setattr(connections, "PROVEN_S", 0.3)
+    with served(tmp_path) as (port, _), listen(port) as old, ExitStack() as stack:
+        for _ in range(30):
+            old.recv(PATIENCE_S)
+        waits = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+        young = stack.enter_context(listen(port))
+        young.recv(PATIENCE_S)
+        for _ in range(6):
+            stack.enter_context(listen(port)).recv(PATIENCE_S)
+        assert waits.recv(1) == b""
+        with pytest.raises(ConnectionClosed):
+            while True:
+                young.recv(PATIENCE_S)
+        for _ in range(9):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+        old.recv(PATIENCE_S)
+    with served(tmp_path / "g", host="0.0.0.0", token=TOKEN) as (port, _), ExitStack() as stack:
+        own = {"Cookie": f"tauext={TOKEN}"}
+        mine = [stack.enter_context(listen(port, **own)) for _ in range(3)]
+        for _ in range(20):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+            assert get(port, **own)[0] == 200
+        for one in mine:
+            one.recv(PATIENCE_S)
 
 
 def test_the_stand_in_writes_lines_of_the_right_kind():

@@ -29,7 +29,10 @@ from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
 
 PERIOD_S = 0.1
-MOST_READERS = 4
+MOST_READERS = 8
+"""Readers of the socket; a further one takes the place of one that does not read, else of the oldest."""
+UNREAD_S = 5.0
+"""Time in which a reader must take a line."""
 OVER_S = 0.5
 """Time within all limits after which a touch is over."""
 MOST_CHANGES = 1000
@@ -146,7 +149,9 @@ class LiveSink:
         """Number of an alarm, the last stamp at which its touch was over a limit, [ns], and the largest torque of each
         joint in that time, divided by its collision limit."""
         self._report: LoopReport | None = None
-        self._readers: dict[socket.socket, bytes] = {}
+        self._readers: dict[socket.socket, tuple[bytes, float]] = {}
+        """Of each reader: the rest of a line that it takes, and since when it is slow, by time.monotonic(); inf: it is
+        not."""
         self._wake, self._ended = threading.Event(), False
         path.unlink(missing_ok=True)
         self._socket = listen_at(path)
@@ -280,21 +285,24 @@ class LiveSink:
                 reader, _ = self._socket.accept()
                 reader.setblocking(False)
                 if len(self._readers) >= MOST_READERS:
-                    reader.close()
-                else:
-                    self._readers[reader] = b""
+                    slowest = min(self._readers, key=lambda one: self._readers[one][1])
+                    del self._readers[slowest]
+                    slowest.close()
+                self._readers[reader] = b"", math.inf
 
     def _send(self, line: bytes) -> None:
         """A reader receives whole lines: one that has not taken the last line yet gets the rest of it, not this one."""
         gone = select.select(list(self._readers), [], [], 0)[0]  # readers send nothing
-        for reader, rest in list(self._readers.items()):
+        now_s = time.monotonic()
+        for reader, (rest, since_s) in list(self._readers.items()):
             try:
-                if reader in gone:
+                if reader in gone or now_s > since_s + UNREAD_S:
                     raise BrokenPipeError
                 left = rest or line
-                self._readers[reader] = left[reader.send(left) :]
+                rest = left[reader.send(left) :]
+                self._readers[reader] = rest, min(since_s, now_s) if rest else math.inf
             except BlockingIOError:
-                self._readers[reader] = rest
+                self._readers[reader] = rest, min(since_s, now_s)
             except OSError:
                 del self._readers[reader]
                 reader.close()

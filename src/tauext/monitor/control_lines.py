@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 import stat
+import struct
 import sys
 import threading
 import time
@@ -18,9 +20,11 @@ from tauext.monitor.sink import USUAL_REACH_M, Control
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
-"""Largest number of connections; beyond it the connection that was silent longest is closed."""
+"""Largest number of connections; beyond it the one that was silent longest is closed."""
 UNHEARD_S = 5.0
 """Additional silence of a connection without any line yet, so that it is closed before active ones."""
+UNREAD_S = 5
+"""Time in which a connection must take an answer, [s]; a whole number."""
 RETRY_S = 0.1
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
@@ -103,7 +107,7 @@ def listen_at(path: Path) -> socket.socket:
     before = os.umask(0o177)
     try:
         made.bind(str(path))
-        made.listen()
+        made.listen(socket.SOMAXCONN)  # by default 128 callers at once fill the queue, and further ones are refused
     except OSError:
         made.close()
         raise
@@ -119,7 +123,8 @@ class ControlSocket:
         """Raises ConfigError if no socket can be made, or another monitor listens there."""
         self._path, self._control = path, control
         self._spoke: dict[socket.socket, float] = {}
-        """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none."""
+        """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none, infinite
+        while a line is executed."""
         self._changing = threading.Lock()
         self._closed = False
         try:
@@ -152,7 +157,12 @@ class ControlSocket:
             self._make_room()
             with self._changing:
                 self._spoke[connection] = time.monotonic() - UNHEARD_S
-            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+            try:
+                threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+            except RuntimeError:  # no further thread can be started
+                with self._changing:
+                    del self._spoke[connection]
+                connection.close()
 
     def _make_room(self) -> None:
         """Close the connection that was silent longest if there are too many, so that new ones are accepted."""
@@ -170,6 +180,11 @@ class ControlSocket:
             with self._changing:
                 self._spoke.pop(connection, None)
 
+    def _speaks(self, connection: socket.socket, at_s: float) -> None:
+        with self._changing:
+            if connection in self._spoke:
+                self._spoke[connection] = at_s
+
     def _converse(self, connection: socket.socket) -> None:
         # Two files: writing to a file that is also read drops read-ahead data.
         with (
@@ -178,11 +193,13 @@ class ControlSocket:
             connection.makefile("r", encoding="utf-8", newline="\n") as lines,
             connection.makefile("w", encoding="utf-8") as answers,
         ):
+            # Only writing has a limit: a caller may be silent for hours.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", UNREAD_S, 0))
             while line := lines.readline(LONGEST):
-                with self._changing:
-                    if connection in self._spoke:
-                        self._spoke[connection] = time.monotonic()
-                answers.write(obey(line, self._control, "control socket") + "\n")
+                self._speaks(connection, math.inf)
+                answer = obey(line, self._control, "control socket")
+                self._speaks(connection, time.monotonic())
+                answers.write(answer + "\n")
                 answers.flush()
 
 

@@ -17,12 +17,13 @@ import sys
 import tempfile
 import threading
 import time
-import urllib.request
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from common import arguments, free_port, head, table_row
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
 
 READY_S = 60.0
 
@@ -98,10 +99,10 @@ def connected(command: subprocess.Popen[bytes], path: Path) -> socket.socket:
 
 def read_page(port: int) -> None:
     """Read the page's live stream, as a browser does."""
-    with suppress(OSError):
+    with suppress(OSError, WebSocketException):
         time.sleep(2.0)
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/live") as stream:
-            while stream.read(1000):
+        with connect(f"ws://127.0.0.1:{port}/live", origin=f"http://127.0.0.1:{port}") as stream:
+            for _ in stream:
                 pass
 
 

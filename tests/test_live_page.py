@@ -26,11 +26,11 @@ TOKEN = "right-token"
 
 
 @contextmanager
-def served(folder, state="monitoring", arm="rig", host="127.0.0.1", token=""):
+def served(folder, state="monitoring", arm="rig", host="127.0.0.1", port=0, token=""):
     write_folder(folder / "cell7", state, arm)
     loop = FakeLoop(folder, state, arm, period_s=0.02)
     try:
-        with serving(host, 0, folder / "cell7", loop.live, loop.control, token) as port:
+        with serving(host, port, folder / "cell7", loop.live, loop.control, token) as port:
             yield port, loop
     finally:
         loop.close()

@@ -1,18 +1,20 @@
 """The live page in Chromium: what it shows in each state, on a phone and on a desktop, light and dark."""
 
+import threading
 import time
+from contextlib import ExitStack, contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
 pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
 from made_live_page import LOST
-from test_live_page import served
+from test_live_page import TOKEN, served
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}"),
-]
+from tauext.page import live_server
+
+pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}")
 PATIENCE_S = 30.0
 RED = {
     "connecting": "learning: 40 s more",
@@ -37,6 +39,80 @@ def until(true, what):
         time.sleep(0.1)
 
 
+def test_the_address_with_the_token_opens_the_page_and_its_stream(browser, tmp_path):
+    with (
+        served(tmp_path, "alarm", "rig", host="0.0.0.0", token=TOKEN) as (port, loop),
+        browser.page(f"http://127.0.0.1:{port}/?token={TOKEN}", 1280, 900, "light") as page,
+    ):
+        until(lambda: page.value("banner.innerText").startswith("Monitored by b0004"), "the stream")
+        assert page.value("location.search") == "" and page.value("document.cookie") == ""
+        page.value("document.getElementById('nothing').click()")
+        until(lambda: loop.received == ["nothing 17"], "the answer")
+
+
+ATTEMPTS = """
+window.ends = 0; window.opened = 0;
+const ended = () => { ends += 1; };
+for (const host of ["127.0.0.1:PORT", "localhost:PORT"]) {
+  const socket = new WebSocket(`ws://${host}/live`);
+  socket.onopen = () => { opened += 1; }; socket.onclose = ended;
+  fetch(`http://${host}/state`, { mode: "no-cors" }).finally(ended);
+  fetch(`http://${host}/answer`, { mode: "no-cors", method: "POST", body: '{"what":"touched"}' }).finally(ended);
+  fetch(`http://${host}/answer`, { method: "POST", headers: { "Content-Type": "application/json" },
+    body: '{"what":"touched"}' }).catch(ended);
+  const image = new Image(); image.onload = image.onerror = ended; image.src = `http://${host}/state`;
+  const events = new EventSource(`http://${host}/live`);
+  events.onopen = () => { opened += 1; }; events.onerror = () => { events.close(); ended(); };
+}"""
+
+
+class Other(BaseHTTPRequestHandler):
+    """An empty page."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, *arguments):
+        pass
+
+
+@contextmanager
+def closing(server):
+    yield
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_page_of_another_server_gets_nothing_but_a_link(browser, tmp_path, monkeypatch):
+    """Another port of this computer is the same site, and another name of it is another one."""
+    shown = []
+    monkeypatch.setattr(live_server.Folder, "state", lambda folder: shown.append(folder) or {})
+    other = ThreadingHTTPServer(("127.0.0.1", 0), Other)
+    threading.Thread(target=other.serve_forever, args=(0.05,), daemon=True).start()
+    with closing(other), served(tmp_path) as (port, loop):
+        with browser.page(f"http://localhost:{other.server_port}/", 800, 600, "light") as page:
+            page.value(ATTEMPTS.replace("PORT", str(port)))
+            until(lambda: page.value("ends") == 12, "the end of all attempts")
+            assert page.value("opened") == 0 and loop.received == [] and shown == []
+            page.value(f"location.href = 'http://127.0.0.1:{port}/'")
+            until(lambda: page.value("document.querySelector('#banner')?.className") == "good", "the page by a link")
+
+
+@pytest.mark.slow
+def test_the_stream_begins_again_with_a_new_server(browser, tmp_path):
+    with ExitStack() as stack:
+        with served(tmp_path / "a") as (port, _):
+            page = stack.enter_context(browser.page(f"http://127.0.0.1:{port}/", 800, 600, "light"))
+            until(lambda: page.value("banner.className") == "good", "the stream")
+        until(lambda: "no connection to tauext" in page.value("banner.innerText"), "its end")
+        with served(tmp_path / "b", port=port):
+            until(lambda: page.value("banner.className") == "good", "the new stream")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height", "scheme"), [(390, 844, "light"), (1280, 900, "dark")])
 @pytest.mark.parametrize(
     ("state", "arm"),
@@ -90,6 +166,7 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             until(lambda: "wrong sign" in text() and "500 samples a second" in text(), "the findings")
 
 
+@pytest.mark.slow
 def test_the_arm_is_drawn_once_its_robot_file_is_there(browser, tmp_path):
     with served(tmp_path, "learning", "rig") as (port, _):
         file = tmp_path / "cell7" / "robot.xml"
@@ -102,6 +179,7 @@ def test_the_arm_is_drawn_once_its_robot_file_is_there(browser, tmp_path):
             assert "no model of the arm" not in page.value("document.body.innerText")
 
 
+@pytest.mark.slow
 def test_buttons_of_a_simulated_arm_are_control_lines(browser, tmp_path):
     with (
         served(tmp_path, "monitoring", "rig") as (port, loop),
@@ -125,6 +203,7 @@ PRESS = """(() => {
 SHOW = "[...document.querySelectorAll('button')].find(b => b.textContent === 'show trace').click()"
 
 
+@pytest.mark.slow
 def test_a_link_is_pushed_with_the_pointer_and_a_trace_is_drawn(browser, tmp_path):
     with (
         served(tmp_path, "monitoring", "rig") as (port, loop),

@@ -1,6 +1,7 @@
 """The page of `tauext commission` while strangers hold connections: time to first byte, stream, and the loop's p99.
 
-    python benchmarks/page_load.py [--python OTHER/.venv/bin/python] [--arm rig] [--loads 40]
+    python benchmarks/page_load.py [--python OTHER/.venv/bin/python] [--arm rig] [--loads 40] [--core 1]
+        [--priority 80]
 
 Each version of tauext (that of this environment, and of each --python) commissions a simulated arm in real time until a
 bundle monitors it. The page is then loaded by its owner, LOADS times in a row, while nobody else is connected, while
@@ -169,12 +170,15 @@ def main() -> None:
     parser.add_argument("--python", action="append", default=[], help="of another version's environment; repeatable")
     parser.add_argument("--arm", default="rig", help="of sim:, default: %(default)s")
     parser.add_argument("--loads", type=int, default=40, help="of the page in each row, default: %(default)s")
+    parser.add_argument("--core", type=int, help="as for the command")
+    parser.add_argument("--priority", type=int, help="as for the command")
     options = parser.parse_args()
+    flags = [f"--{name}={value}" for name in ("core", "priority") if (value := getattr(options, name)) is not None]
     print("\n".join(head(COLUMNS)), flush=True)
     for python in (*options.python, sys.executable):
         with tempfile.TemporaryDirectory() as temporary:
             folder, port = Path(temporary) / "arm", free_port()
-            words = ["commission", "--source", f"sim:{options.arm}", "--out", str(folder), "--port", str(port)]
+            words = ["commission", "--source", f"sim:{options.arm}", "--out", str(folder), "--port", str(port), *flags]
             # Not in this folder, whose sources another version would import.
             command = subprocess.Popen([python, "-m", "tauext", *words], stdout=subprocess.DEVNULL, cwd=temporary)
             try:

@@ -7,39 +7,40 @@ from typing import Any
 
 from aiohttp import web
 
-MOST, MOST_OF_ADDRESS = 256, 128
+MOST, MOST_OF_ADDRESS = 512, 256
 """Connections at a time, of all and of one address."""
 LARGEST_REQUEST = 1 << 15
 """Bytes of a whole request."""
 REQUEST_S, ANSWER_S = 10.0, 30.0
 """Time from connecting to the end of the request, and from there to the end of the answer."""
-PROVEN_S = 10.0
-"""Age at which a stream has answered pings."""
-WAITS, ASKS, STREAMS = range(3)
+FRESH_S, PROVEN_S = 1.0, 10.0
+"""Ages from which a request is slow, and a stream has answered pings."""
+SLOW, UNPROVEN, FRESH, ASKS, PROVEN = range(5)
+"""What a connection is, in the order in which connections are closed if there are too many."""
 
 
 class Connection(web.RequestHandler):
-    """One request and its answer, or a stream. If there are too many, one without a whole request is closed first,
-    then one without the token, then a stream; of equals the oldest. The new connection is never the one."""
+    """One request and its answer, or a stream. If there are too many, one without the token is closed first, of the
+    first kind above, of equals the oldest; never the new one."""
 
     def __init__(self, others: set[Connection], server: web.Server, loop: asyncio.AbstractEventLoop):
         """others: all connections of this server."""
         super().__init__(server, loop=loop, lingering_time=1.0, auto_decompress=False)
         self.is_trusted = False
         """Its request has shown the token."""
-        self._others, self._stage, self._left = others, WAITS, LARGEST_REQUEST
+        self._others, self._is_whole, self._streams, self._left = others, False, False, LARGEST_REQUEST
         self._born_s, self._timer = loop.time(), loop.call_later(REQUEST_S, self.abort)
         self._wire: asyncio.Transport | None = None
         self._address = ""
 
     def has_request(self) -> None:
         """The request is whole."""
-        self._stage = ASKS
+        self._is_whole = True
         self._set_timer(ANSWER_S)
 
     def has_stream(self) -> None:
         """The answer is a stream, which has limits of its own."""
-        self._stage = STREAMS
+        self._streams = True
         self._timer.cancel()
 
     def abort(self) -> None:
@@ -66,7 +67,7 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        if self._stage != STREAMS:
+        if not self._streams:
             self._left -= len(data)
             if self._left < 0:
                 return self.abort()
@@ -77,8 +78,12 @@ class Connection(web.RequestHandler):
 
     def _rank(self) -> tuple[bool, int, float]:
         """The smallest is closed first."""
-        is_young = self._stage == STREAMS and self._loop.time() - self._born_s < PROVEN_S
-        return self.is_trusted, ASKS if is_young else self._stage, self._born_s
+        age_s = self._loop.time() - self._born_s
+        if self._streams:
+            kind = UNPROVEN if age_s < PROVEN_S else PROVEN
+        else:
+            kind = ASKS if self._is_whole else FRESH if age_s < FRESH_S else SLOW
+        return self.is_trusted, kind, self._born_s
 
     def _set_timer(self, seconds: float) -> None:
         self._timer.cancel()

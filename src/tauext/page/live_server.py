@@ -31,7 +31,7 @@ LONGEST_LINE = 1 << 20
 """Bytes of a line from the loop."""
 PATIENCE_S = 10.0
 """Time for an answer of the control socket."""
-ALIVE_S = 4.0
+ALIVE_S = 6.0
 """Time between two pings of a stream; one without an answer for half as long is closed."""
 UNREAD_S = 10.0
 """Time in which a stream must take a line."""
@@ -290,7 +290,7 @@ class Server:
             return await handler(request)
         except web.HTTPException as error:
             return refuse(HTTPStatus(error.status), error.reason)
-        except OSError:  # the connection has ended
+        except ConnectionError:
             raise
         except Exception as error:
             return refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"the request failed: {type(error).__name__}: {error}")
@@ -306,7 +306,7 @@ class Server:
         shown = request.query.get("token", "") if is_link else request.cookies.get(COOKIE, "")
         if not self._token:
             return ""
-        if hmac.compare_digest(shown.encode(), self._token.encode()):
+        if hmac.compare_digest(shown.encode(errors="replace"), self._token.encode()):
             connection_of(request).is_trusted = True
             return ""
         if is_link:

@@ -285,7 +285,7 @@ def test_a_name_that_another_host_could_own_is_turned_away(page):
         for path in ("/", "/state", "/?token=x"):
             wanted = 303 if status == 200 and "?" in path else status
             assert get(port, path, Host=f"{name}:{port}")[0] == wanted, (name, path)
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+    with open_wire(port) as wire:
         wire.sendall(b"GET /state HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: evil.example\r\n\r\n")
         assert wire.recv(20).split()[1] == b"400"
 
@@ -295,6 +295,7 @@ def test_a_page_for_a_network_needs_the_token_everywhere(guarded):
     for path in ("/", "/state", "/arm", "/live", "/event/16"):
         assert get(port, path)[0] == 403 and get(port, path, Cookie="tauext=wrong")[0] == 403, path
     assert post(port, "/answer", {"what": "touched"})[0] == 403 and loop.received == []
+    assert get(port, "/", Cookie=b"tauext=\xff\xfe")[0] == get(port, "/?token=%ff%00")[0] == 403
     assert get(port, "/?token=wrong")[0] == 403 and get(port, "/?token=")[0] == 403
     status, _, headers = get(port, f"/?token={TOKEN}")
     cookie = headers["Set-Cookie"]
@@ -375,7 +376,7 @@ def test_another_page_gets_no_stream(page):
 
 def raw(port, content, ends=False):
     """What the server answers to these bytes until it closes."""
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+    with open_wire(port) as wire:
         found = b""
         with suppress(OSError):
             wire.sendall(content)
@@ -473,7 +474,7 @@ def test_the_time_limit_is_that_of_the_whole_request(page, monkeypatch):
     monkeypatch.setattr(connections, "REQUEST_S", 0.4)
     assert 0.3 < dripped(port, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\na: aaaaaaaa\r\n") < 3
     head = f"POST /answer HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nContent-Type: application/json\r\n"
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as wire:
+    with open_wire(port) as wire:
         wire.sendall(f"{head}Content-Length: 900\r\n\r\n".encode())
         assert wire.recv(100) == b""  # its body does not come
 
@@ -486,13 +487,23 @@ def test_a_stream_that_is_not_read_ends_and_one_that_is_read_lasts(page, monkeyp
             assert time.monotonic() < began_s + PATIENCE_S
             time.sleep(0.05)
             stream.recv(PATIENCE_S)
-        while time.monotonic() < began_s + 1.5:
-            stream.recv(PATIENCE_S)
+        lines_for(stream, 0.5)
+
+
+def open_wire(port):
+    return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+
+
+def lines_for(stream, seconds):
+    """Read a stream for this long."""
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        stream.recv(PATIENCE_S)
 
 
 def unread_stream(port, cookie=""):
     """A connection that asks for the stream and reads nothing."""
-    wire = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+    wire = open_wire(port)
     own = f"127.0.0.1:{port}"
     wire.sendall(
         f"GET /live HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
@@ -514,7 +525,7 @@ def test_slow_connections_and_unread_streams_keep_nobody_out(tmp_path, token):
     with served(tmp_path, host="0.0.0.0" if token else "127.0.0.1", token=token) as (port, _), ExitStack() as stack:
         early = stack.enter_context(listen(port, **own)) if token else None
         for _ in range(24):
-            slow = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+            slow = stack.enter_context(open_wire(port))
             slow.sendall(b"GET / HTTP/1.1\r\nHo")
         for _ in range(200):
             stack.enter_context(unread_stream(port))
@@ -529,29 +540,28 @@ def test_slow_connections_and_unread_streams_keep_nobody_out(tmp_path, token):
                 stream.recv(PATIENCE_S)
 
 
-def test_the_oldest_that_wait_go_first_then_young_streams_and_whoever_has_the_token_last(monkeypatch, tmp_path):
+def test_slow_requests_go_first_then_young_streams_and_whoever_has_the_token_last(monkeypatch, tmp_path):
     monkeypatch.setattr(connections, "MOST_OF_ADDRESS", 4)
-    monkeypatch.setattr(connections, "PROVEN_S", 0.3)
-    with served(tmp_path) as (port, _), listen(port) as old, ExitStack() as stack:
-        for _ in range(30):
-            old.recv(PATIENCE_S)
-        waits = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
-        young = stack.enter_context(listen(port))
-        young.recv(PATIENCE_S)
-        for _ in range(6):
-            stack.enter_context(listen(port)).recv(PATIENCE_S)
-        assert waits.recv(1) == b""
+    monkeypatch.setattr(connections, "FRESH_S", 0.2)
+    monkeypatch.setattr(connections, "PROVEN_S", 0.4)
+    with served(tmp_path) as (port, _), ExitStack() as stack:
+        slow = stack.enter_context(open_wire(port))
+        old = stack.enter_context(listen(port))
+        lines_for(old, 0.5)
+        young, fresh = stack.enter_context(listen(port)), stack.enter_context(open_wire(port))
+        more = [stack.enter_context(listen(port))]  # there are four of them now
+        assert slow.recv(1) == b""
+        more += [stack.enter_context(listen(port)) for _ in range(3)]
         with pytest.raises(ConnectionClosed):
-            while True:
-                young.recv(PATIENCE_S)
-        for _ in range(9):
-            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
-        old.recv(PATIENCE_S)
+            lines_for(young, PATIENCE_S)
+        lines_for(old, 0.1)
+        fresh.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        assert b" 200 " in fresh.recv(100)
     with served(tmp_path / "g", host="0.0.0.0", token=TOKEN) as (port, _), ExitStack() as stack:
         own = {"Cookie": f"tauext={TOKEN}"}
         mine = [stack.enter_context(listen(port, **own)) for _ in range(3)]
         for _ in range(20):
-            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+            stack.enter_context(open_wire(port))
             assert get(port, **own)[0] == 200
         for one in mine:
             one.recv(PATIENCE_S)

@@ -59,8 +59,7 @@ def is_from_own_page(method: str, path: str, headers: Mapping[str, str]) -> bool
         return False
     if site in (None, "same-origin") or site == "none" and method == "GET":
         return True
-    is_link = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
-    return method == "GET" and path == "/" and is_link
+    return method == "GET" and path == "/" and headers.get("Sec-Fetch-Dest") == "document"  # a link
 
 
 def free_port(host: str, wanted: int) -> int:

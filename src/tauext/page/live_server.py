@@ -297,8 +297,7 @@ class Server:
 
     def _refusal(self, request: web.Request) -> str:
         """Why this request is refused; empty: it is not."""
-        names = request.headers.getall("Host", [""])
-        if len(names) > 1 or not is_own_host(names[0], self._host):
+        if not is_own_host(request.headers.get("Host", ""), self._host):
             return "this server has another name"
         if not is_from_own_page(request.method, request.path, request.headers):
             return "only its own page may use this server"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import resource
 from typing import Any
 
 from aiohttp import web
 
-MOST, MOST_OF_ADDRESS = 512, 256
+MOST = min(512, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2)
+MOST_OF_ADDRESS = MOST // 2
 """Connections at a time, of all and of one address."""
 LARGEST_REQUEST = 1 << 15
 """Bytes of a whole request."""

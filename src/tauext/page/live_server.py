@@ -244,6 +244,7 @@ class Server:
         self._headers = {
             "Content-Security-Policy": f"default-src 'none'; script-src 'sha256-{kept}'; style-src 'unsafe-inline'; "
             "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+            "Server": "tauext",
             "X-Content-Type-Options": "nosniff",
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
@@ -396,7 +397,8 @@ def serve(
     try:
         server = Server(host, port, folder, live, control, token)
     except OSError as error:
-        sys.exit(f"tauext: the page cannot be served at {host}, port {port}: {error.strerror or error}")
+        why = str(error.strerror or error).partition(" (")[0]
+        sys.exit(f"tauext: the page cannot be served at {host}, port {port}: {why}")
 
     async def run() -> None:
         serving = asyncio.create_task(server.run())

@@ -122,3 +122,15 @@ def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
     for one, following in zip(begun, [*begun[1:], None], strict=False):  # no line at all: only the None is left
         end = now_s if following is None else float(following.get("seconds") or 0.0)
         yield Watch(str(one.get("bundle")), float(one.get("seconds") or 0.0), end)
+
+
+def monitored_of(coverage: Any) -> dict[str, tuple[float, float]]:
+    """Seconds that each bundle monitored, and counted seconds, from coverage.json; damaged entries are left out."""
+    found: dict[str, tuple[float, float]] = {}
+    entries = coverage.get("monitored") if isinstance(coverage, dict) else None
+    for bundle, sums in entries.items() if isinstance(entries, dict) else ():
+        with suppress(TypeError, ValueError):
+            seconds, of_seconds = map(float, sums)
+            if 0 <= seconds <= of_seconds < 1e12:
+                found[str(bundle)] = (seconds, of_seconds)
+    return found

@@ -24,6 +24,7 @@ from tauext.monitor.changes import (
 )
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_facts
+from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.places import PlaceChange, place_facts
 from tauext.monitor.replay import Chunk, StatusClock, Tally, sample_facts
 
@@ -100,12 +101,17 @@ class JsonLines(PrintContext):
     def _when(self, t_ns: int) -> dict[str, Any]:
         return {"t_ns": int(t_ns), "time_s": (int(t_ns) - self._start_ns) * 1e-9}
 
+    def watched(self, monitored: Monitored) -> None:
+        pass
+
     def finish(self, outcome: Outcome) -> None:
         content: dict[str, Any] = outcome.tally.summary()
         del content["us_per_sample"]
         content |= {
             "source": asdict(outcome.counts),
             "missing": outcome.missing,
+            "monitored_s": round(outcome.monitored.seconds, 3),
+            "monitored_of_s": round(outcome.monitored.of_seconds, 3),
             "reported_after": outcome.tick.summary(),
             "flights": outcome.flights.summary(),
         }

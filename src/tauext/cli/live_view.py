@@ -17,6 +17,7 @@ from tauext.bundle.units import SEVERAL, of_all, short
 from tauext.cli.text_lines import TextLines
 from tauext.files.places import Place
 from tauext.monitor.explanation import readable
+from tauext.monitor.monitored_time import percent
 from tauext.monitor.replay import Chunk, Tally
 
 REFRESH_S = 0.1
@@ -70,7 +71,9 @@ class LiveView(TextLines):
     def heading(self, time_s: float, wall_s: float) -> str:
         """The panel's first line."""
         if math.isinf(self._duration_s):
-            return f"{self._title}  {time_s:.1f} s"
+            share = self._monitored.minute
+            watched = "" if math.isnan(share) else f", monitored {percent(share)} of the last minute"
+            return f"{self._title}  {time_s:.1f} s{watched}"
         speed = f", {time_s / wall_s:.1f} times as fast as recorded" if wall_s > 0.5 else ""
         return f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"
 

@@ -183,6 +183,7 @@ def watch(
     from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.monitor_output import Aside, OutputSink
     from tauext.cli.text_lines import Outcome
+    from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
@@ -209,7 +210,8 @@ def watch(
         loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
-        shown = OutputSink(output, aside, loop, reactions, flights)
+        remedy = how_to_hold_the_rate(settings.core, settings.priority)
+        shown = OutputSink(output, aside, loop, reactions, flights, remedy)
         loop.sinks.append(shown)
         if record is not None:
             record.note = shown.note
@@ -220,7 +222,9 @@ def watch(
         shown.print_news()
         if recorder is not None:
             shown.flights.missed = recorder.missed
+        shown.flights.repeated = flights.repeated if flights else 0
         outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
+        outcome.monitored = loop.monitored
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))

@@ -11,6 +11,7 @@ from tauext import _core
 from tauext.cli.json_lines import Output
 from tauext.monitor.flight_files import FlightCount
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
+from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.replay import PACED_CHUNK_S, Tally
@@ -84,7 +85,9 @@ class OutputSink:
         loop: Loop,
         reactions: Reactions,
         flights: FlightSink | None = None,
+        remedy: str = "",
     ):
+        """remedy: what a person can do if samples come late or not at all."""
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
         self.flights = FlightCount()
@@ -93,6 +96,7 @@ class OutputSink:
         self._most = max(1, round(PACED_CHUNK_S * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
         self._seen, self._silent_s = False, 0
+        self.monitored, self._news = Monitored(), MonitoredNews(remedy)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         pass
@@ -115,6 +119,10 @@ class OutputSink:
             if self._silent_s % QUIET_S == 0:
                 self.note("no sample yet")
             self._silent_s += 1
+        self.monitored = report.monitored
+        if line := self._news.line(report.t_ns * 1e-9, report.monitored):
+            self.note(line)
+        self._aside.do(partial(self._output.watched, report.monitored), may_be_left_out=True)
         self._print()
 
     def close(self) -> None:

@@ -30,6 +30,7 @@ from tauext.monitor.changes import (
 from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_words
+from tauext.monitor.monitored_time import Monitored, percent
 from tauext.monitor.places import PlaceChange, place_words
 from tauext.monitor.replay import Chunk, Tally
 
@@ -59,6 +60,7 @@ class Outcome:
     flights: FlightCount
     reactions: dict[str, ReactionCount] = field(default_factory=dict)
     recorded: RecordCount | None = None
+    monitored: Monitored = Monitored()
 
 
 class TextLines(PrintContext):
@@ -72,6 +74,7 @@ class TextLines(PrintContext):
         """
         self._flights, self._acknowledges = flights, acknowledges
         self._start_ns: int | None = None
+        self._monitored = Monitored()
 
     def print_line(self, line: str) -> None:
         print(line, flush=True)
@@ -122,6 +125,10 @@ class TextLines(PrintContext):
     def note(self, text: str) -> None:
         self.print_line(f"{'':13}  {text}")
 
+    def watched(self, monitored: Monitored) -> None:
+        """The share of a live arm's time that was monitored, once a second."""
+        self._monitored = monitored
+
     def switched(self, switch: ProfileSwitch) -> None:
         text = f"profile {switch.new}" + (f" (was {switch.old})" if switch.old else "") + f", by {switch.by}"
         if switch.t_ns is None or self._start_ns is None:
@@ -161,6 +168,9 @@ class TextLines(PrintContext):
         gone = [f"{n} {what}" for what, n in asdict(counts).items() if n and what != "received"]
         gone += [f"{outcome.missing} times none in time"] if outcome.missing else []
         lines.insert(1, f"source        {counts.received:,} received, {', '.join(gone) if gone else 'none lost'}")
+        if (watched := outcome.monitored).of_seconds:
+            share = watched.seconds / watched.of_seconds
+            lines.insert(2, f"monitored     {percent(share)} of {duration_text(watched.of_seconds / 3600)}")
         for name, count in outcome.reactions.items():
             events = [f"{n} {what.replace('_', ' ')}" for what, n in count.summary().items() if what != "start" and n]
             start = f"; began after {count.start.text()}" if count.start.count else ""
@@ -308,7 +318,8 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | Non
     if folder is not None:
         lost = f", {flights.failed} could not be written" if flights.failed else ""
         missed = f", {flights.missed} missed: too many in a short time" if flights.missed else ""
-        lines.append(f"flights       {flights.written} written to {folder}{lost}{missed}")
+        like = f", {flights.repeated} faults like those of the minute before have none" if flights.repeated else ""
+        lines.append(f"flights       {flights.written} written to {folder}{like}{lost}{missed}")
     return lines
 
 

@@ -27,6 +27,7 @@ from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import read_json
+from tauext.monitor.monitored_time import PARTLY, Monitored, MonitoredTime, percent
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
 from tauext.monitor.turns import Turns
 from tauext.robot.capsules import SHAPES_FILE, write_shapes
@@ -261,12 +262,14 @@ def connect(
     robot: Path | None = None,
     wait_s: float = WAIT_S,
     check: Callable[[SourceFacts], None] = lambda facts: None,
+    remedy: str = "",
 ) -> Connected:
     """Describe a source, take samples for LOOK_S, judge them, and close it.
 
     Args:
         make: makes a source that is not open; the loop then opens another one.
         check: called with the description, before the first sample; may raise a TauextError.
+        remedy: what a person can do if this computer takes samples too late.
 
     Raises:
         AwayError: the arm does not answer or sends nothing; the caller may try again.
@@ -280,9 +283,12 @@ def connect(
         check(facts)
         source.open(facts.settings)
         samples, until = list[Sample](), time.monotonic() + wait_s
+        period_s, watched = facts.settings.period_ns * 1e-9, MonitoredTime(3 * facts.settings.period_ns * 1e-9)
         while time.monotonic() < until and not source.ended:
             if (sample := source.next_sample(0.1)) is None:
                 continue
+            now_ns = time.monotonic_ns()
+            watched.add(now_ns, True, age_ns=now_ns - sample.received_ns)
             if not samples:
                 until = min(until, time.monotonic() + LOOK_S)
             samples.append(sample)
@@ -296,7 +302,23 @@ def connect(
         source.close()
     recording, lives = recording_of(samples, facts)
     notes = [Live("assumed", "note", None, note, "") for note in facts.notes]
+    lives += held_rate(watched.second(), 1 / period_s, remedy)
     return Connected(facts, [*lives, *judge([recording] if recording is not None else [], robot, facts), *notes])
+
+
+HELD = "computer"
+"""Code of the finding about this computer, which later checks of the recordings keep."""
+
+
+def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Live]:
+    """Whether this computer took the first samples in time; nothing where too few came."""
+    if watched.of_seconds < LOOK_S / 2:
+        return []
+    share = watched.seconds / watched.of_seconds
+    if share >= PARTLY:
+        return [_good(HELD, f"this computer holds the rate of {rate_hz:g} samples a second")]
+    words = f"this computer took the samples in time for only {percent(share)} of the first {watched.of_seconds:.0f} s"
+    return [Live(HELD, "warning", None, f"{words}; touches in the rest are noticed late or not at all", remedy)]
 
 
 def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Live]]:

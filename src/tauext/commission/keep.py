@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import zipfile
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tauext.bundle.history_file import monitored_of
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
@@ -22,8 +24,9 @@ from tauext.errors import TauextError
 from tauext.files.append_file import reserve, set_aside, write_synced
 from tauext.files.plain_file import json_of, read_text
 from tauext.monitor.flight_files import ENDINGS, PART
+from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink
-from tauext.monitor.sink import Answer, Control, Verdict
+from tauext.monitor.sink import Answer, Control, LoopReport, Verdict
 from tauext.monitor.source import SourceSettings
 
 # --- Coverage: what each joint has done so far, and what is missing in words.
@@ -326,6 +329,9 @@ class KeepSink(RecordSink):
         """Label of the alarm that stands, as written last."""
         self._over_ns = 0
         self._labels: dict[int, Label] = {}
+        self._monitored: dict[str, list[float]] = {}
+        """Seconds that each bundle monitored, and seconds that were counted."""
+        self._report = Monitored()
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         folder = self._kept
@@ -339,6 +345,7 @@ class KeepSink(RecordSink):
             self._coverage.seconds = max(folder.seconds(), sum(one.seconds for one in self._segments))
             self._coverage.kept_s = motion_s(folder, self._segments, ("train", "test"))
         self._labels = {one.id: one for one in folder.labels()}
+        self._monitored = {one: [a, b] for one, (a, b) in monitored_of(folder.coverage()).items()}
         self._owed: list[Label] = []
         with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
             self._tidy()
@@ -350,6 +357,13 @@ class KeepSink(RecordSink):
         super().verdict(verdict)
         if verdict.alarm_id or self._alarm is not None:
             self._watch(verdict)
+
+    def every_second(self, report: LoopReport) -> None:
+        super().every_second(report)
+        was, self._report = self._report, report.monitored
+        sums = self._monitored.setdefault(self._bundle_name(), [0.0, 0.0])
+        sums[0] += self._report.seconds - was.seconds
+        sums[1] += self._report.of_seconds - was.of_seconds
 
     def _watch(self, verdict: Verdict) -> None:
         """Follow the alarm that stands: its label begins with it and ends with the last sample over a limit."""
@@ -515,6 +529,9 @@ class KeepSink(RecordSink):
         needs = next((60 * minutes - kept_s for minutes in SCHEDULE_MIN if 60 * minutes > kept_s), None)
         size = sum(one.bytes for one in self._segments)
         content = self._coverage.facts(size, int(self._budget), None if needs is None else round(needs, 1))
+        content |= {"monitored": {one: [round(s, 1) for s in sums] for one, sums in [*self._monitored.items()] if one}}
+        if not math.isnan(hour := self._report.hour):
+            content["monitored_hour"] = round(hour, 5)
         self._coverage.save(folder.path / "coverage.npz")
         write_synced(folder.coverage_file, json.dumps(content) + "\n")
         reserve(folder.path)

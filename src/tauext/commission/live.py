@@ -24,6 +24,7 @@ from tauext.files.plain_file import FORMAT
 from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
 from tauext.monitor.control_lines import listen_at
+from tauext.monitor.monitored_time import Monitored, blind_words
 from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
@@ -125,6 +126,12 @@ def rounded(values: Any) -> list[float | None]:
     ]
 
 
+def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
+    """Shares of the last minute and hour for the page, with the reason and remedy of a loss."""
+    words = blind_words(now, remedy) if now.level else ""
+    return {"minute": finite(now.minute), "hour": finite(now.hour), "level": now.level, "words": words}
+
+
 class LiveSink:
     """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict and those with changes.
 
@@ -135,6 +142,8 @@ class LiveSink:
         """path: socket that only its owner may read; one that a killed process left is replaced."""
         self.state, self.says, self.lost = "connecting", "", ""
         """Words for the page; any thread may set them."""
+        self.remedy = ""
+        """What a person can do if samples come late or not at all."""
         self.bundle: str | None = None
         self.changed: Callable[[dict[str, Any]], None] = lambda event: None
         """Called in this sink's thread with the facts of every alarm that changes."""
@@ -263,6 +272,7 @@ class LiveSink:
             "alarm": None if alarm is None else alarm | {"answer": self.answers(alarm["id"])},
             "rate_hz": finite(report.rate_hz) if report else None,
             "tick_p99_us": finite(report.tick_p99_us) if report else None,
+            "monitored": monitored_facts(report.monitored, self.remedy) if report else None,
         }
         if verdict is None or book is None:
             return line

@@ -43,9 +43,11 @@ from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
-from tauext.monitor.control_lines import ControlSocket
+from tauext.monitor.control_lines import CONTROL, ControlSocket
 from tauext.monitor.exchange import Exchanged
+from tauext.monitor.latency import how_to_hold_the_rate
 from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.monitored_time import MINUTE_S, MonitoredNews
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import expect_actions, start_reactions
 from tauext.monitor.record_sink import FlightSink
@@ -208,10 +210,10 @@ class Commission:
         self._keeper.learn = self._learn
         self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
         self.steering = Steering(self._keeper, self.stop)
-        control = ControlSocket(at / "control.sock", self.steering)
+        self._children: list[Child] = []
+        control = ControlSocket(at / "control.sock", self.steering, self._origin)
         stack.callback(control.close)
         folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
-        self._children: list[Child] = []
         if options.page is not None:
             arguments = (folder.path, at / "live.sock", at / "control.sock", options.host, options.port, options.token)
             self._children.append(Child("page", options.page, arguments))
@@ -230,6 +232,12 @@ class Commission:
         self._arm: Any = None
         """The description with which the loop runs."""
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
+        self._live.remedy = how_to_hold_the_rate(options.core, options.priority)
+        self._watched, self._lost_s = MonitoredNews(self._live.remedy), -math.inf
+
+    def _origin(self, process: int) -> str:
+        """Origin of a control line from this process, for the log."""
+        return next((one.name for one in self._children if one.pid == process), CONTROL)
 
     def run(self) -> None:
         if self._options.address:
@@ -288,7 +296,7 @@ class Commission:
         wait_s = RETRY_S
         while True:
             try:
-                found = connect(self._open_again, self._robot(), check=self._expect_reactions)
+                found = connect(self._open_again, self._robot(), check=self._expect_reactions, remedy=self._live.remedy)
                 break
             except AwayError as error:
                 if str(error) != self._live.says:
@@ -412,6 +420,7 @@ class Commission:
         self._folder.sync()
         self._show_news()
         self._show_state()
+        self._show_monitored(bool(self._live.lost), time.monotonic())
         if (loop := self._loop) is None:
             return
         self._news_of_flights()
@@ -509,6 +518,13 @@ class Commission:
             self._lost = words
             self._note(words or "journal: the loss is accepted")
         return words
+
+    def _show_monitored(self, is_lost: bool, now_s: float) -> None:
+        """Report a loss of monitored time; a source that is away has its own line, and counts in the minute after."""
+        self._lost_s = now_s if is_lost else self._lost_s
+        if self._loop is not None and now_s > self._lost_s + MINUTE_S:
+            if line := self._watched.line(now_s, self._loop.monitored):
+                self._note(line)
 
     # Answers and messages.
 

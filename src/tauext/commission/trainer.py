@@ -21,6 +21,7 @@ from tauext.check.finding import Finding
 from tauext.check.preflight import WORTH_A_WARNING
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
 from tauext.commission.connect import (
+    HELD,
     Live,
     as_data,
     as_entries,
@@ -180,17 +181,22 @@ class Trainer:
             lives = judge(load_known(self.folder, newest[::-1]), self._robot(), facts)
             if (now := settled(facts, lives)) != facts:
                 folder.save(arm=as_data(now))
-            self._report(lives)
-            write_synced(folder.findings_file, json.dumps({"findings": as_entries(lives)}, default=float) + "\n")
+            known = self._known()
+            self._report(lives, known)
+            found = [*as_entries(lives), *(one for one in known if one.get("code") == HELD)]
+            write_synced(folder.findings_file, json.dumps({"findings": found}, default=float) + "\n")
         except TauextError as error:
             folder.log(f"the stream cannot be checked: {error}")
         self._checked_s = max(seconds, self._checked_s)
 
-    def _report(self, lives: Sequence[Live]) -> None:
-        """Add faults and warnings that the last check did not find to the history."""
-        known: list[dict[str, Any]] = []
+    def _known(self) -> list[dict[str, Any]]:
+        """Findings of the last check."""
         with suppress(OSError, ValueError, LookupError, TypeError):  # none yet, or damaged
-            known = json_of(read_text(self.folder.findings_file))["findings"]
+            return [one for one in json_of(read_text(self.folder.findings_file))["findings"] if isinstance(one, dict)]
+        return []
+
+    def _report(self, lives: Sequence[Live], known: Sequence[dict[str, Any]]) -> None:
+        """Add faults and warnings that the last check did not find to the history."""
         before = {(one.get("code"), one.get("joint"), one.get("severity")) for one in known}
         for live in lives:
             if live.severity in ("fault", "warning") and (live.code, live.joint, live.severity) not in before:

@@ -10,6 +10,7 @@ import struct
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
@@ -26,6 +27,8 @@ UNHEARD_S = 5.0
 UNREAD_S = 5
 """Time in which a connection must take an answer, [s]; a whole number."""
 RETRY_S = 0.1
+CONTROL = "control socket"
+"""Origin of a line from the control socket, for the log."""
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
     "`weigh [tell|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
@@ -119,9 +122,12 @@ def listen_at(path: Path) -> socket.socket:
 class ControlSocket:
     """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
-    def __init__(self, path: Path, control: Control):
-        """Raises ConfigError if no socket can be made, or another monitor listens there."""
-        self._path, self._control = path, control
+    def __init__(self, path: Path, control: Control, origin: Callable[[int], str] = lambda process: CONTROL):
+        """Raises ConfigError if no socket can be made, or another monitor listens there.
+
+        origin: origin of the lines that come from a process, given its number, -1 where the system states none.
+        """
+        self._path, self._control, self._origin = path, control, origin
         self._spoke: dict[socket.socket, float] = {}
         """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none, infinite
         while a line is executed."""
@@ -193,14 +199,23 @@ class ControlSocket:
             connection.makefile("r", encoding="utf-8", newline="\n") as lines,
             connection.makefile("w", encoding="utf-8") as answers,
         ):
+            by = self._origin(peer_of(connection))
             # Only writing has a limit: a caller may be silent for hours.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", UNREAD_S, 0))
             while line := lines.readline(LONGEST):
                 self._speaks(connection, math.inf)
-                answer = obey(line, self._control, "control socket")
+                answer = obey(line, self._control, by)
                 self._speaks(connection, time.monotonic())
                 answers.write(answer + "\n")
                 answers.flush()
+
+
+def peer_of(connection: socket.socket) -> int:
+    """Number of the process at the other end; -1 where the system states none."""
+    with suppress(OSError, AttributeError, struct.error):
+        size = struct.calcsize("3i")
+        return int(struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[0])
+    return -1
 
 
 def listened_to(path: Path) -> bool:

@@ -65,6 +65,8 @@ class FlightCount:
     missed: int = 0
     error: str = ""
     """Error of the first failed flight."""
+    repeated: int = 0
+    """Faults without a flight, since one with their causes was written in the minute before."""
 
     def add(self, news: FlightNews) -> None:
         """Count one more."""
@@ -74,12 +76,14 @@ class FlightCount:
 
     def merge(self, other: FlightCount) -> None:
         """Add another recording's."""
+        self.repeated += other.repeated
         self.written, self.failed = self.written + other.written, self.failed + other.failed
         self.missed += other.missed
         self.error = self.error or other.error
 
     def summary(self) -> dict[str, int]:
-        return {"written": self.written, "failed": self.failed, "missed": self.missed}
+        repeated = {"repeated": self.repeated} if self.repeated else {}
+        return {"written": self.written, "failed": self.failed, "missed": self.missed} | repeated
 
     def expect_all_written(self) -> None:
         """Raise ConfigError if a flight could not be written."""
@@ -121,9 +125,24 @@ class FlightWriter:
     that still waits for samples, writes everything and ends the thread; nothing is lost.
     """
 
-    def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
-        """write: writes one flight and returns its path; raises TauextError on failure."""
+    def __init__(
+        self,
+        recorder: _core.FlightRecorder,
+        write: Callable[[Flight], Path],
+        poll_s: float = POLL_S,
+        fault_every_s: float = 0.0,
+    ):
+        """
+        Args:
+            write: writes one flight and returns its path; raises TauextError on failure.
+            fault_every_s: least time between two flights of faults with the same causes; others are counted in
+                `repeated`.
+        """
         self.recorder, self._write, self._poll_s = recorder, write, poll_s
+        self.repeated = 0
+        self._fault_every_ns = round(fault_every_s * 1e9)
+        self._faults: dict[str, int] = {}
+        """Stamp of the newest written fault of each cause, [ns]."""
         self._waiting: deque[Flight] = deque()
         self._news: deque[FlightNews] = deque()
         self._taking = threading.Lock()
@@ -181,13 +200,26 @@ class FlightWriter:
                 self._wake.clear()
                 self._take()
                 while self._waiting:
-                    self._news.append(self._written(self._waiting[0]))
+                    if self._is_repeated(self._waiting[0]):
+                        self.repeated += 1
+                    else:
+                        self._news.append(self._written(self._waiting[0]))
                     self._waiting.popleft()
                 if ended:
                     return
                 self._wake.wait(self._poll_s)
         except BaseException as broken:  # a bug: raised by the thread that waits for this one
             self._broken = broken
+
+    def _is_repeated(self, flight: Flight) -> bool:
+        """Whether it is a fault whose causes all had a flight just before."""
+        if not self._fault_every_ns or event_kind(flight) != "fault":
+            return False
+        t_ns, causes = int(flight["event"].t_ns), list(flight["event"].causes)
+        if causes and all(abs(t_ns - self._faults.get(one, -(1 << 62))) < self._fault_every_ns for one in causes):
+            return True
+        self._faults |= dict.fromkeys(causes, t_ns)
+        return False
 
     def _written(self, flight: Flight) -> FlightNews:
         what, t_ns = event_kind(flight), int(flight["event"].t_ns)

@@ -82,3 +82,11 @@ def ask_for_real_time(core: int | None, priority: int | None) -> list[str]:
         except OSError as error:
             results.append(f"no SCHED_FIFO, priority {priority}: {error.strerror}; `ulimit -r` or root allow it")
     return results
+
+
+def how_to_hold_the_rate(core: int | None, priority: int | None) -> str:
+    """What to do on a computer that takes samples too late, with the options of the command that are not used yet."""
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+    options = [f"--core {cores[-1]}"] if core is None and len(cores) > 1 else []
+    options += ["--priority 50"] if priority is None else []
+    return "close other programs" + (f", or start with {' '.join(options)}" if options else "")

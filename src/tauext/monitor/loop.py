@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION, NONE
+from tauext.bundle.estimates import COLLISION, NONE, OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
@@ -38,6 +38,7 @@ from tauext.monitor.exchange import (
 )
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
+from tauext.monitor.monitored_time import Monitored, MonitoredTime
 from tauext.monitor.places import PlaceFinder
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
@@ -160,6 +161,8 @@ class Loop:
         self.tick = Latencies()
         """Time from a sample's reception until every sink has received its verdict."""
         self.missing = self.samples = 0
+        self.monitored = Monitored()
+        """Share of the time in which the arm was monitored, once a second."""
         self.alarms = 0
         """Number of alarms so far, which is the newest one's number; set it before run() to continue a count."""
         self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
@@ -196,6 +199,7 @@ class Loop:
         self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
+        self._watched = MonitoredTime(self._missing_after_s)
 
     # Control: any thread; see Control.
 
@@ -341,6 +345,7 @@ class Loop:
             self._running = False
             self._exchanges.put(None)
             sys.setswitchinterval(interval)
+            self.monitored = self._watched.second()
             self._source.close()
             self._forward_notes()
             self._reactions.end()
@@ -399,9 +404,11 @@ class Loop:
             self._remember(self._ring, sample, estimates)
         self._publish(sample.t_ns, sample, estimates)
         self.samples += 1
-        ns = time.monotonic_ns() - sample.received_ns
+        now_ns = time.monotonic_ns()
+        ns = now_ns - sample.received_ns
         self.tick.add(ns)
         self._second.add(ns)
+        self._watched.add(now_ns, estimates["health"][0] == OK, int(estimates["causes"][0]), ns)
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
@@ -412,7 +419,9 @@ class Loop:
         self._acknowledge_when_due(t_ns)
         if self._ring is not None:
             self._ring.miss(t_ns)
-        self._publish(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
+        estimates = self.monitor.run_missing(t_ns, self._recorder)
+        self._publish(t_ns, None, estimates)
+        self._watched.add(time.monotonic_ns(), False, int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
     def _remember(self, ring: Ring, sample: Sample, estimates: dict[str, np.ndarray]) -> None:
@@ -525,7 +534,9 @@ class Loop:
         name = self._profile.name if self._profile else ""
         counts = replace(self._source.counts)
         now_ns = time.monotonic_ns()
-        report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *quantiles, longest, name)
+        times = (*quantiles, longest)
+        self.monitored = self._watched.second()
+        report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *times, name, self.monitored)
         self._second = Latencies()
         self._forward_notes()
         self._each_sink(lambda sink: sink.every_second(report))

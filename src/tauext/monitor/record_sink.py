@@ -216,6 +216,10 @@ def file_name(text: str) -> str:
 # --- Flights of a live arm, written by a thread while the loop runs.
 
 
+FAULT_EVERY_S = 60.0
+"""Least time between two flights of one cause, [s]: a busy computer makes hundreds of gaps an hour."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """The origin of a flight, with the fields of a recording that its files state."""
@@ -233,7 +237,7 @@ class FlightSink(FlightWriter):
 
     def __init__(self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str):
         """folder: exists. bundle: None: none monitors yet, and flights are lost. source: its name, for file names."""
-        super().__init__(recorder, self._write_here)
+        super().__init__(recorder, self._write_here, fault_every_s=FAULT_EVERY_S)
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
 

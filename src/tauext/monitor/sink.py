@@ -13,6 +13,7 @@ from tauext._core import Bundle, Load, Monitor
 from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
 from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.loads import Expected
+from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.places import PlaceChange, newtons, place_facts
 from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
@@ -92,6 +93,8 @@ class LoopReport:
     tick_max_us: float
     profile: str
     """The active profile; empty without profiles."""
+    monitored: Monitored = Monitored()
+    """Share of the time in which the arm was monitored."""
 
 
 class Sink(Protocol):

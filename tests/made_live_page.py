@@ -20,7 +20,8 @@ import numpy as np
 
 from tauext.files import journal
 
-STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost")
+STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost",
+          "partly", "blind")  # fmt: skip
 JOINTS = {
     "rig": ("joint1", "joint2"),
     "seven": tuple(f"joint{i + 1}" for i in range(7)),
@@ -33,7 +34,10 @@ JOINTS = {
         "wrist_3_joint",
     ),
 }
-SENTENCE = "COLLISION on the link of joint2 (91 %): a push of 34 N; 12.4 Nm at joint2, limit 6.1 Nm"
+SENTENCE = "Touched at joint2, about 34 N"
+DETAILS = "COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 5.6 Nm"
+SHARES = {"partly": (0.972, 1), "blind": (0.613, 2)}
+"""Share of the last minute that was monitored, and its level."""
 
 
 def now(ago_s: float = 0.0) -> str:
@@ -48,10 +52,24 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
     n = len(joints)
     bundle = None if state in ("connecting", "learning") else "b0004"
     q = [(0.5 + 0.1 * j) * math.sin(0.6 * t_s + j) + (0.6 if j % 2 else 0.1) for j in range(n)]
-    tau = [0.4 * math.sin(1.7 * t_s + 2 * j) + 0.1 * math.sin(9 * t_s + j) for j in range(n)]
-    if state == "alarm" and n > 1:
-        tau[1] += 12.4 * math.exp(-(((t_s % 20) - 10) ** 2))
     values = (lambda x: [round(one, 4) for one in x]) if bundle else (lambda x: [None] * n)
+    sigma, limit = [0.25 + 0.05 * j for j in range(n)], [6.1 - 0.5 * j for j in range(n)]
+
+    def point(age_s: float, wide: bool = False) -> list:
+        """A point of the curves; a push 5 s before the start, and no estimate for a second before it."""
+        at_s = t_s - age_s
+        if not bundle or -8 < at_s < -7 or (state == "blind" and math.sin(3 * at_s) > 0.6):
+            return [round(1000 * age_s), *[[]] * (4 if wide else 1)]
+        tau = [0.4 * math.sin(1.7 * at_s + 2 * j) + 0.1 * math.sin(9 * at_s + j) for j in range(n)]
+        if state in ("alarm", "answered", "unanswered") and n > 1:
+            tau[1] += 12.4 * math.exp(-(((at_s + 5) / 0.3) ** 2))
+            tau[0] += 45 * math.exp(-(((at_s + 5) / 0.2) ** 2))
+        rest = [values(sigma), values(limit), values([one / 2 for one in limit])] if wide else []
+        return [round(1000 * age_s), values(tau), *rest]
+
+    share, level = SHARES.get(state, (0.9993, 0))
+    words = f"only {100 * share:.1f} % of the last minute was monitored: samples came late or not at all; close other "
+    words += "programs, or start with --core 1 --priority 50"
     alarm = {
         "id": 17,
         "level": "collision",
@@ -61,6 +79,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "newtons": 34.0,
         "place": {"link": 1, "point": [0.05, 0.1, 0.2], "force": [30.0, 10.0, -12.0], "q": q},
         "sentence": SENTENCE,
+        "details": DETAILS,
         "answer": "touched" if state == "answered" else None,
     }
     return {
@@ -70,7 +89,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "state": "asking" if state in ("alarm", "question") else state if not bundle else "monitoring",
         "says": LOST
         if state == "journal"
-        else "at most one false alarm in 20 minutes"
+        else ""
         if bundle
         else "learning: 40 s more motion until the first training",
         "lost": "no sample for 12 s; connecting again" if state == "lost" else "",
@@ -78,17 +97,21 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "joints": list(joints),
         "units": ["N m"] * n,
         "q": q,
-        "tau_ext": values(tau),
-        "sigma": values([0.25 + 0.05 * j for j in range(n)]),
-        "limit": values([6.1 - 0.5 * j for j in range(n)]),
-        "contact_limit": values([3.1 - 0.25 * j for j in range(n)]),
+        "tau_ext": point(0.0)[1] or [None] * n,
+        "sigma": values(sigma),
+        "limit": values(limit),
+        "contact_limit": values([one / 2 for one in limit]),
+        "trace": [point(0.025 * k) for k in (3, 2, 1, 0)],
+        "past": [point(0.1 * k, wide=True) for k in range(199, -1, -1)],
+        "monitored": {"minute": share, "hour": share, "level": level,
+                      "words": (words.upper() if level == 2 else words) if level else ""},
         "near_stiction": [False] * n,
         "health": "ok" if bundle else "warming up",
         "causes": [],
         "alarm": alarm if state in ("alarm", "answered") else None,
         "rate_hz": 1000.0,
         "tick_p99_us": 61.0,
-    }
+    }  # fmt: skip
 
 
 def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
@@ -154,9 +177,10 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
         journal.append(folder, one["kind"], one)
     events = [
         {"id": 15, "wall": now(5000), "level": "contact", "joint": joints[0], "answer": "nothing", "by": "page",
-         "sentence": "contact on the link of joint1 (80 %): 6 N", "t_ns": 0, "flight": None},
+         "sentence": "Touched at joint1, about 6 N", "details": "Contact on the link of joint1 (80%)", "t_ns": 0,
+         "flight": None},
         {"id": 16, "wall": now(90), "level": "collision", "joint": joints[1], "t_ns": 3_000_000_000,
-         "sentence": SENTENCE, "answer": None if state == "unanswered" else "touched",
+         "sentence": SENTENCE, "details": DETAILS, "answer": None if state == "unanswered" else "touched",
          "flight": "sim-3.000s-collision.parquet"},
     ]  # fmt: skip
     if state == "alarm":

@@ -10,22 +10,26 @@ from collections import deque
 from contextlib import ExitStack, contextmanager
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 from made_live import ScriptedSource, samples_of
 
+from tauext.bundle.estimates import OK, STALE
 from tauext.bundle.history_file import read_events
 from tauext.commission.answers import EventKeeper, Steering
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
-from tauext.commission.live import MOST_READERS, LiveSink, rounded
+from tauext.commission.live import MOST_READERS, PAST_EVERY, AlarmBook, LiveSink, points_of, rounded
 from tauext.commission.processes import Child
 from tauext.commission.run import AGAIN_S, Commission
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
+from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
+from tauext.monitor.places import PlaceChange
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
 
@@ -96,11 +100,14 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
     with arm(tmp_path / "cell") as one:
         (shown,) = lines_of(one.live._path)
         assert shown["alarm"]["id"] == 1 and shown["alarm"]["level"] == "collision" and shown["alarm"]["answer"] is None
-        assert shown["alarm"]["sentence"].startswith("COLLISION") and JOINTS[0] in shown["alarm"]["sentence"]
+        assert shown["alarm"]["sentence"] == f"Touched at {JOINTS[0]} or beyond it"
+        assert shown["alarm"]["details"].startswith("COLLISION") and JOINTS[0] in shown["alarm"]["details"]
         until(lambda: len(one.notes) == 2, "the alarm's lines in the terminal")
         contact, collision = one.notes
-        assert contact.startswith("alarm 1: Contact: ") and collision.startswith("alarm 1: COLLISION")
-        assert collision.endswith("limit 2 Nm; answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
+        assert "(Contact: " in contact and collision.startswith(
+            f"alarm 1: Touched at {JOINTS[0]} or beyond it (COLLISION"
+        )
+        assert collision.endswith("limit 2 Nm); answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
         assert shown["bundle"] == one.bundle.name and len(shown["tau_ext"]) == len(shown["q"]) == len(JOINTS)
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
         assert obey("nothing 7", one.steering, "test") == "error: nothing: there is no alarm 7; the newest is 1"
@@ -114,6 +121,43 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
     (event,) = read_events(one.folder.path)
     assert event["ended"] and event["answer"] == "touched" and event["held_ns"] > event["t_ns"]
     assert len(event["over"]) == len(JOINTS) and 1 < event["over"][0] and abs(event["over"][1]) < event["over"][0]
+
+
+def test_curves_keep_the_peak_of_one_sample_and_are_empty_without_an_estimate():
+    def verdict(t_ms, tau, health=OK):
+        columns = {"tau_ext": tau, "contact_sigma_nm": 0.1, "limit_nm": 2.0, "contact_limit_nm": 1.0}
+        estimates = {name: np.array([[value, value / 4]]) for name, value in columns.items()}
+        return SimpleNamespace(t_ns=t_ms * 1_000_000, estimates=estimates | {"health": np.array([health])})
+
+    peak = [verdict(k, -7.5 if k == 31 else 0.5) for k in range(50)]
+    gap = [verdict(k, math.nan, STALE) for k in (60, 70)]
+    points = points_of([*peak, *gap, verdict(80, 0.5)], 25_000_000)
+    assert [one.facts(100_000_000)[:2] for one in points] == [
+        [100, [0.5, 0.125]], [69, [-7.5, -1.875]], [30, []], [20, [0.5, 0.125]],
+    ]  # fmt: skip
+    assert points[1].facts(100_000_000)[2:] == [[0.1, 0.025], [2.0, 0.5], [1.0, 0.25]]
+
+
+def test_a_page_that_is_opened_gets_the_past(tmp_path):
+    with arm(tmp_path / "cell") as one:
+        lines = lines_of(one.live._path, PAST_EVERY + 1)
+        (past,) = [line["past"] for line in lines if "past" in line][:1]
+        ages = [age for age, *_ in past]
+        assert len(past) > 30 and ages == sorted(ages, reverse=True) and ages[0] > 3000
+        assert max(abs(tau[0]) for _, tau, *_ in past if tau) > 3  # the push, seconds ago
+
+
+def test_force_and_torque_of_an_alarm_are_of_one_moment():
+    book = AlarmBook(("a", "b"), ("N m", "N m"))
+    rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0)
+    best = SimpleNamespace(link=1, point=(0, 0, 0), force=(0.0, 84.3, 0.0))
+    place = PlaceChange(5, 50, 2, 1, 0.1, ((1, 0.95), (0, 0.05)), (), best, 0.5, None, (0.1, -21.0))
+    verdict = SimpleNamespace(t_ns=10, alarm_id=3, changes=(rise,), sample=None)
+    (risen,) = book.see(verdict)
+    assert (risen["sentence"], risen["tau_ext_nm"]) == ("Touched at b or beyond it", 2.5)
+    (placed,) = book.see(SimpleNamespace(t_ns=50, alarm_id=3, changes=(place,), sample=None))
+    assert placed["sentence"] == "Touched at b, about 84 N"
+    assert placed["details"] == "COLLISION on the link of b (95%; a 5%): 21 Nm at b, limit 2 Nm"
 
 
 def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):

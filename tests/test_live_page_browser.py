@@ -1,18 +1,21 @@
 """The live page in Chromium: what it shows in each state, on a phone and on a desktop, light and dark."""
 
+import json
 import threading
 import time
 from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+import numpy as np
 import pytest
 
 pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
-from made_live_page import LOST
+from made_live_page import JOINTS, LOST
 from test_live_page import TOKEN, served
 
 from tauext.page import live_server
+from tauext.sim.arms import ARMS
 
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}")
 PATIENCE_S = 30.0
@@ -23,6 +26,15 @@ RED = {
     "lost": "the source is silent: no sample for 12 s",
 }
 """States in which nothing is monitored, and why."""
+
+
+BANNERS = {
+    "alarm": "plain: Monitored by b0004",
+    "answered": "plain: Monitored by b0004",
+    "partly": "partly: Not fully monitored\nOnly 97.2 % of the last minute was monitored: samples came late",
+    "journal": f"bad: Monitored by b0004, but learning stopped\n{LOST}",
+    "blind": "bad: HARDLY MONITORED\nOnly 61.3 % of the last minute was monitored: samples came late",
+}
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +139,8 @@ def test_the_stream_begins_again_with_a_new_server(browser, tmp_path):
         ("silent", "rig"),
         ("lost", "rig"),
         ("journal", "rig"),
+        ("partly", "rig"),
+        ("blind", "rig"),
     ],
 )
 def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
@@ -141,12 +155,24 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
         def banner():
             return page.value("banner.className + ': ' + banner.innerText")
 
-        shown = f"bad: NOTHING IS MONITORED\n{RED[state]}" if state in RED else "good: Monitored by b0004"
-        if state == "journal":
-            shown = f"bad: Monitored by b0004, but learning stopped\n{LOST}"
+        shown = (
+            f"bad: NOTHING IS MONITORED\n{RED[state]}"
+            if state in RED
+            else BANNERS.get(state, "good: Monitored by b0004")
+        )
         until(lambda: banner().startswith(shown), shown)
         until(lambda: arm == "none" or page.value("!!(arm && shown && shown.drawn.length)"), "the arm")
         assert page.value("document.documentElement.scrollWidth") <= width  # nothing hangs over
+        if state in ("alarm", "answered"):
+            until(lambda: page.value(GREEN) == [], "nothing green while the alarm stands")
+            assert page.value("alarm.getBoundingClientRect().top < banner.getBoundingClientRect().top")
+            assert page.value("alarm.children[0].innerText") == "Touched at joint2, about 34 N"
+        if state == "learning":
+            assert page.value("!learn.hidden && learn.innerText.startsWith('about ')")
+        if state == "monitoring":
+            until(lambda: page.value("past.length > 250 && past[0].ms < heard_ms - 19000"), "the past of the curves")
+            words = "Still learning: at most one false alarm in 8 hours; rarer with every hour"
+            assert page.value("document.getElementById('promise').innerText") == words
         if state == "alarm":
             until(lambda: "The alarm stands until" in text(), "the alarm")
             page.value("document.getElementById('nothing').click()")
@@ -191,6 +217,12 @@ def test_buttons_of_a_simulated_arm_are_control_lines(browser, tmp_path):
         until(lambda: {f"sim {one}" for one in lines} <= set(loop.received), "the lines")
 
 
+GREEN = """(() => {
+  const one = document.createElement("i"); one.style.color = css("--green"); document.body.append(one);
+  const green = getComputedStyle(one).color; one.remove();
+  const is_green = e => [getComputedStyle(e).color, getComputedStyle(e).borderLeftColor].includes(green);
+  return [...document.querySelectorAll("body *")].filter(e => e.offsetParent && is_green(e)).map(e => e.innerText);
+})()"""
 PRESS = """(() => {
   const s = shown.drawn.at(-1), x = (s.pa[0] + s.pb[0]) / 2, y = (s.pa[1] + s.pb[1]) / 2;
   const c = arm_canvas, r = c.getBoundingClientRect();
@@ -212,6 +244,12 @@ def test_a_link_is_pushed_with_the_pointer_and_a_trace_is_drawn(browser, tmp_pat
         until(lambda: page.value("!!(shown && shown.drawn.length && state.commission)"), "the arm")
         page.value(PRESS)
         until(lambda: any(one.startswith("sim push joint=joint") for one in loop.received), "the push")
+        size, why = page.value("push_words(live.q)")
+        assert 20 <= int(size.removesuffix(" N")) <= 50 and (
+            "below the limit of" in why or why == "this force turns no joint"
+        )
+        page.value("pushed.x = pushed.x0 + 2")
+        assert page.value("push_words(live.q)") == ["1 N", "drag further"]
         page.value("arm_canvas.dispatchEvent(new PointerEvent('pointerup', { pointerId: 1 }))")
         time.sleep(0.3)
         count = len(loop.received)
@@ -219,3 +257,42 @@ def test_a_link_is_pushed_with_the_pointer_and_a_trace_is_drawn(browser, tmp_pat
         assert len(loop.received) == count  # it is not renewed any more
         page.value(SHOW)
         until(lambda: page.value("document.querySelectorAll('canvas.trace').length") == 1, "the trace")
+
+
+@pytest.mark.parametrize("arm", ["rig", "seven"])
+def test_torques_of_a_push_are_those_of_mujoco(browser, tmp_path, arm):
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(ARMS[arm]().xml)
+    data, rng = mujoco.MjData(model), np.random.default_rng(7)
+    with (
+        served(tmp_path, "monitoring", arm) as (port, _),
+        browser.page(f"http://127.0.0.1:{port}/", 1280, 900, "light") as page,
+    ):
+        until(lambda: page.value("!!(arm && shown)"), "the arm")
+        for link in range(len(JOINTS[arm])):
+            data.qpos[:] = rng.uniform(-1, 1, model.nq)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            point, force = rng.uniform(-1, 1, 3), rng.uniform(-50, 50, 3)
+            turning = np.zeros((3, model.nv))
+            body = model.jnt_bodyid[link]
+            mujoco.mj_jac(model, data, turning, None, point, body)
+            words = ", ".join(json.dumps(list(map(float, one))) for one in (data.qpos, point, force))
+            found = page.value(f"((q, point, force) => torques_of(q, {link}, point, force))({words})")
+            np.testing.assert_allclose(found, turning.T @ force, atol=1e-6)
+
+
+def test_a_message_covers_no_button(browser, tmp_path):
+    with (
+        served(tmp_path, "alarm", "seven") as (port, _),
+        browser.page(f"http://127.0.0.1:{port}/", 390, 844, "light") as page,
+    ):
+        until(lambda: page.value("!document.getElementById('alarm').hidden"), "the alarm")
+        page.value("say('stored: touched; this motion is never trained on')")
+        over = """(() => {
+          const t = toast.getBoundingClientRect(), meets = r => r.width && r.top < t.bottom && r.bottom > t.top
+            && r.left < t.right && r.right > t.left;
+          return [...document.querySelectorAll("button")].filter(b => meets(b.getBoundingClientRect())).length;
+        })()"""
+        assert page.value("toast.getBoundingClientRect().height > 10") and page.value(over) == 0

@@ -173,7 +173,10 @@ class EventKeeper:
         )
         if event.get("level") != known.get("level") and event.get("sentence"):
             number = event["id"]
-            self._note(f"alarm {number}: {event['sentence']}; answer: `touched {number}` or `nothing {number}`")
+            details = f" ({event['details']})" if event.get("details") else ""
+            self._note(
+                f"alarm {number}: {event['sentence']}{details}; answer: `touched {number}` or `nothing {number}`"
+            )
         if self._events[event["id"]] != known:
             self._folder.append_event(self._events[event["id"]])
         if len(self._events) > MOST_EVENTS:

@@ -187,8 +187,8 @@ def write_history(folder: Place, out: Place) -> Place:
         ),
         table(
             "Alarms",
-            ("number", "time", "bundle", "what", "answer"),
-            [[in_words(one.get(key)) for key in ("id", "wall", "bundle", "sentence", "answer")]
+            ("number", "time", "bundle", "what", "", "answer"),
+            [[in_words(one.get(key)) for key in ("id", "wall", "bundle", "sentence", "details", "answer")]
              for one in read_events(folder)],
         ),
         table("History", ("time", ""), [(in_words(one.get("wall")), in_words(one["words"])) for one in history]),

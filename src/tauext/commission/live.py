@@ -11,13 +11,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, OK, TOUCHES
 from tauext.bundle.units import short
 from tauext.commission.folder import wall
 from tauext.files.plain_file import FORMAT
@@ -25,7 +26,7 @@ from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
 from tauext.monitor.control_lines import listen_at
 from tauext.monitor.monitored_time import Monitored, blind_words
-from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons
+from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons, run_of
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
 
@@ -34,8 +35,15 @@ MOST_READERS = 8
 """Readers of the socket; a further one takes the place of one that does not read, else of the oldest."""
 UNREAD_S = 5.0
 """Time in which a reader must take a line."""
+POINT_NS = 25_000_000
+"""Time of a point of the page's torque curves: its sample with the largest share of a limit."""
+PAST_S, PAST_EVERY = 20.0, 20
+"""Past that a page shows when it is opened, and lines between two copies of it."""
+PAST_POINT_NS = 100_000_000
 OVER_S = 0.5
 """Time within all limits after which a touch is over."""
+MOST_FRESH = 4000
+"""Verdicts of which the thread has not drawn a point yet."""
 MOST_CHANGES = 1000
 """Verdicts with changes that wait for the thread: those of a thousand alarms."""
 
@@ -68,7 +76,10 @@ class AlarmBook:
             elif not isinstance(change, HiddenCollision):
                 continue
             if self.present is not None:
-                self.present = self.present | {"sentence": self._sentence(self.present)}
+                self.present = self.present | {
+                    "sentence": self._sentence(self.present),
+                    "details": self._details(self.present),
+                }
                 changed[self.present["id"]] = self.present
         return list(changed.values())
 
@@ -91,7 +102,11 @@ class AlarmBook:
     def _placed(self, change: PlaceChange, verdict: Verdict) -> dict[str, Any]:
         if change.consistent < INCONSISTENT:
             return {}
-        return {
+        joint = -1 if self.present is None else self.joints.index(self.present["joint"])
+        torque = {"tau_ext_nm": finite(change.tau_ext_nm[joint])} if change.tau_ext_nm else {}  # of the same moment
+        first, last, _ = run_of(change.links)
+        return torque | {
+            "at": self.joints[first] if first == last else f"{self.joints[first]} to {self.joints[last]}",
             "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
             "newtons": finite(newtons(change.best)),
             "on": links_words(change.links, self.joints, change.guessed),
@@ -104,15 +119,20 @@ class AlarmBook:
         }
 
     def _sentence(self, one: dict[str, Any]) -> str:
-        """`COLLISION, a push of 34 N on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
+        """`Touched at joint6, about 84 N`; without a place the joint whose torque is too large."""
+        if not one["links"]:
+            return f"Touched at {one['joint']} or beyond it"
+        return f"Touched at {one['at']}, about {float(format(one['newtons'], '.2g')):g} N"
+
+    def _details(self, one: dict[str, Any]) -> str:
+        """`COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
         unit = short(self.units[self.joints.index(one["joint"])]) if self.units else "Nm"
         kind = f", {a(one['touch'])}" if one["touch"] else ""
-        force = f"{' of' if kind else ','} {one['newtons']:.0f} N" if one["newtons"] is not None else ""
         place = f" on {one['on']}" if one.get("on") else ""
         level = one["level"].upper() if one["level"] == ALARMS[COLLISION] else one["level"].capitalize()
         sizes = [f"{abs(one['tau_ext_nm']):.3g} {unit} at {one['joint']}"] if one["tau_ext_nm"] is not None else []
         sizes += [f"limit {one['limit_nm']:.3g} {unit}"] if one["limit_nm"] is not None else []
-        return f"{level}{kind}{force}{place}: {', '.join(sizes) or one['joint']}"
+        return f"{level}{kind}{place}: {', '.join(sizes) or one['joint']}"
 
 
 def finite(value: float) -> float | None:
@@ -124,6 +144,37 @@ def rounded(values: Any) -> list[float | None]:
     return [
         round(value, 5) if math.isfinite(value) else None for value in np.asarray(values, dtype=float).ravel().tolist()
     ]
+
+
+class Point(NamedTuple):
+    """The sample of a short time with the largest share of a limit."""
+
+    verdict: Verdict
+    is_valid: bool
+    """Whether any sample of this time had a valid estimate."""
+
+    def facts(self, now_ns: int) -> list[Any]:
+        """Age [ms], torques, standard errors, collision and contact limits; no torques without an estimate."""
+        names = ("tau_ext", "contact_sigma_nm", "limit_nm", "contact_limit_nm")
+        values = (
+            [np.round(self.verdict.estimates[name][0], 3) for name in names] if self.is_valid else [np.zeros(0)] * 4
+        )
+        return [round((now_ns - self.verdict.t_ns) * 1e-6), *map(rounded, values)]
+
+
+def points_of(verdicts: Sequence[Verdict], point_ns: int) -> list[Point]:
+    """One point for each time of point_ns that has a sample, in their order."""
+    points: list[Point] = []
+    for _, group in groupby(verdicts, key=lambda one: one.t_ns // point_ns):
+        rows = list(group)
+        valid = [one for one in rows if one.estimates["health"][0] == OK]
+        if not valid:
+            points.append(Point(rows[-1], False))
+            continue
+        tau, limit = (np.concatenate([one.estimates[name] for one in valid]) for name in ("tau_ext", "limit_nm"))
+        share = np.nan_to_num(np.abs(tau) / limit).max(axis=1)
+        points.append(Point(valid[int(np.argmax(share))], True))
+    return points
 
 
 def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
@@ -154,6 +205,10 @@ class LiveSink:
         self._newest: Verdict | None = None
         self._sample: Sample | None = None
         self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
+        self._fresh: deque[Verdict] = deque(maxlen=MOST_FRESH)
+        self._trace: list[Point] = []
+        self._past: deque[Point] = deque(maxlen=round(PAST_S * 1e9) // PAST_POINT_NS)
+        self._lines = 0
         self._held = (0, 0, np.zeros(0))
         """Number of an alarm, the last stamp at which its touch was over a limit, [ns], and the largest torque of each
         joint in that time, divided by its collision limit."""
@@ -189,6 +244,7 @@ class LiveSink:
 
     def verdict(self, verdict: Verdict) -> None:
         self._newest = verdict
+        self._fresh.append(verdict)
         if verdict.sample is not None:
             self._sample = verdict.sample
         if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
@@ -238,9 +294,17 @@ class LiveSink:
                 continue
             due = time.monotonic() + PERIOD_S
             self._follow_touch()
+            self._draw()
             self._accept()
             if self._readers:
                 self._send(json.dumps(self._line(shown)).encode() + b"\n")
+
+    def _draw(self) -> None:
+        """Points of the curves since the last line, and those of the last PAST_S."""
+        fresh = [self._fresh.popleft() for _ in range(len(self._fresh))]
+        self._trace = points_of(fresh, POINT_NS)
+        for point in points_of(fresh, PAST_POINT_NS):
+            self._past.append(point)
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
         number, held_ns, over = self._held
@@ -277,8 +341,12 @@ class LiveSink:
         if verdict is None or book is None:
             return line
         estimates, sample = verdict.estimates, verdict.sample or self._sample
+        self._lines += 1
+        past = {} if self._lines % PAST_EVERY else {"past": [point.facts(verdict.t_ns) for point in self._past]}
         return line | {
             "t_ns": verdict.t_ns,
+            "trace": [point.facts(verdict.t_ns)[:2] for point in self._trace],
+            **past,
             "q": [] if sample is None else rounded(sample.q),
             "tau_ext": rounded(estimates["tau_ext"]),
             "sigma": rounded(estimates["contact_sigma_nm"]),

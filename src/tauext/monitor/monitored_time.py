@@ -11,10 +11,8 @@ from tauext._core import cause_names
 MINUTE_S, HOUR_S = 60.0, 3600.0
 PARTLY, BLIND = 0.99, 0.9
 """Shares of the last minute below which the arm was not fully monitored, and hardly monitored."""
-LONGEST_S = 0.02
-"""Longest wait between two estimates that counts as monitored, [s]: an alarm takes longer (median 31 ms)."""
 LATE_S = 0.1
-"""Age of a sample beyond which its estimate is too late to count, [s]."""
+"""Longest wait between two estimates, and greatest age of a sample at its estimate, that count as monitored, [s]."""
 LEAST_S = 10.0
 """Counted time before a share is stated, [s]."""
 OF_TIME = ("missing sample", "gap", "late sample", "wrong rate")
@@ -74,7 +72,7 @@ class MonitoredTime:
 
     def __init__(self, missing_after_s: float):
         """missing_after_s: time after which the loop counts a sample as missing."""
-        self._longest_ns = round(max(LONGEST_S, missing_after_s) * 1e9)
+        self._longest_ns = round(max(LATE_S, missing_after_s) * 1e9)
         self._last_ns: int | None = None
         self._good_ns = self._total_ns = self._causes = 0
         self._minute, self._hour = _Window(MINUTE_S), _Window(HOUR_S)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -140,6 +140,8 @@ class PlaceChange(Change):
     """Probability that a single force leaves at least this residual."""
     force: FrameForce | None = None
     """The force if it acts at the named frame."""
+    tau_ext_nm: tuple[float, ...] = ()
+    """Torques at the moment of these places, less an expected load, by joint."""
 
     @classmethod
     def of(
@@ -271,7 +273,8 @@ class PlaceFinder:
         q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
         found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        return PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
+        change = PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
+        return None if change is None else replace(change, tau_ext_nm=tuple(tau_ext))
 
 
 STATED = 0.9

@@ -8,11 +8,13 @@ import threading
 import time
 from collections import deque
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
+from made_commission import words
 from made_live import ScriptedSource, samples_of
 
 from tauext.bundle.estimates import OK, STALE
@@ -22,6 +24,7 @@ from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
 from tauext.commission.live import MOST_READERS, PAST_EVERY, AlarmBook, LiveSink, points_of, rounded
 from tauext.commission.processes import Child
+from tauext.commission.promises import put_suspects
 from tauext.commission.run import AGAIN_S, Commission
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
@@ -32,6 +35,7 @@ from tauext.monitor.loop import Loop
 from tauext.monitor.places import PlaceChange
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
+from tauext.train.suspects import Suspect
 
 PATIENCE_S = 20.0
 PAUSE = 4000
@@ -143,7 +147,7 @@ def test_a_page_that_is_opened_gets_the_past(tmp_path):
         lines = lines_of(one.live._path, PAST_EVERY + 1)
         (past,) = [line["past"] for line in lines if "past" in line][:1]
         ages = [age for age, *_ in past]
-        assert len(past) > 30 and ages == sorted(ages, reverse=True) and ages[0] > 3000
+        assert 30 < len(past) < 80 and ages == sorted(ages, reverse=True) and ages[0] > 3000
         assert max(abs(tau[0]) for _, tau, *_ in past if tau) > 3  # the push, seconds ago
 
 
@@ -158,6 +162,18 @@ def test_force_and_torque_of_an_alarm_are_of_one_moment():
     (placed,) = book.see(SimpleNamespace(t_ns=50, alarm_id=3, changes=(place,), sample=None))
     assert placed["sentence"] == "Touched at b, about 84 N"
     assert placed["details"] == "COLLISION on the link of b (95%; a 5%): 21 Nm at b, limit 2 Nm"
+
+
+def test_only_suspects_with_evidence_are_called_touches(tmp_path):
+    folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    weak = Suspect("seg-000001", 0, 0, 500_000_000, 0, ("a",), 1.4, "a", epoch=1)
+    strong = [replace(weak, joints=("a", "b")), replace(weak, times=3.0, from_ns=2_000_000_000)]
+    put_suspects(folder, [weak], "b0001")
+    assert words(folder)[-1] == "a moment with unusual errors of one joint, 1.0 s in all, is left out"
+    put_suspects(folder, [weak, *strong], "b0001")
+    assert words(folder)[-1].startswith("2 suspected touches that nobody reported, ")
+    assert words(folder)[-1].endswith("; a moment with unusual errors of one joint, 1.0 s in all, is left out")
+    assert [one.answer for one in read_labels(folder.path)] == ["suspect"] * 4  # all are left out of training
 
 
 def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):
@@ -219,6 +235,23 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one._record.is_losing = False
     one._show_state()
     assert one._live.says == "" and one._live.state == "monitoring"
+
+
+def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeypatch):
+    one = Commission.__new__(Commission)
+    one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
+    one._has_ended, one._record = False, None
+    one._loop, one._keeper = SimpleNamespace(samples=1), SimpleNamespace(unanswered=None)
+    now_s, lines = 0.0, []
+    one._note, one._echo = lines.append, lines.append
+    monkeypatch.setattr("tauext.commission.run.time", SimpleNamespace(monotonic=lambda: now_s))
+    for second in range(600):
+        now_s, one._source = float(second), SimpleNamespace(away="no sample for 2 s" if second % 4 < 2 else "")
+        one._show_state()
+        assert one._live.lost == one._source.away  # the page shows each
+    assert lines[:2] == ["NOTHING IS MONITORED: no sample for 2 s", "samples come again"]
+    assert 16 <= len(lines) <= 20
 
 
 def test_an_answer_is_known_to_the_next_process(tmp_path):

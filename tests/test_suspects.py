@@ -96,6 +96,7 @@ def test_a_force_on_a_link_is_a_suspect_with_its_joints_and_its_link(motion, cle
     assert one.span[0] - motion.t_ns[0] < 60.15e9 and one.span[1] - motion.t_ns[0] > 60.3e9
     assert 0.1 < 1e-9 * (one.span[1] - one.span[0]) < 4.0  # stuck joints keep some of it
     assert one.joints == motion.joints and one.link in motion.joints and one.times > 2
+    assert one.is_evident and not replace(one, joints=one.joints[:1], times=1.3).is_evident
     first, second = suspect_sentences([one])
     assert first.startswith("1 suspected touch that nobody reported") and first.endswith("set `contact` to 0 there")
     assert f"fits a force on the link of {one.link}" in second and repr(motion.name) in second

@@ -152,6 +152,8 @@ class Point(NamedTuple):
     verdict: Verdict
     is_valid: bool
     """Whether any sample of this time had a valid estimate."""
+    share: float = 0.0
+    """Its largest share of a limit."""
 
     def facts(self, now_ns: int) -> list[Any]:
         """Age [ms], torques, standard errors, collision and contact limits; no torques without an estimate."""
@@ -173,7 +175,7 @@ def points_of(verdicts: Sequence[Verdict], point_ns: int) -> list[Point]:
             continue
         tau, limit = (np.concatenate([one.estimates[name] for one in valid]) for name in ("tau_ext", "limit_nm"))
         share = np.nan_to_num(np.abs(tau) / limit).max(axis=1)
-        points.append(Point(valid[int(np.argmax(share))], True))
+        points.append(Point(valid[int(np.argmax(share))], True, float(share.max())))
     return points
 
 
@@ -304,6 +306,9 @@ class LiveSink:
         fresh = [self._fresh.popleft() for _ in range(len(self._fresh))]
         self._trace = points_of(fresh, POINT_NS)
         for point in points_of(fresh, PAST_POINT_NS):
+            last = self._past[-1] if self._past else None
+            if last is not None and last.verdict.t_ns // PAST_POINT_NS == point.verdict.t_ns // PAST_POINT_NS:
+                point = max(self._past.pop(), point, key=lambda one: (one.is_valid, one.share))
             self._past.append(point)
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from tauext.progress import WallTimes
 from tauext.train.calibrate import no_freeze
 from tauext.train.held_peaks import collect_peaks
 from tauext.train.promised_limits import apply_promised, promised_limits
-from tauext.train.suspects import Suspect, find_suspects, suspect_sentences
+from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 
 THREADS = 1
 """Training must not take cores from the loop."""
@@ -218,7 +218,8 @@ def put_suspects(folder: CommissionFolder, found: Sequence[Suspect], bundle: str
         number -= 2
         added.append(Label(number, int(one.epoch or 0), *one.span, "suspect", "trainer", wall(), bundle))
         folder.append_label(added[-1])
-    if words := suspect_sentences(found, "answer `nothing`"):
+    words = suspect_sentences([one for one in found if one.is_evident], "answer `nothing`")
+    if words := [*words, *filter(None, [unusual_sentence([one for one in found if not one.is_evident])])]:
         folder.note("note", folder.seconds(), "; ".join(words), bundle=bundle)
     return added
 

@@ -193,6 +193,9 @@ def free_sockets(at: Path, folder: CommissionFolder) -> None:
 class Commission:
     """One run of the command."""
 
+    _noted_lost, _lost_line_s = False, -math.inf
+    """Whether the newest line about the source reports its silence, and when such a line was printed: one a minute."""
+
     def __init__(self, folder: CommissionFolder, text: str, options: Options, echo: Echo, stack: ExitStack):
         self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
         self._asked_to_stop, self._stopping = threading.Event(), threading.Event()
@@ -480,8 +483,10 @@ class Commission:
     def _show_state(self) -> None:
         live, loop, source = self._live, self._loop, self._source
         lost = "the source has ended" if self._has_ended else getattr(source, "away", "")
-        if bool(lost) != bool(live.lost):
+        if bool(lost) != self._noted_lost and (not lost or time.monotonic() > self._lost_line_s + MINUTE_S):
             self._note(f"NOTHING IS MONITORED: {lost}" if lost else "samples come again")
+            self._noted_lost = bool(lost)
+            self._lost_line_s = time.monotonic() if lost else self._lost_line_s
         live.lost = lost
         asks = self._keeper.unanswered
         if loop is None or not loop.samples:

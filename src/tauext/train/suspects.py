@@ -128,6 +128,11 @@ class Suspect:
         """First and last stamp, [ns]."""
         return self.begin_ns + self.from_ns, self.begin_ns + self.to_ns
 
+    @property
+    def is_evident(self) -> bool:
+        """Whether it is called a touch: several joints err at once, or one by more than friction does."""
+        return len(self.joints) > 1 or self.times >= MOST_FRICTION
+
     def meets(self, label: Label) -> bool:
         """Whether the label concerns some of this time."""
         from_ns, to_ns = self.span
@@ -181,6 +186,15 @@ def suspect_sentences(suspects: Sequence[Suspect], remedy: str = "set `contact` 
 def _seconds(suspects: Sequence[Suspect]) -> float:
     margins_s = SUSPECT_MARGINS.before_s + SUSPECT_MARGINS.after_s
     return sum(1e-9 * (one.to_ns - one.from_ns) + margins_s for one in suspects)
+
+
+def unusual_sentence(suspects: Sequence[Suspect]) -> str:
+    """A line about suspects without evidence of a touch; empty: there are none."""
+    if not suspects:
+        return ""
+    what = "a moment" if len(suspects) == 1 else f"{len(suspects)} moments"
+    verb = "is" if len(suspects) == 1 else "are"
+    return f"{what} with unusual errors of one joint, {_seconds(suspects):.1f} s in all, {verb} left out"
 
 
 def is_unreported(recording: Recording) -> bool:

@@ -30,12 +30,12 @@ PORT = 8795
 PUSH = "sim push joint=joint2 force=0,0,-60 seconds=0.4"
 
 
-def first_use(out: Path, browser: Browser, arm: str) -> str:
-    """The transcript of the command; pictures are written meanwhile."""
+def first_use(out: Path, browser: Browser, arm: str, loop: list[str]) -> str:
+    """The transcript of the command with these further options; pictures are written meanwhile."""
     lines: list[str] = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "try"
-        words = ["commission", "--source", f"sim:{arm}", "--out", str(folder), "--port", str(PORT)]
+        words = ["commission", "--source", f"sim:{arm}", "--out", str(folder), "--port", str(PORT), *loop]
         began = time.monotonic()
         command = subprocess.Popen([sys.executable, "-m", "tauext", *words], stdout=subprocess.PIPE, text=True)
 
@@ -132,7 +132,7 @@ TEXT = """\
 
 Made by `benchmarks/commission_pictures.py --arm {arm}` on a simulated arm, in real time. Times count from the command.
 
-    $ tauext commission --source sim:{arm} --out try
+    $ tauext commission --source sim:{arm} --out try{loop}
 {lines}
 
 | state | phone, light | desktop, dark |
@@ -145,18 +145,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--arm", default="rig")
+    parser.add_argument("--loop", default="", help="further options on a busy computer: '--core 1 --priority 50'")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         browser = Browser(Path(temporary))
         try:
-            transcript = first_use(options.out, browser, options.arm)
+            transcript = first_use(options.out, browser, options.arm, options.loop.split())
         finally:
             browser.close()
     states = ("connecting", "learning", "monitoring", "asking")
     rows = "\n".join(f"| {name} | ![]({name}-phone.png) | ![]({name}-desktop.png) |" for name in states)
     lines = "\n".join(f"    {line}" for line in transcript.splitlines())
-    (options.out / "first-use.md").write_text(TEXT.format(arm=options.arm, lines=lines, rows=rows))
+    loop = f" {options.loop}" if options.loop else ""
+    (options.out / "first-use.md").write_text(TEXT.format(arm=options.arm, loop=loop, lines=lines, rows=rows))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """The monitor through Python: against a slow twin of the whole chain in NumPy, the batch evaluation, and itself."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from made_arms import ROTOR_INERTIA, planar_arm
@@ -171,8 +173,59 @@ def test_a_fault_has_a_name_and_the_state_outlives_it():
         monitor.restore_state(state[:-1] + bytes([state[-1] ^ 1]))
 
 
-def test_samples_of_another_arm_are_refused():
+def test_run_and_step_take_the_same_arrays():
     bundle, _ = bundle_of_real_size()
+    made = recording(1)
+    t_ns, q, dq, tau = (x[:50] for x in (made.t_ns, made.q, made.dq, made.tau))
+    plain = _core.Monitor(bundle).run(t_ns, q, dq, tau)
+    other = [
+        (t_ns.astype(">i8"), q.astype(">f8"), np.asfortranarray(dq), np.repeat(tau, 2, axis=0)[::2]),
+        (t_ns.astype(np.uint64), q.tolist(), dq, tau),
+        (t_ns.tolist(), q, dq, memoryview(tau)),
+    ]
+    for signals in other:
+        found = _core.Monitor(bundle).run(*signals)
+        assert all(np.array_equal(found[name], plain[name], equal_nan=True) for name in plain)
+        stepped = _core.Monitor(bundle)
+        rows = [stepped.step(*(np.asarray(x)[k] for x in signals)).residual for k in range(50)]
+        np.testing.assert_array_equal(rows, plain["residual"])
+
+
+def test_what_is_no_sample_is_refused_in_one_sentence():
+    bundle, _ = bundle_of_real_size()
+    made = recording(1)
+    t_ns, q = made.t_ns[:5], made.q[:5]
+    hot = np.array([[20.0, 20.0]] * 4 + [[20.0, np.inf]])
     three = np.zeros((5, 3))
-    with pytest.raises(TauextError, match="2 joints, the samples 3"):
-        _core.Monitor(bundle).run(np.arange(5), three, three, three)
+
+    def refused(words: str, call: Callable[..., object], *given: object) -> None:
+        with pytest.raises(TauextError) as error:
+            call(*given)
+        assert words in str(error.value) and "\n" not in str(error.value) and len(str(error.value)) < 200
+
+    monitor = _core.Monitor(bundle)
+    refused("t_ns holds float64; it must be an array of whole numbers", monitor.run, t_ns.astype(float), q, q, q)
+    refused("t_ns holds numbers of 2^63 or more", monitor.run, np.full(5, 2**63, np.uint64), q, q, q)
+    refused("t_ns has the shape (5, 1); it must have 1 dimension", monitor.run, t_ns[:, None], q, q, q)
+    refused("q holds complex128", monitor.run, t_ns, q.astype(complex), q, q)
+    refused("dq is a masked array", monitor.run, t_ns, q, np.ma.array(q), q)
+    refused("tau is of type NoneType", monitor.run, t_ns, q, q, None)
+    refused("tau has the shape (4, 2); it must be (5, 2)", monitor.run, t_ns, q, q, q[:4])
+    refused("q has 3 columns; it must have 2", monitor.run, t_ns, three, three, three)
+    refused("q cannot be read as an array", monitor.run, t_ns, [[1.0], [2.0, 3.0]], q, q)
+    refused("temperature is infinite in column 1 of row 4", monitor.run, t_ns, q, q, q, None, hot)
+    refused("t_ns = 1.5 must be a whole number", monitor.step, 1.5, q[0], q[0], q[0])
+    refused("t_ns = 9223372036854775808 must be within", monitor.step, 2**63, q[0], q[0], q[0])
+    refused("dq is a masked array", monitor.step, 0, q[0], np.ma.array(q[0]), q[0])
+    refused("q has the shape (3,); it must be (2,)", monitor.step, 0, three[0], q[0], q[0])
+    refused("temperature is infinite in column 1", monitor.step, 0, q[0], q[0], q[0], hot[4])
+    refused("temperature is infinite in column 1", monitor.set_temperature, hot[4])
+    refused("now_ns = '1' must be a whole number", monitor.no_sample, "1")
+    refused("collision has the shape (1,); it must be (2,)", monitor.set_limit_factors, [1.0], [1.0, 1.0])
+    refused("mass is of type str; it must be a number", monitor.set_load, "1")
+    refused("com has 2 numbers; it must have 3", monitor.set_load, 1.0, [0.0, 0.0])
+    refused("later than the last sample", lambda: monitor.set_load(0.1, since_ns=2**63 - 1))
+    refused("bundle is of type str", _core.Monitor, "arm.tauext")
+    assert monitor.samples == 0
+    unknown = np.where(np.isinf(hot), np.nan, hot)  # a temperature may be unknown
+    assert len(monitor.run(t_ns, q, q, q, None, unknown)["health"]) == 5

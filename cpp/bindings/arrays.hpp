@@ -8,6 +8,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "tauext/sample.hpp"
@@ -20,13 +21,51 @@ namespace nb = nanobind;
 struct AnyArray {};  // in signatures: an array of any type
 using ArrayDict = nb::typed<nb::dict, nb::str, AnyArray>;
 
+// An argument of any type. What is wrong with it is thrown where it is used, in one sentence, instead of nanobind's list of
+// signatures: casters must not throw.
+template <class T>
+class Given {
+ public:
+  // The value. Throws Error, with the name, if there is none.
+  const T& named(const char* name) const {
+    if (!problem_.empty()) throw Error(name + (" " + problem_));
+    return value_;
+  }
+
+ protected:
+  template <class> friend struct nb::detail::type_caster;
+  T value_{};
+  std::string problem_;
+};
+
+using Whole = Given<std::int64_t>;  // a time in ns, for instance
+using Number = Given<double>;
+
 template <class T, int Dim>
-using Array = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
+using NumPy = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
+
+// An array of T: of NumPy, of another library, or a list; converted where order, byte order or width differ.
+template <class T, int Dim>
+class Array : public Given<NumPy<T, Dim>> {
+ public:
+  const T* data() const { return plain().data(); }
+  std::size_t shape(std::size_t k) const { return plain().shape(k); }
+  std::size_t size() const { return plain().size(); }
+
+ private:
+  const NumPy<T, Dim>& plain() const { return this->named("an array"); }
+};
 
 template <class T>
 std::span<const T> span_of(const Array<T, 1>& a) {
   return {a.data(), a.shape(0)};
 }
+
+bool is_numpy(nb::handle object) noexcept;  // an array of NumPy itself, no subclass such as a masked array
+// The object as an array of NumPy, as a whole number, as a number. The problem is set where it cannot be one.
+nb::object numpy_of(nb::handle object, std::string_view type, int dimensions, std::string& problem) noexcept;
+void read_whole(nb::handle object, std::int64_t& value, std::string& problem) noexcept;
+void read_number(nb::handle object, double& value, std::string& problem) noexcept;
 
 // Moves a vector to NumPy without a copy.
 template <class T>
@@ -36,27 +75,17 @@ nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_lis
   return nb::ndarray<nb::numpy, T>(owned->data(), shape, owner);
 }
 
-inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-                   const Array<double, 2>& tau) {
-  const auto N = t_ns.shape(0), n = q.shape(1);
-  if (n < 1 || n > kMaxJoints) throw Error("recordings have 1 to 32 joints, not " + std::to_string(n));
-  for (const Array<double, 2>* signal : {&q, &dq, &tau})
-    if (signal->shape(0) != N || signal->shape(1) != n)
-      throw Error("q, dq and tau must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
-  return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
-}
+// Signals of a recording; joints: of the monitor or bundle, 0: any. Throws Error.
+RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+                   const Array<double, 2>& tau, int joints = 0);
 
-// The same with the joint temperatures, [degC]; None: not measured.
+// The same with the joint temperatures, [degC]; None: not measured, NaN: unknown.
 using Temperatures = std::optional<Array<double, 2>>;
-inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-                   const Array<double, 2>& tau, const Temperatures& temperature) {
-  RecordingView out = view(t_ns, q, dq, tau);
-  if (!temperature) return out;
-  if (temperature->shape(0) != t_ns.shape(0) || temperature->shape(1) != q.shape(1))
-    throw Error("temperature must have the shape of q");
-  out.temperature = temperature->data();
-  return out;
-}
+RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+                   const Array<double, 2>& tau, const Temperatures& temperature, int joints = 0);
+
+// Throws Error for an infinite temperature. celsius: (rows, joints).
+void expect_temperatures(std::span<const double> celsius, std::size_t joints);
 
 // Python's Wrench: with the frame, the axes and, of a force without a moment, the point that it was estimated for.
 struct FrameWrench : Wrench {
@@ -78,7 +107,48 @@ int frame_of(const WrenchModel& model, const std::string& name);
 
 }  // namespace tauext::bindings
 
+namespace nanobind::detail {
+
 template <>
-struct nanobind::detail::type_caster<tauext::bindings::AnyArray> {
+struct type_caster<tauext::bindings::AnyArray> {
   static constexpr auto Name = const_name("numpy.typing.NDArray[typing.Any]");
 };
+
+template <>
+struct type_caster<tauext::bindings::Whole> {
+  NB_TYPE_CASTER(tauext::bindings::Whole, const_name("int"))
+  bool from_python(handle object, std::uint32_t, cleanup_list*) noexcept {
+    tauext::bindings::read_whole(object, value.value_, value.problem_);
+    return true;
+  }
+};
+
+template <>
+struct type_caster<tauext::bindings::Number> {
+  NB_TYPE_CASTER(tauext::bindings::Number, const_name("float"))
+  bool from_python(handle object, std::uint32_t, cleanup_list*) noexcept {
+    tauext::bindings::read_number(object, value.value_, value.problem_);
+    return true;
+  }
+};
+
+template <class T, int Dim>
+struct type_caster<tauext::bindings::Array<T, Dim>> {
+  using NumPyCaster = make_caster<tauext::bindings::NumPy<T, Dim>>;
+  using Given = tauext::bindings::Array<T, Dim>;
+  NB_TYPE_CASTER(Given, const_name("numpy.typing.ArrayLike"))
+  bool from_python(handle object, std::uint32_t, cleanup_list* cleanup) noexcept {
+    NumPyCaster caster;
+    if (tauext::bindings::is_numpy(object) && caster.from_python(object, 0, cleanup)) {
+      value.value_ = std::move(caster.value);
+      return true;
+    }
+    const nanobind::object converted = tauext::bindings::numpy_of(object, std::string_view(dtype_traits<T>::name.text), Dim, value.problem_);
+    if (!value.problem_.empty()) return true;
+    if (caster.from_python(converted, 0, cleanup)) value.value_ = std::move(caster.value);
+    else value.problem_ = "cannot be converted";
+    return true;
+  }
+};
+
+}  // namespace nanobind::detail

@@ -34,10 +34,36 @@ std::span<const std::byte> as_bytes(const nb::bytes& state) {
 
 using Temperature = std::optional<Array<double, 1>>;
 
-Sample sample_of(std::int64_t t_ns, const Array<double, 1>& q, const Array<double, 1>& dq, const Array<double, 1>& tau,
-                 const Temperature& temperature) {
-  Sample sample{t_ns, span_of(q), span_of(dq), span_of(tau)};
-  if (temperature) sample.temperature = span_of(*temperature);
+template <std::size_t N>
+std::array<double, N> listed(const Array<double, 1>& values, const char* name) {
+  const auto& array = values.named(name);
+  if (array.shape(0) != N)
+    throw Error(std::string(name) + " has " + std::to_string(array.shape(0)) + " numbers; it must have " + std::to_string(N));
+  std::array<double, N> out;
+  std::copy_n(array.data(), N, out.begin());
+  return out;
+}
+
+// One number for each joint. Throws Error.
+std::span<const double> of_joints(const Array<double, 1>& values, const char* name, int joints) {
+  const auto& array = values.named(name);
+  if (array.shape(0) != static_cast<std::size_t>(joints))
+    throw Error(std::string(name) + " has the shape (" + std::to_string(array.shape(0)) + ",); it must be (" +
+                std::to_string(joints) + ",), one number for each joint");
+  return span_of(values);
+}
+
+std::span<const double> temperatures_of(const Array<double, 1>& values, int joints) {
+  const std::span<const double> celsius = of_joints(values, "temperature", joints);
+  expect_temperatures(celsius, celsius.size());
+  return celsius;
+}
+
+Sample sample_of(const Monitor& monitor, const Whole& t_ns, const Array<double, 1>& q, const Array<double, 1>& dq,
+                 const Array<double, 1>& tau, const Temperature& temperature) {
+  const int n = monitor.joints();
+  Sample sample{t_ns.named("t_ns"), of_joints(q, "q", n), of_joints(dq, "dq", n), of_joints(tau, "tau", n)};
+  if (temperature) sample.temperature = temperatures_of(*temperature, n);
   return sample;
 }
 
@@ -147,9 +173,7 @@ class Columns {
 // step() for many samples; signals are (samples, joints).
 ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
               const Array<double, 2>& tau, FlightRecorder* recorder, const Temperatures& temperature) {
-  const RecordingView r = view(t_ns, q, dq, tau, temperature);
-  if (r.joints != monitor.joints())
-    throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
+  const RecordingView r = view(t_ns, q, dq, tau, temperature, monitor.joints());
   const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
   Columns said(N, n);
   {
@@ -173,8 +197,15 @@ ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* rec
   return said.take();
 }
 
-// A time of the samples; None: from now on.
-std::int64_t since(const std::optional<std::int64_t>& since_ns) { return since_ns.value_or(kFromNow); }
+// A time of the samples; None: from now on. Throws Error for a later time than the last sample's.
+std::int64_t since(const Monitor& monitor, const std::optional<Whole>& since_ns) {
+  if (!since_ns) return kFromNow;
+  const std::int64_t t_ns = since_ns->named("since_ns"), last_ns = monitor.last().t_ns;
+  if (t_ns == kFromNow || (monitor.samples() > 0 && t_ns > last_ns))
+    throw Error("since_ns = " + std::to_string(t_ns) + " is later than the last sample (t_ns = " + std::to_string(last_ns) +
+                "); leave it out to set the load from now on");
+  return t_ns;
+}
 
 void set_load(Monitor& self, const Load& load, std::int64_t since_ns) {
   if (!self.set_load(load, since_ns)) throw Error(self.why_no_load(load, since_ns));
@@ -362,28 +393,37 @@ void bind_monitor(nb::module_& m) {
       "Runs a bundle in a control loop: one sample in; external torque, alarm and health out.")
       .def(
           "__init__",
-          [](Monitor* monitor, const Bundle& bundle, bool own_rate) {
+          [](Monitor* monitor, nb::handle given, bool own_rate) {
+            if (!nb::isinstance<Bundle>(given))
+              throw Error("bundle is of type " + std::string(Py_TYPE(given.ptr())->tp_name) +
+                          "; it must be a Bundle, as load_bundle() returns it");
+            const auto& bundle = nb::cast<const Bundle&>(given);
             const nb::gil_scoped_release released;
             new (monitor) Monitor(bundle, own_rate ? NetworkRate::network_period : NetworkRate::every_sample);
           },
-          nb::arg("bundle"), nb::arg("own_rate") = false)
+          nb::arg("bundle").none(), nb::arg("own_rate") = false,
+          nb::sig("def __init__(self, bundle: Bundle, own_rate: bool = False) -> None"))
       .def(
           "step",
-          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
-            return self.step(sample_of(t_ns, q, dq, tau, temperature));
+          [](Monitor& self, const Whole& t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
+            return self.step(sample_of(self, t_ns, q, dq, tau, temperature));
           },
-          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
+          nb::arg("t_ns").none(), nb::arg("q").none(), nb::arg("dq").none(), nb::arg("tau").none(),
+          nb::arg("temperature") = nb::none(), nb::sig("def step(self, t_ns: int, q: numpy.typing.ArrayLike, dq: numpy.typing.ArrayLike, "
+                  "tau: numpy.typing.ArrayLike, temperature: numpy.typing.ArrayLike | None = None) -> Estimate"),
           "estimate() followed by advance(). temperature: of the joints, [degC]; NaN: unknown.")
       .def(
           "estimate",
-          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
-            return self.estimate(sample_of(t_ns, q, dq, tau, temperature));
+          [](Monitor& self, const Whole& t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
+            return self.estimate(sample_of(self, t_ns, q, dq, tau, temperature));
           },
-          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
+          nb::arg("t_ns").none(), nb::arg("q").none(), nb::arg("dq").none(), nb::arg("tau").none(),
+          nb::arg("temperature") = nb::none(), nb::sig("def estimate(self, t_ns: int, q: numpy.typing.ArrayLike, dq: numpy.typing.ArrayLike, "
+                  "tau: numpy.typing.ArrayLike, temperature: numpy.typing.ArrayLike | None = None) -> Estimate"),
           "Returns the estimate for this sample; advance() may follow later.")
       .def("advance", &Monitor::advance,
            "Does the work that can wait until the command is out. If omitted, the next estimate() does it first.")
-      .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
+      .def("no_sample", [](Monitor& self, const Whole& now_ns) { return self.no_sample(now_ns.named("now_ns")); }, nb::arg("now_ns"),
            "Reports that the loop ran without a sample: stale for up to a network period (below 300 Hz: three samples),\n"
            "then a fault.")
       .def("acknowledge", &Monitor::acknowledge,
@@ -394,7 +434,8 @@ void bind_monitor(nb::module_& m) {
       .def(
           "set_limit_factors",
           [](Monitor& self, Signal collision, Signal contact) {
-            if (!self.set_limit_factors(span_of(collision), span_of(contact)))
+            if (!self.set_limit_factors(of_joints(collision, "collision", self.joints()),
+                                        of_joints(contact, "contact", self.joints())))
               throw Error("limit factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
                           "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
                           to_text(LimitFactors::kHighest));
@@ -413,17 +454,18 @@ void bind_monitor(nb::module_& m) {
           "Factors in effect on the limits, of collision and contact, one per joint.")
       .def(
           "set_load",
-          [](Monitor& self, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
-             const std::optional<std::int64_t>& since_ns, double error_share) {
-            set_load(self, {mass, com, inertia, error_share}, since(since_ns));
+          [](Monitor& self, const Number& mass, Signal com, Signal inertia, const std::optional<Whole>& since_ns,
+             const Number& error_share) {
+            set_load(self, {mass.named("mass"), listed<3>(com, "com"), listed<6>(inertia, "inertia"), error_share.named("error_share")},
+                     since(self, since_ns));
           },
           nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
           nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
           "Sets what the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
           "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
           "of its torques. Raises CoreError, and changes nothing, if the load is refused.")
-      .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) {
-             if (self.load_settings().settable()) set_load(self, {}, since(since_ns));
+      .def("clear_load", [](Monitor& self, const std::optional<Whole>& since_ns) {
+             if (self.load_settings().settable()) set_load(self, {}, since(self, since_ns));
            },
            nb::arg("since_ns") = nb::none(), "Removes the load.")
       .def(
@@ -443,15 +485,14 @@ void bind_monitor(nb::module_& m) {
                    "Load frame, and the largest accepted mass and reach.")
       .def(
           "why_no_load",
-          [](const Monitor& self, const Load& load, const std::optional<std::int64_t>& since_ns) {
-            return self.why_no_load(load, since(since_ns));
+          [](const Monitor& self, const Load& load, const std::optional<Whole>& since_ns) {
+            return self.why_no_load(load, since(self, since_ns));
           },
           nb::arg("load"), nb::arg("since_ns") = nb::none(), "Reason for which set_load() would refuse; empty: none.")
       .def(
           "set_temperature",
           [](Monitor& self, Signal celsius) {
-            if (!self.set_temperature(span_of(celsius)))
-              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one per joint");
+            self.set_temperature(temperatures_of(celsius, self.joints()));
           },
           nb::arg("celsius"),
                "Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value "
@@ -528,12 +569,17 @@ void bind_monitor(nb::module_& m) {
              const Array<double, 2>& tau, Recorder* recorder, const Temperatures& temperature) {
             return run(self, t_ns, q, dq, tau, recorder, temperature);
           },
-          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("recorder") = nb::none(),
-          nb::arg("temperature") = nb::none(),
+          nb::arg("t_ns").none(), nb::arg("q").none(), nb::arg("dq").none(), nb::arg("tau").none(),
+          nb::arg("recorder") = nb::none(), nb::arg("temperature") = nb::none(),
+          nb::sig("def run(self, t_ns: numpy.typing.ArrayLike, q: numpy.typing.ArrayLike, dq: numpy.typing.ArrayLike, "
+                  "tau: numpy.typing.ArrayLike, recorder: FlightRecorder | None = None, "
+                  "temperature: numpy.typing.ArrayLike | None = None) -> dict[str, numpy.typing.NDArray[typing.Any]]"),
           "Calls step() for every row; returns a dict of arrays.")
       .def(
           "run_missing",
-          [](Monitor& self, std::int64_t now_ns, Recorder* recorder) { return run_missing(self, now_ns, recorder); },
+          [](Monitor& self, const Whole& now_ns, Recorder* recorder) {
+            return run_missing(self, now_ns.named("now_ns"), recorder);
+          },
           nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "Calls no_sample(); returns a single row as run() does.")
       .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last estimate.")
       .def_prop_ro("joints", &Monitor::joints, "Number of joints.")

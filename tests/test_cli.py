@@ -191,7 +191,7 @@ BAD_KEYS = [
     ("[observer]\ngain_per_s = true", [], "gain_per_s = True must be a number or one of auto"),
     ('recipe = "lstm"', [], "study.toml: recipe = 'lstm' must be one of tauext, prior"),
     ("epochs = 3", [], "study.toml: epochs = 3 must be left out with recipe prior"),
-    ("epochs = 3", ["--minutes", "-1"], "error: minutes = -1.0 must be > 0"),
+    ("epochs = 3", ["--minutes", "-1"], "error: --minutes = -1.0 must be > 0"),
     ("epochs = ", [], "study.toml: not readable as TOML"),
 ]
 
@@ -223,7 +223,7 @@ WRONG = [
         ["holds a dataset of other settings (collision_recording_s: 36.0, not 90.0)"],
     ),
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
-    (("simulate", "--out", "x", "--encoder-bits", "11"), ["encoder_bits = 11", "12 to 24"]),
+    (("simulate", "--out", "x", "--encoder-bits", "11"), ["--encoder-bits = 11", "12 to 24"]),
     (("simulate", "--out", "x", "--friction", "0"), ["friction = 0", "0.1 to 10"]),
     (("refit", "gone.tauext", "--data", "{data}", "--out", "a.tauext"), ["gone.tauext", "tauext train"]),
     (

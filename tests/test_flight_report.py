@@ -188,16 +188,38 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return run_command(capsys, "report", *arguments)
 
 
-def test_the_command_prints_the_page_and_takes_the_newest_flight_of_a_folder(
-    bundle, collision, tmp_path, capsys, undrawn
-):
+def test_the_command_prints_the_page_and_draws_every_flight_of_a_folder(bundle, collision, tmp_path, capsys, undrawn):
     code, out, _ = run(capsys, "--flight", collision, "--out", tmp_path / "a")
     assert code == 0 and out.strip() == str(tmp_path / "a" / f"{collision.stem}.html")
     samples = pushed()
     flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
     newer = write_flight(flight, collision.parent, FlightSource.of(bundle, samples))
     code, out, _ = run(capsys, "--flight", collision.parent, "--out", tmp_path / "b")
-    assert code == 0 and out.strip().endswith(f"{newer.stem}.html") and newer.stem.endswith("-2")
+    assert code == 0 and out.strip() == str(tmp_path / "b" / "index.html") and newer.stem.endswith("-2")
+    index = (tmp_path / "b" / "index.html").read_text()
+    for stem in (collision.stem, newer.stem):
+        page = (tmp_path / "b" / f"{stem}.html").read_text()
+        assert f'href="{stem}.html"' in index
+        assert page.index("<figure>") < page.index("<dl>") and stem not in re.findall("<title>.*</title>", page)[0]
+
+
+def test_a_damaged_flight_is_in_the_index_with_its_reason(bundle, tmp_path, capsys, undrawn):
+    samples, folder = pushed(), tmp_path / "<b>flights"
+    flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
+    folder.mkdir()
+    paths = [write_flight(flight, folder, FlightSource.of(bundle, samples)) for _ in range(2)]
+    paths[0].write_bytes(paths[0].read_bytes()[:-40])
+    assert run(capsys, "--flight", folder, "--out", tmp_path / "out", "--page-mb", 0)[0] == 0
+    index = (tmp_path / "out" / "index.html").read_text()
+    assert "2 flights of &lt;b&gt;flights" in index and "<b>" not in index
+    assert index.count("<a href") == 1 and f"{paths[0].name}: " in index
+    paths[1].write_bytes(b"")
+    code, out, err = run(capsys, "--flight", folder, "--out", tmp_path / "none")
+    assert (
+        (code, out) == (2, "")
+        and err.splitlines()[-1].startswith("tauext: error: ")
+        and not (tmp_path / "none").exists()
+    )
 
 
 @pytest.mark.parametrize(

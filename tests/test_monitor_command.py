@@ -71,7 +71,8 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
     )  # fmt: skip
     assert code == 0
     for part in (
-        "replay pushed: 2 joints at 1000 Hz, bundle watching; Ctrl-C ends",
+        "replay pushed: waiting for the first sample, bundle watching; Ctrl-C ends\n",
+        "\nreplay pushed: 2 joints at 1000 Hz\n",
         "COLLISION shoulder: |tau_ext|",
         "collision acknowledged",
         "reaction note to the collision of elbow: began ",
@@ -115,9 +116,9 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         (("watching.tauext", "--source", "franka:h"), "franka h has 7 joints, the bundle 2: shoulder, elbow"),
         ((*SOURCE[:-1], "0"), "speed = 0.0 must be > 0"),
         ((*SOURCE[:-1], "0.5"), "speed = 0.5 must be >= 1"),
-        ((*SOURCE, "--segment-s", "0.5"), "segment_s = 0.5 must be 1 to 3600"),
+        ((*SOURCE, "--segment-s", "0.5"), "--segment-s = 0.5 must be 1 to 3600"),
         ((*SOURCE, "--priority", "100"), "priority = 100 must be 1 to 99"),
-        ((*SOURCE, "--status-hz", "1"), "status_hz = 1.0 must be left out unless --json is given"),
+        ((*SOURCE, "--status-hz", "1"), "--status-hz = 1.0 must be left out unless --json is given"),
         ((*SOURCE, "--reactions", "none.toml"), "`tauext monitor --new-reactions none.toml` writes a template"),
         ((*SOURCE, "--profiles", "reactions.toml"), "unknown key 'reaction' at the top"),
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
@@ -154,7 +155,7 @@ def run_beside(place, *arguments: str, **pipes) -> subprocess.Popen:
     return subprocess.Popen([*command, *arguments], cwd=place, env=environment, text=True, **pipes)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_with_a_summary(place, number):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with run_beside(place, "--reactions", "reactions.toml", **pipes) as running:
@@ -162,7 +163,8 @@ def test_a_signal_ends_it_with_a_summary(place, number):
         running.send_signal(number)
         out, err = running.communicate(timeout=60)
     assert "Ctrl-C ends" in first[0] and running.returncode == 0 and err == ""
-    assert f"stopped by {'Ctrl-C' if number == signal.SIGINT else 'SIGTERM'}" in out and "worst margin" in out
+    by = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "the closed terminal"}[number]
+    assert f"stopped by {by}" in out and "worst margin" in out
 
 
 def test_lines_on_stdin_steer_it(place):

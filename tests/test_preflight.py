@@ -70,7 +70,9 @@ def test_what_memory_disk_and_time_do_not_hold_is_refused_with_both_numbers(tmp_
         preflight.expect_memory(9e9, "batch = 9")
     monkeypatch.setattr(preflight.shutil, "disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
     preflight.expect_folder(tmp_path / "new/folder", 4e6)
-    with pytest.raises(ConfigError, match="what is written needs 6 MB of disk, and 5 MB are free"):
+    with pytest.raises(
+        ConfigError, match="the output needs 6 MB of disk, and 5 MB are free; free some, or choose another place"
+    ):
         preflight.expect_folder(tmp_path / "new/folder", 6e6)
     preflight.expect_time(86400.0, "x")
     with pytest.raises(ConfigError, match="it takes 2 years at least"):

@@ -223,6 +223,25 @@ def test_the_scale_is_said_plainly(scale, words, copied):
     page = page_of(copied[0])
     assert ('class="notice"' in page) == (words is not None)
     assert words is None or words in page
+    assert ('class="glance"' in page) == ('class="tile"' in page) == (scale != "smoke")
+
+
+def test_figure_8_shows_the_strongest_collision_although_it_was_missed(copied):
+    def miss_all(content):
+        for bundle in content["bundles"]:
+            bundle["latched"] |= {"latched": 0}
+
+    change(copied[0], miss_all)
+    results = load_results(copied[0])
+    missed = [
+        replace(bundle, collisions=tuple(replace(one, joint=None) for one in bundle.collisions))
+        for bundle in results.bundles
+    ]
+    results = replace(results, bundles=tuple(missed))
+    joint, (only,) = choose(results)
+    assert only.sensor_peak_nm[joint] == max(peak for one in results.ten for peak in one.sensor_peak_nm)
+    assert "No bundle shown found a collision here" in draw_three_collisions(results, signals_of(copied)).caption
+    assert "misses the fewest" not in page_of(copied[0])
 
 
 def test_names_are_text_and_never_markup(copied):

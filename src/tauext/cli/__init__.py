@@ -203,7 +203,7 @@ def main(argv: list[str] | None = None) -> int:
         print_error(f"tauext: error: {error}")  # several lines: findings in the data, and how to correct them
         return 2
     except TauextError as error:
-        return refused(str(error))
+        return refused(with_option(str(error), argv))
     except KeyboardInterrupt as stop:
         kept = str(stop) or "finished work is kept; the same command continues from there"
         print_error(f"tauext: interrupted; {kept}")
@@ -219,6 +219,14 @@ def main(argv: list[str] | None = None) -> int:
     except MemoryError as error:
         return refused(f"this needs more memory than there is; request less at a time ({str(error) or 'none is left'})")
     return status if isinstance(status, int) else 0
+
+
+def with_option(message: str, argv: Sequence[str]) -> str:
+    """`disk_gb = 0 must be ...` as `--disk-gb = 0 must be ...`, if this option was given."""
+    name, equals, rest = message.partition(" = ")
+    option = f"--{name.replace('_', '-')}"
+    given = {word.partition("=")[0].replace("_", "-") for word in argv}
+    return f"{option}{equals}{rest}" if equals and option in given else message
 
 
 def not_swallowed(lost: sys.UnraisableHookArgs) -> None:

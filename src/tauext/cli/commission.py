@@ -93,11 +93,11 @@ def commission(
     if not no_page:
         found = free_port(host, port)
         token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
-        if found != port:
-            say(f"port {port} is in use; the page is on port {found}")
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
         address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  (the page, {reach})"
+        if found != port:  # printed with the address, once the folder is known to be free
+            address = f"port {port} is in use; the page is on port {found}\n{address}"
     chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     options = Options(
         robot=robot,

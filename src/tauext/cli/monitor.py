@@ -237,23 +237,15 @@ def watch(
 
 @contextmanager
 def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the loop, a second one breaks it off; lines from stdin or a socket steer it."""
-    import signal
+    """Signals end the loop, a second one breaks it off; lines from stdin or a socket steer it."""
     import sys
-    import threading
     import weakref
 
     from tauext.monitor.control_lines import ControlSocket, obey_lines
-
-    def stop(number: int, frame: object) -> None:
-        signal.signal(number, before[signal.Signals(number)])
-        loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
+    from tauext.monitor.stop_signals import stopped_by_signals
 
     steered = weakref.proxy(loop)  # a thread that waits for a line for ever must not keep it alive
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with stopped_by_signals(loop.stop):
         if path == STDIN:
             obey_lines(sys.stdin, steered)
             yield
@@ -262,6 +254,3 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
                 yield
         else:
             yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -138,13 +138,13 @@ def report(
         out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
         results: results folder to draw, made by `tauext evaluate`.
         data: dataset folder that was evaluated.
-        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
-            the newest is drawn.
+        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights: each
+            gets a page, and index.html lists them.
         page_mb: largest size of the page, [MB]; traces take the space that is left. 0: no traces.
         trace_methods: names of the bundles whose traces the page holds; default: the best five.
     """
     from tauext.data.dataset import load_dataset
-    from tauext.report.flight import write_flight_report
+    from tauext.report.flight import write_flight_report, write_flights_report
     from tauext.report.page import write_report
 
     if folder is not None:
@@ -167,7 +167,12 @@ def report(
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
         there = {page.name for page in out.glob("*.html")}
         with staged(out, fresh=True) as folder:
-            page = out / write_flight_report(local_flight(flight), folder, page_mb).name
+            source = local_flight(flight)
+            if source.is_dir():
+                with Terminal().progress("draw the flights") as show:
+                    page = out / write_flights_report(source, folder, page_mb, show).name
+            else:
+                page = out / write_flight_report(source, folder, page_mb).name
         if page.name in there:
             print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
         print(page)

@@ -92,12 +92,13 @@ class TextLines(PrintContext):
     def start_live(self, source: str, bundle: Bundle) -> None:
         """A live source begins."""
         self._begin(source, bundle, None, math.inf)
-        rate_hz = 1e9 / bundle.observer.sample_period_ns
-        self.print_line(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
+        self._rate_hz = 1e9 / bundle.observer.sample_period_ns
+        self.print_line(f"{source}: waiting for the first sample, bundle {bundle.name}; Ctrl-C ends")
 
     def first(self, t_ns: int) -> None:
         """The first live sample."""
         self._start_ns = t_ns
+        self.print_line(f"{self._title}: {len(self._joints)} joints at {self._rate_hz:g} Hz")
 
     def _begin(self, title: str, bundle: Bundle, start_ns: int | None, duration_s: float) -> None:
         self._title, self._duration_s, self._began = title, duration_s, time.monotonic()

@@ -61,6 +61,7 @@ class Child:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._wait_s, self._due_s, self._began_s = 1.0, 0.0, 0.0
+        self._terminated = False
 
     @property
     def pid(self) -> int | None:
@@ -78,11 +79,17 @@ class Child:
             self.end()
             self._wait_s = 1.0 if now_s - self._began_s > SOUND_S else min(2 * self._wait_s, LONGEST_WAIT_S)
             self._due_s = now_s + self._wait_s
+            if code == -signal.SIGTERM:  # most often sent to the whole group, which ends before the line would be true
+                self._terminated = True
+                return ""
             return f"the {self.name} ended (status {code}); it starts again in {self._wait_s:g} s"
         if self._process is None and now_s >= self._due_s:
             try:
                 self._process, self._pipe = start_worker(run_child, *self._arguments)
                 self._began_s = now_s
+                if self._terminated:
+                    self._terminated = False
+                    return f"the {self.name} was ended by SIGTERM and is started again"
             except OSError as error:
                 self._due_s = now_s + self._wait_s
                 return f"the {self.name} cannot be started: {error.strerror or error}"

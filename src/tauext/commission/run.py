@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
 import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -53,6 +52,7 @@ from tauext.monitor.reactions import expect_actions, start_reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
 from tauext.monitor.source import Describes, Source, SourceFacts
+from tauext.monitor.stop_signals import stopped_by_signals
 from tauext.robot.load import movable_joints
 from tauext.robot.write import is_placeholder
 from tauext.sources.lasting import LastingSource
@@ -253,7 +253,7 @@ class Commission:
             restore_arm(self._folder)
         self._show_news()
         self._live.says = "connecting: the stream is checked for 3 s before anything is recorded"
-        with self._until_signal():
+        with stopped_by_signals(self.stop):
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
             try:
@@ -546,23 +546,6 @@ class Commission:
     def _note(self, text: str) -> None:
         self._folder.log(text)
         self._echo(text)
-
-    @contextmanager
-    def _until_signal(self) -> Iterator[None]:
-        """Ctrl-C and SIGTERM end the run; a second one breaks it off."""
-
-        def stop(number: int, frame: object) -> None:
-            signal.signal(number, before[signal.Signals(number)])
-            self.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
-
-        before = {}
-        if threading.current_thread() is threading.main_thread():
-            before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def stop(self, by: str) -> None:
         """End the run cleanly; any thread."""

@@ -60,8 +60,10 @@ def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> No
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written to ({error.strerror or error})") from error
     if free < size:
-        needs = f"{what} needs" if what else "what is written needs"
-        raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; request less")
+        needs, remedy = "the output needs", "free some, or choose another place"
+        if what:
+            needs, remedy = f"{what} needs", "request less"
+        raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; {remedy}")
 
 
 def expect_memory(size: float, what: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from matplotlib.patches import Patch
 
 from tauext.bundle.estimates import OK
 from tauext.bundle.units import SEVERAL
-from tauext.errors import ConfigError
-from tauext.files.atomic_write import atomic_folder
+from tauext.errors import ConfigError, RecordingError
+from tauext.files.atomic_write import atomic_folder, atomic_write
 from tauext.files.preflight import expect_folder
-from tauext.report.flight_file import Flight, load_flight
+from tauext.progress import Show
+from tauext.report.flight_file import Flight, flights_in, load_flight
 from tauext.report.page import PageFigure, check_page_mb, make_figure
 from tauext.report.style import (
     LIMIT,
@@ -191,17 +193,60 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     ]
 
 
-# --- The page of one flight: text, numbers and figures.
+# --- The page of one flight: figures, text and numbers; and of a folder, with an index.
 
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
+INDEX = Path(__file__).with_name("flights.html.j2")
+
+
+@dataclass(frozen=True)
+class FlightEntry:
+    """A flight in the index of a folder."""
+
+    name: str
+    page: str
+    """File name of its page; empty: there is none."""
+    words: str
+    """Headline of the flight, or the reason why it has no page."""
+
+
+def write_flights_report(folder: Path, out_dir: Path, page_mb: float = PAGE_MB, show: Show | None = None) -> Path:
+    """Write a page for every flight of a folder, and index.html that lists them; returns the path of the index.
+
+    A damaged flight has its reason in the index instead of a page.
+
+    Args:
+        page_mb: largest size of each page, [MB].
+        show: is called with the number of flights done and of all.
+
+    Raises:
+        ConfigError: the folder has no flights, or out_dir cannot be written.
+        RecordingError: every flight is damaged; the error is that of the first one.
+    """
+    paths, entries, damaged = flights_in(folder), list[FlightEntry](), list[RecordingError]()
+    for done, path in enumerate(paths, 1):
+        try:
+            page = write_flight_report(path, out_dir, page_mb)
+            entries.append(FlightEntry(path.stem, page.name, load_flight(path).explanation[0]))
+        except RecordingError as error:
+            damaged.append(error)
+            entries.append(FlightEntry(path.stem, "", str(error)))
+        if show is not None:
+            show(done, len(paths), "")
+    if len(damaged) == len(paths):
+        raise damaged[0]
+    index = out_dir / "index.html"
+    with atomic_write(index) as part:
+        part.write_bytes(render_template(INDEX, folder=folder.name, flights=entries).encode())
+    return index
 
 
 def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_MB) -> Path:
     """Write FLIGHT.html, one page that needs no other file, and figures/FLIGHT*.png; returns the page's path.
 
     Args:
-        flight_path: FLIGHT.parquet that `tauext run` or `monitor` wrote, or a folder of flights: then its newest.
+        flight_path: FLIGHT.parquet that `tauext run` or `monitor` wrote.
         page_mb: size that interactive traces fill the page up to, [MB]; where figures leave no room there are none.
 
     Raises:
@@ -229,7 +274,6 @@ def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces 
     """The whole page."""
     return render_template(
         TEMPLATE,
-        name=flight.recording.name,
         headline=flight.explanation[0],
         explanation=flight.explanation[1:],
         facts=facts(flight),

@@ -88,13 +88,12 @@ class Flight:
 
 
 def load_flight(path: Path) -> Flight:
-    """Read FLIGHT.parquet and FLIGHT.estimates.parquet; of a folder, its newest flight.
+    """Read FLIGHT.parquet and FLIGHT.estimates.parquet.
 
     Raises:
-        ConfigError: no such file, or no flight in the folder.
+        ConfigError: no such file.
         RecordingError: a file is damaged, no flight, or of another one.
     """
-    path = newest(path) if path.is_dir() else path
     recording = load_recording(path)
     facts = dict(recording.provenance)
     event, explanation = facts.pop("event", None), facts.pop("explanation", None)
@@ -130,9 +129,13 @@ def check_event(path: Path, event: dict[str, Any], joints: int) -> None:
             raise RecordingError(f"{path}: its event's {name} is no list of {joints} values; record it again")
 
 
-def newest(folder: Path) -> Path:
-    """The flight written last."""
+def flights_in(folder: Path) -> list[Path]:
+    """Flights of a folder in the order of their names.
+
+    Raises:
+        ConfigError: there is none.
+    """
     flights = [path for path in folder.glob("*.parquet") if path.with_name(path.stem + ESTIMATES).is_file()]
     if not flights:
         raise ConfigError(f"{folder}: there are no flights in this folder; `tauext run --flights` writes them")
-    return max(flights, key=lambda path: (path.stat().st_mtime_ns, path.name))
+    return sorted(flights)

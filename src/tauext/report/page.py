@@ -102,11 +102,20 @@ def first_screen(results: Results) -> FirstScreen:
     return FirstScreen(
         tested=tested(results, bundle),
         method=bundle.label,
-        why=f"of {len(results.bundles)} bundles it misses the fewest collisions; others follow" if several else "",
-        glances=(found(bundle), false_alarms(bundle), delay(bundle), limits(results, bundle)),
+        why=f"of {len(results.bundles)} bundles it misses the fewest collisions; others follow"
+        if several and bundle.latched and bundle.latched.latched
+        else "",
+        glances=()
+        if is_smoke(results)
+        else (found(bundle), false_alarms(bundle), delay(bundle), limits(results, bundle)),
         unseen=tuple(unseen(results, bundle)),
         steps=tuple(steps(results, bundle)),
     )
+
+
+def is_smoke(results: Results) -> bool:
+    """The results only show that everything runs: their numbers are no headline."""
+    return results.provenance.get("scale") == "smoke"
 
 
 def shown_bundle(results: Results) -> EvaluatedBundle:
@@ -345,7 +354,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         compared=tables.has_paper(results),
         colours=colours,
         tile_columns=-(-len(results.bundles) // -(-len(results.bundles) // MOST_TILES)),
-        tiles=[tile(bundle, results, colours[bundle.name]) for bundle in results.bundles],
+        tiles=[] if is_smoke(results) else [tile(bundle, results, colours[bundle.name]) for bundle in results.bundles],
         near_stiction=f"{results.near_stiction_rad_s:g}",
         methods=methods(results),
         method_errors=method_errors(results),

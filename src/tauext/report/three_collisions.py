@@ -123,11 +123,19 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         f"torque sensor and the estimate of every bundle; below, the moment of impact. Each bundle has its own limit; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor; the first joint over its limit counts. Time 0 is the onset of contact."
+        + missed_words(results, joint, collisions)
         + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
         + bands
         + missing_bundles(results, [n for n in names if n in missing])
         + results.shown_note,
     )
+
+
+def missed_words(results: Results, joint: int, collisions: list[LabelledCollision]) -> str:
+    """States that no bundle shown found what is drawn; empty where one did."""
+    name = results.joints[joint]
+    found = any(b.verdicts[c.id].joint == name for b in results.shown for c in collisions if c.id in b.verdicts)
+    return "" if found else " No bundle shown found a collision here: the strongest one is drawn."
 
 
 def choose(results: Results) -> tuple[int, list[LabelledCollision]]:
@@ -143,13 +151,31 @@ def choose(results: Results) -> tuple[int, list[LabelledCollision]]:
     best = max(results.shown, key=lambda bundle: len(found_by(bundle)))
     found, verdicts = found_by(best), best.verdicts
     if not found:
-        raise NotAvailable(f"{best.label} found none of the chosen collisions")
+        return strongest_missed(results)
     counts = Counter(verdicts[c.id].joint for c in found)
     name = results.joints[0] if counts[results.joints[0]] >= SHOWN else counts.most_common(1)[0][0]
     joint = results.joints.index(name)
     there = [c for c in found if verdicts[c.id].joint == name]
     strongest = sorted(there, key=lambda c: -(c.sensor_peak_nm[joint] or 0.0))[:SHOWN]
     return joint, [c for c in there if c in strongest]
+
+
+def strongest_missed(results: Results) -> tuple[int, list[LabelledCollision]]:
+    """The joint and the collision with the largest sensor peak, where no collision was found.
+
+    Raises:
+        NotAvailable: no collision has a sensor peak.
+    """
+    peaks = [
+        (peak, joint, collision)
+        for collision in results.ten or results.collisions
+        for joint, peak in enumerate(collision.sensor_peak_nm)
+        if peak is not None
+    ]
+    if not peaks:
+        raise NotAvailable("no bundle shown found a chosen collision, and none has a sensor peak")
+    _, joint, collision = max(peaks, key=lambda one: one[0])
+    return joint, [collision]
 
 
 def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, str], unit_s: float) -> None:

@@ -15,6 +15,7 @@ from tauext import _core
 from tauext.data.recording_file import write_parquet
 from tauext.errors import RecordingError
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
+from tauext.files.preflight import expect_rows_fit
 
 HEALTHS = ("warming up", "ok", "stale", "fault")
 """By the core's number."""
@@ -224,6 +225,8 @@ def load_estimates(path: Path) -> Estimates:
 
     try:
         expect_file(path)
+        held_by = pq.read_metadata(path)
+        expect_rows_fit(path, held_by.num_rows, held_by.num_columns)
         table = pq.read_table(path)
         metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
         expect_format(metadata, path, "evaluate or run again", RecordingError, "tauext_estimates_format")

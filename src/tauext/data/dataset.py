@@ -51,7 +51,7 @@ class Split:
             names = tuple(getattr(self, set_name))
             object.__setattr__(self, set_name, names)
             for name in names:
-                if not isinstance(name, str) or not name or Path(name).name != name:
+                if not isinstance(name, str) or name in ("", "..") or Path(name).name != name:
                     raise ConfigError(f"split: {name!r} in '{set_name}' must be a file name without a folder")
                 if name in where:
                     sets = (

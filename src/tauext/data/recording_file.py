@@ -21,6 +21,7 @@ from tauext.files.copies import reading
 from tauext.files.kind import why_no_recording
 from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
+from tauext.files.preflight import expect_rows_fit
 
 # --- Parquet files: written atomically; equal content gives equal bytes.
 
@@ -142,7 +143,9 @@ def load_recording(
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
         kept = [s for s in head.signals if signals is None or s in signals or s in REQUIRED_SIGNALS]
-        columns = read_rows(file, column_names(head.joints, kept), rows)
+        names = column_names(head.joints, kept)
+        expect_rows_fit(path, head.samples if rows is None else rows[1] - rows[0], len(names))
+        columns = read_rows(file, names, rows)
     arrays = {flag: to_numpy(path, columns, flag) for flag in ("t_ns", *FLAGS) if flag in columns.column_names}
     for signal in kept:
         if signal not in FLAGS:

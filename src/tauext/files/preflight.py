@@ -66,11 +66,21 @@ def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> No
         raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; {remedy}")
 
 
-def expect_memory(size: float, what: str) -> None:
+def expect_memory(size: float, what: str, remedy: str = "request less") -> None:
     """Raise ConfigError where the request needs more bytes than the machine has free."""
     there = free_memory()
     if there is not None and not size <= there:
-        raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; request less")
+        raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; {remedy}")
+
+
+COPIES = 2
+"""How often a table is in memory while it is read."""
+
+
+def expect_rows_fit(path: Place, rows: int, columns: int) -> None:
+    """Raise ConfigError where a table of numbers is larger than the free memory: a small file can state 1e9 rows."""
+    what = f"{path}: to read {rows:,} rows of {columns} columns"
+    expect_memory(8.0 * COPIES * rows * columns, what, "split the file, or use a computer with more memory")
 
 
 def expect_time(seconds: float, what: str) -> None:

@@ -34,7 +34,7 @@ class Signals:
             NotAvailable: its file is missing.
             RecordingError: it is damaged, or has other joints than the results.
         """
-        path = self.dataset_dir / f"{name}.parquet"
+        path = self.dataset_dir / f"{expect_plain(name)}.parquet"
         if not path.is_file():
             raise NotAvailable(f"the dataset has no recording {name}")
         recording = load_recording(path)
@@ -52,7 +52,7 @@ class Signals:
             NotAvailable: the file is missing.
             RecordingError: it is damaged, or of another recording.
         """
-        path = self.results_dir / "estimates" / bundle / f"{recording.name}.parquet"
+        path = self.results_dir / "estimates" / expect_plain(bundle) / f"{recording.name}.parquet"
         if not path.is_file():
             raise NotAvailable(f"there are no estimates of bundle {bundle} for {recording.name}")
         estimates = load_estimates(path)
@@ -83,6 +83,13 @@ class Signals:
         return found, missing
 
 
+def expect_plain(name: str) -> str:
+    """This name, which is one of a file or folder; ConfigError where it leads elsewhere (`../x`, `/x`)."""
+    if name in ("", "..") or Path(name).name != name or "\0" in name:
+        raise ConfigError(f"results.json: the name {name!r} must be that of a file, without a folder; evaluate again")
+    return name
+
+
 # --- Results are drawn only with the dataset that they were measured on.
 
 
@@ -97,6 +104,8 @@ def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place)
     Results from before fingerprints were kept are not checked.
     """
     judged = results.provenance.get("recordings") or {}
+    for name in judged:
+        expect_plain(name)
     there = [name for name in judged if (dataset_dir / f"{name}.parquet").is_file()]
     other = [name for name in there if fingerprint(dataset_dir / f"{name}.parquet") != judged[name]]
     missing = bool(judged) and not there and (dataset_dir / FILE_NAME).is_file()

@@ -39,6 +39,8 @@ GZIP_MAGIC = b"\x1f\x8b"
 UTF16_MAGIC = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 SEPARATORS = (",", ";", "\t", "|", " ")
 BLOCK_BYTES = 1 << 21
+LONGEST_LINE = 1 << 24
+"""Largest line, [bytes]: ten thousand signals need a hundredth of it."""
 SAMPLE_LINES, SAMPLE_ROWS = 1000, 200
 """Lines among which the first row is found, and rows that show the kinds of the columns."""
 DIALECT_LINES = 60
@@ -162,6 +164,10 @@ class _Text:
                     data = rest + convert(data)
                     end = data.rfind(b"\n") + 1
                     rest = data[end:]
+                    if len(rest) > LONGEST_LINE:
+                        raise RecordingError(
+                            f"{self.path}: a line has more than {LONGEST_LINE >> 20} MB: these are no rows of numbers"
+                        )
                     if end:
                         if held:
                             yield held

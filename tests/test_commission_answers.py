@@ -22,7 +22,7 @@ from tauext.bundle.history_file import read_events
 from tauext.commission.answers import EventKeeper, Steering
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
-from tauext.commission.live import MOST_READERS, PAST_EVERY, AlarmBook, LiveSink, points_of, rounded
+from tauext.commission.live import MOST_READERS, PAST_EVERY, AlarmBook, Curves, LiveSink, rounded
 from tauext.commission.processes import Child
 from tauext.commission.promises import put_suspects
 from tauext.commission.run import AGAIN_S, Commission
@@ -133,13 +133,16 @@ def test_curves_keep_the_peak_of_one_sample_and_are_empty_without_an_estimate():
         estimates = {name: np.array([[value, value / 4]]) for name, value in columns.items()}
         return SimpleNamespace(t_ns=t_ms * 1_000_000, estimates=estimates | {"health": np.array([health])})
 
-    peak = [verdict(k, -7.5 if k == 31 else 0.5) for k in range(50)]
-    gap = [verdict(k, math.nan, STALE) for k in (60, 70)]
-    points = points_of([*peak, *gap, verdict(80, 0.5)], 25_000_000)
-    assert [one.facts(100_000_000)[:2] for one in points] == [
-        [100, [0.5, 0.125]], [69, [-7.5, -1.875]], [30, []], [20, [0.5, 0.125]],
-    ]  # fmt: skip
-    assert points[1].facts(100_000_000)[2:] == [[0.1, 0.025], [2.0, 0.5], [1.0, 0.25]]
+    curves = Curves(2)
+    for one in [verdict(k, -7.5 if k == 31 else 0.5) for k in range(50)]:
+        curves.add(one)
+    for k in (60, 70):
+        curves.add(verdict(k, math.nan, STALE))
+    curves.draw(verdict(80, 0.5))
+    assert curves.trace == [(0, [0.5, 0.125]), (31_000_000, [-7.5, -1.875]), (60_000_000, [])]
+    assert list(curves.past) == [(31_000_000, [[-7.5, -1.875], [0.1, 0.025], [2.0, 0.5], [1.0, 0.25]])]
+    curves.draw(verdict(90, 0.5))
+    assert curves.trace == [] and len(curves.past) == 1
 
 
 def test_a_page_that_is_opened_gets_the_past(tmp_path):

@@ -11,9 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +42,7 @@ PAST_POINT_NS = 100_000_000
 OVER_S = 0.5
 """Time within all limits after which a touch is over."""
 MOST_FRESH = 4000
-"""Verdicts of which the thread has not drawn a point yet."""
+"""Samples of which the thread has not drawn a point yet."""
 MOST_CHANGES = 1000
 """Verdicts with changes that wait for the thread: those of a thousand alarms."""
 
@@ -146,37 +145,50 @@ def rounded(values: Any) -> list[float | None]:
     ]
 
 
-class Point(NamedTuple):
-    """The sample of a short time with the largest share of a limit."""
+class Curves:
+    """Torques of the newest samples as points of the page's curves. The loop's thread only copies a row of numbers."""
 
-    verdict: Verdict
-    is_valid: bool
-    """Whether any sample of this time had a valid estimate."""
-    share: float = 0.0
-    """Its largest share of a limit."""
+    def __init__(self, joints: int):
+        self._t_ns, self._valid = np.zeros(MOST_FRESH, dtype=np.int64), np.zeros(MOST_FRESH, dtype=bool)
+        self._tau = np.zeros((MOST_FRESH, joints), dtype=np.float32)
+        self._written = self._read = 0
+        self.trace: list[tuple[int, list[Any]]] = []
+        """Points since the last call of draw(): stamp [ns], and torques; none without an estimate."""
+        self.past: deque[tuple[int, list[Any]]] = deque(maxlen=round(PAST_S * 1e9) // PAST_POINT_NS)
+        """Points of the last PAST_S, with torques, standard errors, collision and contact limits."""
+        self._share = 0.0
 
-    def facts(self, now_ns: int) -> list[Any]:
-        """Age [ms], torques, standard errors, collision and contact limits; no torques without an estimate."""
-        names = ("tau_ext", "contact_sigma_nm", "limit_nm", "contact_limit_nm")
-        values = (
-            [np.round(self.verdict.estimates[name][0], 3) for name in names] if self.is_valid else [np.zeros(0)] * 4
-        )
-        return [round((now_ns - self.verdict.t_ns) * 1e-6), *map(rounded, values)]
+    def add(self, verdict: Verdict) -> None:
+        """In the loop's thread."""
+        row = self._written % MOST_FRESH
+        self._t_ns[row] = verdict.t_ns
+        self._valid[row] = verdict.estimates["health"][0] == OK
+        self._tau[row] = verdict.estimates["tau_ext"][0]
+        self._written += 1
 
-
-def points_of(verdicts: Sequence[Verdict], point_ns: int) -> list[Point]:
-    """One point for each time of point_ns that has a sample, in their order."""
-    points: list[Point] = []
-    for _, group in groupby(verdicts, key=lambda one: one.t_ns // point_ns):
-        rows = list(group)
-        valid = [one for one in rows if one.estimates["health"][0] == OK]
-        if not valid:
-            points.append(Point(rows[-1], False))
-            continue
-        tau, limit = (np.concatenate([one.estimates[name] for one in valid]) for name in ("tau_ext", "limit_nm"))
-        share = np.nan_to_num(np.abs(tau) / limit).max(axis=1)
-        points.append(Point(valid[int(np.argmax(share))], True, float(share.max())))
-    return points
+    def draw(self, newest: Verdict) -> None:
+        """Make points of the samples since the last call, with the limits and errors of the newest one."""
+        end, begin = self._written, max(self._read, self._written - MOST_FRESH)
+        self._read, self.trace = end, []
+        if begin == end:
+            return
+        rows = np.arange(begin, end) % MOST_FRESH
+        t_ns, tau, limit = self._t_ns[rows], self._tau[rows], newest.estimates["limit_nm"][0]
+        share = np.where(self._valid[rows], np.nan_to_num(np.abs(tau) / limit).max(axis=1), -1.0)
+        first = np.flatnonzero(np.diff(t_ns // POINT_NS, prepend=t_ns[0] // POINT_NS - 1))
+        names = ("contact_sigma_nm", "limit_nm", "contact_limit_nm")
+        beside = [rounded(newest.estimates[name][0]) for name in names]
+        for start, stop in zip(first, [*first[1:], len(rows)], strict=True):
+            at = start + int(np.argmax(share[start:stop]))
+            point = int(t_ns[at]), rounded(tau[at]) if share[at] >= 0 else []
+            self.trace.append(point)
+            wide = point[0], [point[1], *(beside if point[1] else [[]] * 3)]
+            if self.past and self.past[-1][0] // PAST_POINT_NS == point[0] // PAST_POINT_NS:
+                if share[at] < self._share:
+                    continue
+                self.past.pop()
+            self.past.append(wide)
+            self._share = float(share[at])
 
 
 def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
@@ -207,9 +219,7 @@ class LiveSink:
         self._newest: Verdict | None = None
         self._sample: Sample | None = None
         self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
-        self._fresh: deque[Verdict] = deque(maxlen=MOST_FRESH)
-        self._trace: list[Point] = []
-        self._past: deque[Point] = deque(maxlen=round(PAST_S * 1e9) // PAST_POINT_NS)
+        self._curves: Curves | None = None
         self._lines = 0
         self._held = (0, 0, np.zeros(0))
         """Number of an alarm, the last stamp at which its touch was over a limit, [ns], and the largest torque of each
@@ -227,7 +237,7 @@ class LiveSink:
 
     def describe(self, joints: tuple[str, ...], units: Sequence[str]) -> None:
         """Names and units of the joints, before the first verdict."""
-        self._book = AlarmBook(joints, units)
+        self._book, self._curves = AlarmBook(joints, units), Curves(len(joints))
 
     def stand(self, event: dict[str, Any] | None) -> None:
         """The alarm of the last process stands from the beginning; call it after describe()."""
@@ -246,7 +256,8 @@ class LiveSink:
 
     def verdict(self, verdict: Verdict) -> None:
         self._newest = verdict
-        self._fresh.append(verdict)
+        if self._curves is not None:
+            self._curves.add(verdict)
         if verdict.sample is not None:
             self._sample = verdict.sample
         if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
@@ -296,20 +307,11 @@ class LiveSink:
                 continue
             due = time.monotonic() + PERIOD_S
             self._follow_touch()
-            self._draw()
+            if self._curves is not None and self._newest is not None:
+                self._curves.draw(self._newest)
             self._accept()
             if self._readers:
                 self._send(json.dumps(self._line(shown)).encode() + b"\n")
-
-    def _draw(self) -> None:
-        """Points of the curves since the last line, and those of the last PAST_S."""
-        fresh = [self._fresh.popleft() for _ in range(len(self._fresh))]
-        self._trace = points_of(fresh, POINT_NS)
-        for point in points_of(fresh, PAST_POINT_NS):
-            last = self._past[-1] if self._past else None
-            if last is not None and last.verdict.t_ns // PAST_POINT_NS == point.verdict.t_ns // PAST_POINT_NS:
-                point = max(self._past.pop(), point, key=lambda one: (one.is_valid, one.share))
-            self._past.append(point)
 
     def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
         number, held_ns, over = self._held
@@ -347,10 +349,13 @@ class LiveSink:
             return line
         estimates, sample = verdict.estimates, verdict.sample or self._sample
         self._lines += 1
-        past = {} if self._lines % PAST_EVERY else {"past": [point.facts(verdict.t_ns) for point in self._past]}
+        curves, now_ns = self._curves, verdict.t_ns
+        past = {}
+        if curves is not None and self._lines % PAST_EVERY == 0:
+            past = {"past": [[round((now_ns - t_ns) * 1e-6), *values] for t_ns, values in curves.past]}
         return line | {
             "t_ns": verdict.t_ns,
-            "trace": [point.facts(verdict.t_ns)[:2] for point in self._trace],
+            "trace": [[round((now_ns - t_ns) * 1e-6), tau] for t_ns, tau in (curves.trace if curves else ())],
             **past,
             "q": [] if sample is None else rounded(sample.q),
             "tau_ext": rounded(estimates["tau_ext"]),

@@ -105,7 +105,7 @@ class AlarmBook:
         torque = {"tau_ext_nm": finite(change.tau_ext_nm[joint])} if change.tau_ext_nm else {}  # of the same moment
         first, last, _ = run_of(change.links)
         return torque | {
-            "at": self.joints[first] if first == last else f"{self.joints[first]} to {self.joints[last]}",
+            "at": " or ".join(self.joints[first : last + 1]),
             "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
             "newtons": finite(newtons(change.best)),
             "on": links_words(change.links, self.joints, change.guessed),
@@ -194,7 +194,13 @@ class Curves:
 def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
     """Shares of the last minute and hour for the page, with the reason and remedy of a loss."""
     words = blind_words(now, remedy) if now.level else ""
-    return {"minute": finite(now.minute), "hour": finite(now.hour), "level": now.level, "words": words}
+    return {
+        "minute": finite(now.minute),
+        "hour": finite(now.hour),
+        "of_s": round(now.of_seconds),
+        "level": now.level,
+        "words": words,
+    }
 
 
 class LiveSink:

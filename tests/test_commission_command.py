@@ -47,7 +47,7 @@ PATIENCE_S = 300.0
         ("--source feetech:/dev/null --out {}/a", "needs --bus FILE"),
         ("--source sim:rig --out {}/a --bus {}/b.toml", "--bus"),
         ("--source sim:rig --out {}/a --robot {}/none.urdf", "no such file"),
-        ("--source sim:rig --out {}/a --disk-gb 0", "disk_gb = 0.0 must be 0.1 to 100000"),
+        ("--source sim:rig --out {}/a --disk-gb 0", "--disk-gb = 0.0 must be 0.1 to 100000"),
         ("--source sim:rig --out {}/a --disk-gb nan", "disk_gb = nan"),
         ("--source sim:rig --out {}/a --port 0", "port = 0 must be 1 to 65535"),
         ("--source sim:rig --out {}/a --host moon.example.invalid", "must be an address of this machine"),

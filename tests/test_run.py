@@ -700,8 +700,8 @@ WRONG = [
     (("watching.tauext",), ["give one or more recordings"]),
     (("watching.tauext", "pushed.parquet", "--speed", "0"), ["speed = 0.0 must be > 0"]),
     (("watching.tauext", "pushed.parquet", "--speed", "2", "--real-time"), ["speed = 2.0", "--real-time"]),
-    (("watching.tauext", "pushed.parquet", "--acknowledge-after-s", "0"), ["acknowledge_after_s = 0.0 must be > 0"]),
-    (("watching.tauext", "pushed.parquet", "--status-hz", "5"), ["status_hz = 5.0", "--json"]),
+    (("watching.tauext", "pushed.parquet", "--acknowledge-after-s", "0"), ["--acknowledge-after-s = 0.0 must be > 0"]),
+    (("watching.tauext", "pushed.parquet", "--status-hz", "5"), ["--status-hz = 5.0", "--json"]),
     (("watching.tauext", "pushed.parquet", "--flights", "file"), ["file: no folder for flights"]),
     (("watching.tauext", "pushed.parquet", "--flights", "f", "--before-s", "-1"), ["0 to 600 s"]),
 ]

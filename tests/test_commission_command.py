@@ -48,7 +48,7 @@ PATIENCE_S = 300.0
         ("--source sim:rig --out {}/a --bus {}/b.toml", "--bus"),
         ("--source sim:rig --out {}/a --robot {}/none.urdf", "no such file"),
         ("--source sim:rig --out {}/a --disk-gb 0", "--disk-gb = 0.0 must be 0.1 to 100000"),
-        ("--source sim:rig --out {}/a --disk-gb nan", "disk_gb = nan"),
+        ("--source sim:rig --out {}/a --disk-gb nan", "--disk-gb = nan"),
         ("--source sim:rig --out {}/a --port 0", "port = 0 must be 1 to 65535"),
         ("--source sim:rig --out {}/a --host moon.example.invalid", "must be an address of this machine"),
         ("--source sim:rig --out {}/a --priority 100", "priority = 100 must be 1 to 99"),

@@ -244,7 +244,7 @@ def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeyp
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
-    one._has_ended, one._record = False, None
+    one._has_ended, one._record, one._lost = False, None, ""
     one._loop, one._keeper = SimpleNamespace(samples=1), SimpleNamespace(unanswered=None)
     now_s, lines = 0.0, []
     one._note, one._echo = lines.append, lines.append

@@ -17,6 +17,7 @@ from tauext.commission.connect import held_rate
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import Kept, describe_folder, kept_of
 from tauext.commission.keep import KeepSink
+from tauext.data.labels import Label
 from tauext.monitor.control_lines import ControlSocket
 from tauext.monitor.latency import how_to_hold_the_rate
 from tauext.monitor.loop import Loop
@@ -145,7 +146,8 @@ def test_the_promise_counts_monitored_hours_only_also_after_a_restart(tmp_path):
         sink.every_second(report(1800.0 * 0.9, 1800.0, 0.905))
         sink._tidy()
         sink.close()
-    add_event(folder, id=1, level="collision", bundle="b0001", answer="nothing")
+    add_event(folder, id=1, level="collision", bundle="b0001")
+    folder.append_label(Label(1, 1, 0, 0, "nothing", "page", "", "b0001"))
     assert monitored_of(folder.coverage()) == {"b0001": (3240.0, 3600.0)}
     found = kept_of(folder.path, "b0001", 7200.0)
     assert (found.hours, found.of_hours, found.false) == (0.9, 1.0, 1)

@@ -311,8 +311,8 @@ def test_names_are_text_and_never_markup_or_script(made, tmp_path):
 @pytest.mark.parametrize(
     "arguments, says",
     [
-        (("--page-mb", "-1"), "page_mb = -1 must be a number of megabytes, 0 to 1000"),
-        (("--page-mb", "nan"), "page_mb = nan must be a number of megabytes, 0 to 1000"),
+        (("--page-mb", "-1"), "--page-mb = -1 must be a number of megabytes, 0 to 1000"),
+        (("--page-mb", "nan"), "--page-mb = nan must be a number of megabytes, 0 to 1000"),
         (("--trace-methods", "exact", "mine"), "there is no method 'mine'; choose among exact, exact-paper, mass"),
     ],
 )

@@ -149,7 +149,7 @@ def markdown(done: dict, words: str) -> list[str]:
     ]
     ways: tuple[list[dict], list[dict]] = ([], [])
     for versions in done.values():
-        for way, one in zip(ways, versions.values(), strict=True):
+        for way, one in zip(ways, versions.values(), strict=False):
             way.append(one)
     for what, way in zip(("Equal shares", "Together"), ways, strict=True):
         later, other, detected, touches = (

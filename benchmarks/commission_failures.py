@@ -53,7 +53,7 @@ from tauext.data.labels import read_labels
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 from tauext.files import journal
-from tauext.files.append_file import RESERVE, RESERVED
+from tauext.files.synced_file import RESERVE, RESERVED
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.sim.source import SimSource
 from tauext.sources.describing import LEARNT_STEPS

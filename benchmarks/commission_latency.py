@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from common import arguments, free_port, head, table_row
+from common import arguments, free_port, head, loop_arguments, loop_flags, table_row
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -32,10 +32,9 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--arm", default="rig", help="of sim:, default: %(default)s")
     parser.add_argument("--seconds", type=float, default=150.0, help="of each run, default: %(default)s")
-    parser.add_argument("--core", type=int, help="as for the command")
-    parser.add_argument("--priority", type=int, help="as for the command")
+    loop_arguments(parser)
     options = parser.parse_args()
-    flags = [f"--{name}={value}" for name in ("core", "priority") if (value := getattr(options, name)) is not None]
+    flags = loop_flags(options)
     print("\n".join(head("page | training | seconds | p99, median of the seconds [µs] | largest [µs]")), flush=True)
     for with_page in (False, True):
         seen = measured(options.arm, options.seconds, with_page, flags)

@@ -39,6 +39,17 @@ def type_arguments(doc: str | None, arms: int, type_seed: int = 1) -> argparse.A
     return parser
 
 
+def loop_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the loop's core and priority."""
+    parser.add_argument("--core", type=int, help="as for the command")
+    parser.add_argument("--priority", type=int, help="as for the command")
+
+
+def loop_flags(options: argparse.Namespace) -> list[str]:
+    """The given ones as words of the command."""
+    return [f"--{name}={value}" for name in ("core", "priority") if (value := getattr(options, name)) is not None]
+
+
 def flags(given: argparse.Namespace, usual: dict[str, object]) -> str:
     """The options that differ from these defaults, as they stand on a command line."""
     other = {name: getattr(given, name) for name in usual if getattr(given, name) != usual[name]}

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from commission_latency import connected
-from common import arguments, free_port, head, table_row
+from common import arguments, free_port, head, loop_arguments, loop_flags, table_row
 
 SLOW, STREAMS = 24, 200
 PATIENCE_S, READY_S = 5.0, 600.0
@@ -170,10 +170,9 @@ def main() -> None:
     parser.add_argument("--python", action="append", default=[], help="of another version's environment; repeatable")
     parser.add_argument("--arm", default="rig", help="of sim:, default: %(default)s")
     parser.add_argument("--loads", type=int, default=40, help="of the page in each row, default: %(default)s")
-    parser.add_argument("--core", type=int, help="as for the command")
-    parser.add_argument("--priority", type=int, help="as for the command")
+    loop_arguments(parser)
     options = parser.parse_args()
-    flags = [f"--{name}={value}" for name in ("core", "priority") if (value := getattr(options, name)) is not None]
+    flags = loop_flags(options)
     print("\n".join(head(COLUMNS)), flush=True)
     for python in (*options.python, sys.executable):
         with tempfile.TemporaryDirectory() as temporary:

@@ -14,8 +14,8 @@ from tauext.data.free_motion import free_pieces, free_samples
 from tauext.data.labels import KIND, Label, labels_key, overlay, read_labels
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording, save_recording
-from tauext.files import append_file, journal
-from tauext.files.append_file import RESERVE, RESERVED, reserve, write_synced
+from tauext.files import journal, synced_file
+from tauext.files.synced_file import RESERVE, RESERVED, reserve, write_synced
 from tauext.progress import SILENT
 
 SECOND = 1_000_000_000
@@ -119,7 +119,7 @@ def test_a_full_disk_releases_the_reserve(tmp_path, monkeypatch):
     reserve(tmp_path)
     assert (tmp_path / RESERVE).stat().st_size >= 1 << 20
 
-    def full(file: int, line: bytes, real=append_file.write_all) -> None:
+    def full(file: int, line: bytes, real=synced_file.write_all) -> None:
         if (tmp_path / RESERVE).exists():
             os.write(file, line[:5])
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -141,7 +141,7 @@ def test_a_full_disk_releases_the_reserve_for_a_small_file_and_a_partial_reserve
         real(file)
 
     monkeypatch.setattr(os, "fsync", full)
-    monkeypatch.setattr(append_file, "sync_folder", lambda path: None)
+    monkeypatch.setattr(synced_file, "sync_folder", lambda path: None)
     write_synced(tmp_path / "facts.json", "{}")
     assert (tmp_path / "facts.json").read_text() == "{}"
     os.truncate(tmp_path / RESERVE, 5)

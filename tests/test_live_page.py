@@ -527,7 +527,7 @@ def is_closed(wire):
 
 @pytest.mark.parametrize("token", ["", TOKEN])
 def test_slow_connections_and_unread_streams_keep_nobody_out(tmp_path, token):
-    """The connections of the issue's kind stay open; a page is loaded, and its stream goes on."""
+    """24 slow connections and many unread streams stay open; a page is loaded, and its stream goes on."""
     own = {"Cookie": f"tauext={token}"} if token else {}
     with served(tmp_path, host="0.0.0.0" if token else "127.0.0.1", token=token) as (port, _), ExitStack() as stack:
         early = stack.enter_context(listen(port, **own)) if token else None

@@ -11,12 +11,13 @@ from typing import Any
 from tauext.errors import ConfigError
 from tauext.files.journal import Contents, read
 from tauext.files.places import Place
-from tauext.files.plain_file import expect_format, read_json
+from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
 FACTS = "commission.json"
 NOTED = "journal"
 """Entry of commission.json: number of a recent line of the journal, which shows whether its end is lost."""
 BUNDLES = "bundles"
+COVERAGE = "coverage.json"
 RESULTS = "results"
 
 
@@ -122,6 +123,14 @@ def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
     for one, following in zip(begun, [*begun[1:], None], strict=False):  # no line at all: only the None is left
         end = now_s if following is None else float(following.get("seconds") or 0.0)
         yield Watch(str(one.get("bundle")), float(one.get("seconds") or 0.0), end)
+
+
+def read_coverage(folder: Place) -> dict[str, Any]:
+    """Content of coverage.json; empty where it is missing or damaged."""
+    with suppress(OSError, ValueError):
+        if isinstance(content := json_of(read_text(folder / COVERAGE)), dict):
+            return content
+    return {}
 
 
 def monitored_of(coverage: Any) -> dict[str, tuple[float, float]]:

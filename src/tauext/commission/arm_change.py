@@ -20,8 +20,8 @@ from tauext.commission.promises import THREADS, base_of, meets
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TauextError, TooLittleMotionError
-from tauext.files.append_file import write_synced
 from tauext.files.provenance import provenance
+from tauext.files.synced_file import write_synced
 from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_frame, see
 from tauext.progress import WallTimes
 from tauext.train.refit import refit_recordings

@@ -16,12 +16,14 @@ import numpy as np
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import (
     BUNDLES,
+    COVERAGE,
     FACTS,
     NOTED,
     RESULTS,
     active_bundle,
     lost_lines,
     lost_words,
+    read_coverage,
     read_facts,
     read_history,
 )
@@ -33,10 +35,10 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, stretch_of
 from tauext.errors import ConfigError, TauextError
 from tauext.files import journal
-from tauext.files.append_file import lock, reserve, set_aside, write_synced
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import write_json
+from tauext.files.synced_file import lock, reserve, set_aside, write_synced
 
 # --- The index of recordings, from which split.json follows.
 
@@ -100,7 +102,7 @@ class CommissionFolder:
     def __init__(self, path: Path):
         self.path = path
         self.bundles, self.results, self.flights = path / BUNDLES, path / RESULTS, path / "flights"
-        self.coverage_file, self.findings_file = path / "coverage.json", path / "findings.json"
+        self.coverage_file, self.findings_file = path / COVERAGE, path / "findings.json"
         self.progress_file = path / "trainer.json"
         self.pending_file = path / "pending.json"
         """The bundle that waits to be judged, and what it was trained on."""
@@ -425,10 +427,7 @@ class CommissionFolder:
 
     def coverage(self) -> dict[str, Any]:
         """Content of coverage.json; empty before the first recording."""
-        with suppress(OSError, ValueError):
-            if isinstance(content := json_of(read_text(self.coverage_file)), dict):
-                return content
-        return {}
+        return read_coverage(self.path)
 
 
 def segment_of(path: Path, size: int) -> Segment | None:

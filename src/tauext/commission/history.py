@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from tauext.bundle.history_file import (
     active_bundle,
     lost_lines,
     monitored_of,
+    read_coverage,
     read_events,
     read_facts,
     read_history,
@@ -22,7 +22,6 @@ from tauext.bundle.history_file import (
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
-from tauext.files.plain_file import json_of, read_text
 from tauext.fit.tail import duration, is_kept
 from tauext.monitor.monitored_time import percent
 
@@ -87,14 +86,6 @@ def kept_of(folder: Place, bundle: str, seconds: float) -> Kept:
     unanswered = sum(one.get("answer") is None for one in alarms)
     promised, sentence = promise_of(folder, bundle)
     return Kept(bundle, promised, sentence, hours, false, unanswered, of_hours)
-
-
-def read_coverage(folder: Place) -> dict[str, Any]:
-    """Content of coverage.json; empty where it is missing or damaged."""
-    with suppress(OSError, ValueError):
-        if isinstance(content := json_of(read_text(folder / "coverage.json")), dict):
-            return content
-    return {}
 
 
 def monitored_words(coverage: dict[str, Any]) -> str | None:

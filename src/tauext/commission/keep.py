@@ -21,8 +21,8 @@ from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.files.append_file import reserve, set_aside, write_synced
 from tauext.files.plain_file import json_of, read_text
+from tauext.files.synced_file import reserve, set_aside, write_synced
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink

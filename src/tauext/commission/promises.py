@@ -21,9 +21,9 @@ from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
-from tauext.files.append_file import write_synced
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import provenance
+from tauext.files.synced_file import write_synced
 from tauext.progress import WallTimes
 from tauext.train.calibrate import no_freeze
 from tauext.train.held_peaks import collect_peaks

@@ -39,9 +39,9 @@ from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
-from tauext.files.append_file import write_reserved, write_synced
 from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
+from tauext.files.synced_file import write_reserved, write_synced
 from tauext.monitor.control_lines import CONTROL, ControlSocket
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import how_to_hold_the_rate

@@ -43,11 +43,11 @@ from tauext.errors import ConfigError, FaultyDataError, TauextError
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.results import EvaluatedBundle, to_json
-from tauext.files.append_file import write_synced
 from tauext.files.journal import REPAIR
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
 from tauext.files.provenance import provenance, write_json
+from tauext.files.synced_file import write_synced
 from tauext.progress import SILENT, Show, Silent
 from tauext.robot.model_case import chosen_case
 from tauext.train.preflight import check_data

@@ -14,14 +14,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
 from zlib import crc32
 
-from tauext.files.append_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
 from tauext.files.places import Place, is_stored
 from tauext.files.plain_file import FORMAT, expect_file, json_of
+from tauext.files.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
 
 NAME, COPY, LOCK = "journal.jsonl", "journal.copy.jsonl", ".journal.lock"
 CHECK = b'{"crc32": "%08x", '
@@ -52,14 +53,19 @@ class Contents:
             found.setdefault(str(one.get("kind")), []).append(one)
         return found
 
+    @cached_property
+    def gaps(self) -> list[tuple[int, int]]:
+        """First and last number of each run of missing lines before the newest one."""
+        edges = [0, *(int(one["number"]) for one in self.lines)]
+        return [(a + 1, b - 1) for a, b in pairwise(edges) if b > a + 1]
+
     def lost(self, noted: int = 0) -> list[tuple[int, int]]:
-        """First and last number of each gap that no person has accepted.
+        """First and last number of each gap that no person has accepted; asked once a second.
 
         Args:
             noted: a number that a line had, from elsewhere: it shows that the end is missing.
         """
-        edges = [0, *(int(one["number"]) for one in self.lines), max(noted, self.last) + 1]
-        gaps = [(a + 1, b - 1) for a, b in zip(edges, edges[1:], strict=False) if b > a + 1]
+        gaps = [*self.gaps, (self.last + 1, noted)] if noted > self.last else self.gaps
         accepted = [(int(a), int(b)) for one in self.kinds.get(REPAIR, ()) for a, b in one.get("lost", ())]
         return [gap for gap in gaps if not any(a <= gap[0] and gap[1] <= b for a, b in accepted)]
 

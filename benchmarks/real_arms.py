@@ -265,7 +265,7 @@ def panda_commands() -> list[str]:
     return [
         "import --new new.toml --source a4.csv.gz --robot panda.urdf",
         f"import --source {' '.join(f'{name}.csv.gz' for name in TOUCHED)} --arm arm.toml --out data",
-        "1 check --data data",
+        "check --data data",
         "2 train --data data --recipe prior --out prior.tauext",
         *(f"train --data data --recipe {Path(b).stem} {MARGINS} --out {b}" for b in bundles),
         f"evaluate --data data --bundles {' '.join(bundles)} --out results",

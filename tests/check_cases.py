@@ -234,6 +234,18 @@ def standing(case: Case, signs: list[float]) -> Broken:
     return recordings, case.urdf.read_text()
 
 
+def growing(case: Case) -> Broken:
+    """A zero that drifts from the first recording to the last."""
+    per_s = 0.2 / 60 * float(case.made.recordings[0].tau[:, J].std())
+    return each(case, lambda r, k: at(r, "tau", J, lambda x: x + per_s * (k * r.duration_s + r.time_s)))
+
+
+def sometimes(r: Recording) -> np.ndarray:
+    """1 for two seconds of every six, (samples,)."""
+    on: np.ndarray = r.time_s % 6.0 < 2.0
+    return on
+
+
 def uncompensated(case: Case) -> Broken:
     return each(case, lambda r, k: {"tau": r.tau - case.made.gravity[k]})
 
@@ -380,6 +392,10 @@ FAULTS = [
           lambda c: (c.anew(c.tree, ranges=0.01, minutes=0.5), c.urdf.read_text()), follows=("clock-gaps",)),
     Fault("thirty seconds", "too-short", None, lambda c: (c.anew(c.tree, minutes=0.5), c.urdf.read_text())),
     Fault("friction falls by 40 % as it warms up", "temperature-drift", J, drifting),
+    Fault("torque that grows by a fifth of its spread a minute", "torque-drift", J, growing),
+    Fault("unlabelled pushes in a third of the time", "torque-steps", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: x + 1.5 * x.std() * sometimes(r))),
+          follows=("odd-recording",)),
     Fault("contacts in free motion", "contact-in-free-motion", None, lambda c: each(c, touched)),
     Fault("unlabelled impacts of 50 ms", "contact-in-free-motion", None,
           lambda c: each(c, lambda r, k: pushed(r, k, 0.05, 0.6))),

@@ -69,7 +69,7 @@ def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
     assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
 
 
-LONGER = {"joint-axis", "joint-order", "position-offset", "stuck"}
+LONGER = {"joint-axis", "joint-order", "position-offset", "stuck", "torque-drift", "torque-steps"}
 """Codes that take more motion."""
 ELSEWHERE = {"effort-scale", "joint-names", "odd-recording", "robot-file-changed", "spike", "time-unit"}
 """Codes that other tests lead to as well, in this file or in those of their names."""
@@ -108,15 +108,27 @@ def test_fault_of_the_rig_is_named(rig: Case, name: str):
 
 
 CAUSES = ("position-wraps", "robot-file-other", "rows-dropped")
+OF_LIMITS = ("limit-fine", "limit-wide")
 OF_SERVOS = {
     "backlash", "coarse-velocity", "current-signed", "effort-duty", "load-sign-bit", "supply-current", "unsigned-torque"
 }  # fmt: skip
 
 
 def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
-    # an unusable file and a hand that is not mounted here, causes in test_check_causes.py, what servos report in
-    # test_check_servo.py
-    assert set(CODES) - {fault.code for fault in FAULTS} == {"model-unusable", "payload-absent", *CAUSES} | OF_SERVOS
+    # an unusable file and a hand that is not mounted here, causes in test_check_causes.py, limits of a training in
+    # test_few_data.py, what servos report in test_check_servo.py
+    elsewhere = {"model-unusable", "payload-absent", *CAUSES, *OF_LIMITS} | OF_SERVOS
+    assert set(CODES) - {fault.code for fault in FAULTS} == elsewhere
+
+
+@pytest.mark.parametrize("joints", [[1], [0], list(range(6))], ids=["second", "first", "all"])
+def test_a_torque_in_mnm_is_named_without_a_model(six, joints):
+    """Beside the other joints, or by its size if all are; 1000 Nm are possible, a million are not."""
+    scale = np.where(np.isin(np.arange(6), joints), 1000.0, 1.0)
+    found = examine([replace(r, tau=scale * r.tau) for r in six.made.recordings]).findings
+    named = [f.joint for f in found if f.code == "effort-scale" and f.severity == "fault"]
+    assert named and set(named) <= {f"joint{j + 1}" for j in joints}
+    assert not [f for f in examine(six.made.recordings).findings if f.code == "effort-scale"]
 
 
 def test_offset_is_named_in_rad_and_degrees(searched):

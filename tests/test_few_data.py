@@ -10,14 +10,15 @@ from made_arms import no_model, planar_arm, planar_torque
 
 from tauext import _core
 from tauext.cli import main
-from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
+from tauext.config import PAPER_CASES, AlarmConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import BundleError, ConfigError, TrainingError
 from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
-from tauext.train.limits import factor_after, put_limits
+from tauext.train.calibrate import calibrate_bundle
+from tauext.train.limits import factor_after, limit_findings, put_limits
 from tauext.train.preparation import Given, training_motion, wants_constants
 from tauext.train.promised_limits import NOT_MEASURED
 from tauext.train.stage import train_on_recordings
@@ -144,6 +145,46 @@ def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkey
     bundle, facts = trained(tmp_path, monkeypatch, [still], recipe="observer", limits="paper")
     assert any(note.startswith("limits at rest only: no joint moves") for note in facts["notes"])
     assert bundle.sliding_limit_nm == bundle.near_stiction_limit_nm and min(bundle.sliding_limit_nm) > 0
+
+
+def test_a_joint_that_never_moves_beside_others_is_not_monitored(tmp_path, monkeypatch, capsys):
+    """Locked: its torque says nothing. Its limits, which were those of rounding, stay infinite whatever sets limits."""
+    made = [motion(seed=seed, name=f"made-{seed}") for seed in range(4)]
+    locked = [replace(one, **{k: getattr(one, k) * [1.0, 0.0] for k in ("q", "dq", "tau")}) for one in made]
+    bundle, facts = trained(tmp_path, monkeypatch, locked[:3], recipe="prior")
+    assert bundle.monitored == [True, False] and np.isfinite(bundle.sliding_limit_nm[0])
+    assert "elbow never moves in the recordings: not monitored" in " ".join(facts["notes"])
+    assert not any("elbow" in name for name in facts["limits"]["tails"])
+    moved = replace(made[3], tau=made[3].tau + [0.0, 30.0])
+    estimates = estimate_recording(bundle, moved)
+    assert np.isinf(estimates.limit_nm[200:, 1]).all() and np.isfinite(estimates.limit_nm[200:, 0]).all()
+    assert (np.abs(estimates.tau_ext[200:, 1]) > 20).any() and not estimates.held_alarm.any()
+    calibrate_bundle(bundle, "made", [lambda: locked[3]], AlarmConfig(), 1)
+    assert bundle.monitored == [True, False] and np.isfinite(bundle.contact_sliding_limit_nm[0])
+    assert main(["show", str(tmp_path / "made.tauext")]) == 0
+    assert "not monitored                      elbow" in capsys.readouterr().out
+    assert main(["show", str(tmp_path / "made.tauext"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["limits_sliding_nm"]["elbow"] is None
+
+
+def test_limits_of_little_use_are_found():
+    bundle = _core.Bundle()
+    bundle.links = planar_arm().links
+    bundle.largest_torque_nm = [10.0, 10.0]
+    for name in ("sliding", "contact_sliding"):
+        setattr(bundle, f"{name}_limit_nm", [3.2, 0.2])
+    for name in ("near_stiction", "contact_near_stiction"):
+        setattr(bundle, f"{name}_limit_nm", [3.3, 0.3])
+
+    def found(step_nm=0.0):
+        return [(one.code, one.severity, one.joint) for one in limit_findings(bundle, {"elbow": step_nm})]
+
+    assert found() == [] and found(0.19) == []
+    assert found(0.21) == [("limit-fine", "fault", "elbow")]
+    bundle.largest_torque_nm = [9.8, 10.0]
+    assert found() == [("limit-wide", "warning", "shoulder")]
+    bundle.largest_torque_nm = [6.5, 10.0]
+    assert found() == [("limit-wide", "fault", "shoulder")]  # half of the joints
 
 
 def test_currents_get_their_constants_back_and_the_core_applies_them():

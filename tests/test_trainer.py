@@ -143,6 +143,7 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
     for change, why in (
         ({"sliding_limit_nm": [0.01, 0.01], "near_stiction_limit_nm": [0.01, 0.01]}, "it reports collisions during"),
         ({"possible_speed_rad_s": [0.5, 0.5]}, "it rejects"),
+        ({"sliding_limit_nm": [90.0, 90.0], "near_stiction_limit_nm": [90.0, 90.0]}, "fault: joint1: the limit of a"),
         ({"sliding_limit_nm": [0.2, 0.2], "near_stiction_limit_nm": [0.2, 0.2]}, "false alarms in"),
     ):
         path.write_text(json.dumps(content))

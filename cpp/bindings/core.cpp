@@ -499,6 +499,14 @@ void bind_bundle(nb::module_& m) {
       .def_rw("window_steps", &Bundle::window_steps, "Network steps in a window.")
       .def_rw("shape", &Bundle::shape, "Inputs, hidden units and outputs of the network; hidden = 0: no network.")
       .def_prop_ro("joints", &Bundle::joints, "Number of joints.")
+      .def_prop_ro(
+          "monitored",
+          [](const Bundle& b) {
+            std::vector<bool> all;
+            for (int j = 0; j < b.joints(); ++j) all.push_back(b.limits.monitors(j));
+            return all;
+          },
+          "Whether each joint can raise an alarm; one that never moved in training has infinite limits and cannot.")
       .def_prop_ro("has_network", &Bundle::has_network, "Whether there is a network; False: observer and prior only.")
       .def_rw("units", &Bundle::units,
               "Units of the input tau and of the estimates; torque_units and estimate_units are their names.")

@@ -108,12 +108,26 @@ void Limits::validate(int joints, int widths) const {
   expect(region_width >= -1 && region_width < widths, "limits.region_width", region_width,
          "-1 or one of " + std::to_string(widths) + " presliding widths");
   expect(near_stiction_rad_s >= 0 && std::isfinite(near_stiction_rad_s), "limits.near_stiction_rad_s", near_stiction_rad_s, ">= 0");
+  const auto expect_limits = [joints](const std::string& what, const std::vector<double>& limits) {
+    expect_size(what, limits.size(), static_cast<std::size_t>(joints));
+    expect_each(what, limits, [](double limit) { return limit > 0; }, "> 0");
+  };
   for (const Level* level : {&collision, &contact}) {
     const std::string here = level == &collision ? "limits.collision." : "limits.contact.";
-    expect_positive(here + "sliding_nm", level->sliding_nm, static_cast<std::size_t>(joints));
-    expect_positive(here + "near_stiction_nm", level->near_stiction_nm, static_cast<std::size_t>(joints));
+    expect_limits(here + "sliding_nm", level->sliding_nm);
+    expect_limits(here + "near_stiction_nm", level->near_stiction_nm);
     expect_time(here + "hold_s", level->hold_s);
   }
+  for (int j = 0; j < joints; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const double all[] = {collision.sliding_nm[at], collision.near_stiction_nm[at], contact.sliding_nm[at], contact.near_stiction_nm[at]};
+    const auto finite = std::ranges::count_if(all, [](double limit) { return std::isfinite(limit); });
+    if (finite != 0 && finite != 4)
+      throw Error("limits of joint " + std::to_string(j) + " must all be finite, or all infinite (not monitored)");
+  }
+  bool any = false;
+  for (int j = 0; j < joints; ++j) any = any || monitors(j);
+  if (!any) throw Error("limits of every joint are infinite: nothing would be monitored");
   expect_time("limits.contact_release_s", contact_release_s);
   expect_time("limits.near_memory_s", near_memory_s);
   expect(within(1, LimitFactors::kHighest)(after_contact_factor), "limits.after_contact_factor", after_contact_factor,

@@ -74,6 +74,21 @@ void one_sample_under_the_limit_restarts_the_hold_time() {
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, t % 5 == 4 ? 3 : 11, 0).alarm != Alarm::collision);
 }
 
+// However large its torque is, and whatever multiplies its limit; the other joint raises the alarm.
+void a_joint_with_infinite_limits_raises_none() {
+  Limits limits = make_limits();
+  limits.after_contact_factor = 2;
+  for (Level* level : {&limits.collision, &limits.contact}) level->sliding_nm[0] = level->near_stiction_nm[0] = INFINITY;
+  Stage s;
+  s.alarm = AlarmStage(2, 0, limits);
+  s.doubt = {1, 0};
+  for (int t = 0; t < 50; ++t) CHECK(s.step(t, 1e12, 0, true, t % 2).alarm == Alarm::none && !s.detection);
+  CHECK(s.limit_nm[0] == INFINITY && s.contact_limit_nm[0] == INFINITY && s.limit_nm[1] == 5);
+  for (int t = 50; t < 70; ++t) s.step(t, 1e12, 6);
+  CHECK(s.alarm.state().alarm == Alarm::collision && s.alarm.state().joint == 1);
+  CHECK(!limits.monitors(0) && limits.monitors(1));
+}
+
 void near_stiction_has_its_own_limits() {
   Stage s;
   for (int t = 0; t < 20; ++t) CHECK(s.step(t, 15, 0, true, 0.01).alarm != Alarm::collision);
@@ -192,6 +207,7 @@ int main() {
   a_ramp_raises_contact_and_collision_after_their_hold_times();
   a_contact_falls_back_and_a_collision_does_not();
   one_sample_under_the_limit_restarts_the_hold_time();
+  a_joint_with_infinite_limits_raises_none();
   near_stiction_has_its_own_limits();
   factors_scale_the_torque_that_raises_an_alarm();
   a_bent_presliding_state_is_near_stiction_at_any_speed();

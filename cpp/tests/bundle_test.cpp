@@ -131,6 +131,12 @@ void contents_that_do_not_fit_are_refused_by_name() {
 void limits_and_signals_that_make_no_sense_are_refused_by_name() {
   refused_after("limits.collision.sliding_nm", [](Bundle& b) { b.limits.collision.sliding_nm[1] = -1; });
   refused_after("limits.collision.near_stiction_nm", [](Bundle& b) { b.limits.collision.near_stiction_nm[0] = NAN; });
+  refused_after("must all be finite, or all infinite", [](Bundle& b) { b.limits.contact.sliding_nm[0] = INFINITY; });
+  refused_after("nothing would be monitored", [](Bundle& b) {
+    for (Level* level : {&b.limits.collision, &b.limits.contact})
+      for (double& limit : level->sliding_nm) limit = INFINITY;
+    b.limits.collision.near_stiction_nm = b.limits.contact.near_stiction_nm = b.limits.collision.sliding_nm;
+  });
   refused_after("limits.collision.hold_s", [](Bundle& b) { b.limits.collision.hold_s = -0.001; });
   refused_after("limits.contact.sliding_nm", [](Bundle& b) { b.limits.contact.sliding_nm.pop_back(); });
   refused_after("limits.contact.hold_s", [](Bundle& b) { b.limits.contact.hold_s = NAN; });

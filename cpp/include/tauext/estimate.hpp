@@ -78,7 +78,7 @@ struct Estimate {
   JointVector sigma_nm{};  // standard error of tau_ext in free motion, doubt included, [N m]; NaN: unknown
   JointVector contact_sigma_nm{};   // standard error of tau_ext during and after a contact, [N m]
   JointVector limit_scale{};        // factor of the motion on the limits, unfamiliar motion included; 1 in usual motion
-  JointVector limit_nm{};           // collision limit of |tau_ext|, scale and doubt included, [N m]
+  JointVector limit_nm{};           // collision limit of |tau_ext|, scale and doubt included, [N m]; infinite: not monitored
   JointVector contact_limit_nm{};   // contact limit of |tau_ext|, scale and doubt included, [N m]
   JointVector margin_nm{};          // limit_nm - |tau_ext - load_nm|, [N m]
   Load load;                        // load that the model carries; mass 0: none

@@ -142,7 +142,7 @@ struct PriorSettings {
 };
 
 // Limit of |tau_ext| per joint, and hold time, of an alarm level. With an error scale, limits are those of usual motion
-// and are multiplied by the scale.
+// and are multiplied by the scale. Infinite in both regions and levels: the joint is not monitored.
 struct Level {
   std::vector<double> sliding_nm;        // per joint, [N m]
   std::vector<double> near_stiction_nm;  // per joint, [N m]
@@ -180,7 +180,9 @@ struct Limits {
     return std::fabs(dq) < near_stiction_rad_s || (region_width >= 0 && std::fabs(state) < kBent);
   }
   static constexpr double kBent = 0.9;  // with a smaller |state| the joint does not slide
-  // Limit of a joint in its region, [N m].
+  // Whether a joint can raise an alarm. One whose limits are infinite cannot: it never moved in training.
+  bool monitors(int joint) const noexcept { return std::isfinite(collision.sliding_nm[static_cast<std::size_t>(joint)]); }
+  // Limit of a joint in its region, [N m]; infinite if the joint is not monitored.
   double limit_nm(const Level& level, int joint, bool near) const noexcept {
     return near ? level.near_stiction_nm[joint] : level.sliding_nm[joint];
   }

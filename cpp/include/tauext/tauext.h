@@ -104,7 +104,7 @@ typedef struct tauext_estimate {
   double residual[TAUEXT_MAX_JOINTS];    /* [N m], r of the observer */
   double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m], r expected in free motion: prior, network and drift */
   double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m], residual - uncertainty */
-  double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision limit of |tau_ext| */
+  double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision limit of |tau_ext|; infinite: not monitored */
   double margin_nm[TAUEXT_MAX_JOINTS];   /* [N m], limit_nm - |tau_ext - load_nm| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], slow changes since training; part of uncertainty */
   uint32_t drift_saturated; /* a bit per joint: drift has reached its bound, retrain; health is unchanged */

@@ -39,6 +39,11 @@ def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ..
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
 
 
+def not_monitored(bundle: Bundle) -> list[str]:
+    """Names of the joints that cannot raise an alarm, since they never moved in training."""
+    return [link.joint_name for link, monitored in zip(bundle.links, bundle.monitored, strict=True) if not monitored]
+
+
 def own_shares(bundle: Bundle) -> list[float]:
     """Relative standard error of each joint's torque constant beside the common factor."""
     settings = bundle.wrench_settings
@@ -70,7 +75,8 @@ Situation = dict[str, dict[str, float]]
 
 
 def situations(bundle: _core.Bundle) -> dict[str, Situation]:
-    """Collision limit and standard error after each motion, all joints moving alike; none where limits are constants.
+    """Collision limit and standard error of each monitored joint after each motion, all joints moving alike; none where
+    limits are constants.
 
     Both are the core's own, of speeds as in each motion.
     """
@@ -81,9 +87,10 @@ def situations(bundle: _core.Bundle) -> dict[str, Situation]:
     for name, (dq, near) in motions(bundle).items():
         level = bundle.near_stiction_limit_nm if near else bundle.sliding_limit_nm
         scale, sigma_nm = _core.errors_after(bundle, dq, near)
+        watched = [j for j, monitored in enumerate(bundle.monitored) if monitored]
         found[name] = {
-            "limit": {joint: s * limit for joint, s, limit in zip(names, scale, level, strict=True)},
-            "standard error": dict(zip(names, sigma_nm, strict=True)),
+            "limit": {names[j]: scale[j] * level[j] for j in watched},
+            "standard error": {names[j]: sigma_nm[j] for j in watched},
         }
     return found
 
@@ -109,7 +116,8 @@ def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
 def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:
     """Where each joint is least sure, and where it is surest."""
     sentences = {}
-    for joint, unit in units.items():
+    monitored = next(iter(found.values()))["limit"]
+    for joint, unit in ((joint, unit) for joint, unit in units.items() if joint in monitored):
         by_limit = sorted(found, key=lambda name: found[name]["limit"][joint])
         words = [f"{name}: {certainty(found[name], joint, unit)}" for name in (by_limit[-1], by_limit[0])]
         sentences[joint] = f"least sure {words[0]}; surest {words[1]}"

@@ -27,14 +27,17 @@ from tauext.check.effort import (
     drift_findings,
     excitation_findings,
     far_findings,
+    growth_findings,
     inverted,
     kind_findings,
     moving_s,
     scale_findings,
     sign_findings,
     sign_vote,
+    step_findings,
     strong_joints,
     torque_lags,
+    unit_findings,
 )
 from tauext.check.finding import SEVERITIES, Finding
 from tauext.check.fit import LEAST_ROWS, JointFit, Rows, fit_joint, rows_of, torque_rows
@@ -358,7 +361,7 @@ def _torque(
     joints: Sequence[str],
     recordings: Sequence[Recording],
     signal_findings: Sequence[Finding],
-    delays_show: bool,
+    measured: bool,
     begin: Callable[[str], None],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
     """Check order, axes, zeros, sign, gravity, delay, kind and payload, drift and contacts, each on the corrected data
@@ -366,6 +369,7 @@ def _torque(
 
     Args:
         rows: of this motion and tree.
+        measured: whether tau is measured; that of a position controller lags, and rests anywhere within the friction.
     """
     n = len(joints)
     begin("order of the torques")
@@ -393,7 +397,7 @@ def _torque(
 
     begin("delays")
     lags = torque_lags(motion, rows)
-    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough and delays_show else ([], 0.0)
+    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough and measured else ([], 0.0)
     found += late
     begin("gravity, scale and payload")
     if tree is not None:
@@ -408,8 +412,13 @@ def _torque(
         if heavier is not tree:
             tree, rows = heavier, with_model(rows, motion, heavier)
             fits = [fit_joint(rows, j) for j in range(n)]
+    elif not in_amperes(recordings):
+        found += unit_findings(joints, fits, "Nm")
     begin("drift and contacts")
     found += drift_findings(rows, joints, fits, recordings)
+    if measured:
+        unit = torque_unit(recordings)
+        found += growth_findings(rows, joints, fits, unit) + step_findings(rows, joints, fits, unit)
     if not spoils_contacts(signal_findings) and not any(f.severity == "fault" for f in found):
         found += unlabelled_findings(recordings, tree, lag_s)
     return found, rows, fits, lags, tree, lag_s

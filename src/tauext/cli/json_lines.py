@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import ALARMS, HEALTHS, TOUCHES, number
+from tauext.bundle.units import not_monitored
 from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
@@ -47,6 +48,7 @@ class JsonLines(PrintContext):
             bundle=bundle.name,
             joints=recording.joints,
             estimate_units=bundle.estimate_units,
+            not_monitored=not_monitored(bundle),
             samples=recording.samples,
             duration_s=recording.duration_s,
             rate_hz=recording.rate_hz,
@@ -57,8 +59,10 @@ class JsonLines(PrintContext):
         self._recording, self._joints = source, tuple(link.joint_name for link in bundle.links)
         self._start_ns, self._clock = 0, None
         rate_hz = 1e9 / bundle.observer.sample_period_ns
-        units = bundle.estimate_units
-        self._write("start", bundle=bundle.name, joints=self._joints, estimate_units=units, rate_hz=rate_hz)
+        units, blind = bundle.estimate_units, not_monitored(bundle)
+        self._write(
+            "start", bundle=bundle.name, joints=self._joints, estimate_units=units, not_monitored=blind, rate_hz=rate_hz
+        )
 
     def first(self, t_ns: int) -> None:
         self._start_ns = t_ns

@@ -160,7 +160,7 @@ def aligned(words: Mapping[str, str]) -> list[str]:
 def describe_bundle(file: Place) -> Content:
     """Content of a bundle; loading it also replays its reference."""
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.units import left_out, own_shares, situations
+    from tauext.bundle.units import left_out, not_monitored, own_shares, situations
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -185,10 +185,11 @@ def describe_bundle(file: Place) -> Content:
         "network": None,
         "prior": None,
         "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
-        "limits_sliding_nm": of_joints(bundle.sliding_limit_nm),
-        "limits_near_stiction_nm": of_joints(bundle.near_stiction_limit_nm),
-        "contact_limits_sliding_nm": of_joints(bundle.contact_sliding_limit_nm),
-        "contact_limits_near_stiction_nm": of_joints(bundle.contact_near_stiction_limit_nm),
+        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
+        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
+        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
+        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
+        "not_monitored": not_monitored(bundle),
         "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
         "collision_hold_s": bundle.hold_s,
         "contact_hold_s": bundle.contact_hold_s,
@@ -338,7 +339,7 @@ def situation_lines(content: Content) -> list[str]:
 
     return aligned(
         {
-            name: "; ".join(f"{joint} {certainty(one, joint, unit)}" for joint, unit in content["answers_in"].items())
+            name: "; ".join(f"{joint} {certainty(one, joint, content['answers_in'][joint])}" for joint in one["limit"])
             for name, one in content.get("situations", {}).items()
         }
     )
@@ -377,6 +378,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         rows |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
     if "reason" in facts.get("gain", {}):
         rows["gain was chosen"] = facts["gain"]["reason"]
+    for finding in limits.get("findings", []):
+        rows[f"{finding['severity']}: {finding['code']} of {finding['joint']}"] = finding["evidence"]
     for moment in limits.get("one_moment", []):
         rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, TOUCHES
-from tauext.bundle.units import short
+from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.files.places import Place
@@ -86,14 +86,14 @@ class TextLines(PrintContext):
         which = f" ({number} of {of})" if of > 1 else ""
         self.print_line(
             f"{recording.name}{which}: {recording.duration_s:.1f} s, {recording.samples:,} samples at "
-            f"{recording.rate_hz:g} Hz, bundle {bundle.name}"
+            f"{recording.rate_hz:g} Hz, bundle {bundle.name}{self._blind}"
         )
 
     def start_live(self, source: str, bundle: Bundle) -> None:
         """A live source begins."""
         self._begin(source, bundle, None, math.inf)
         self._rate_hz = 1e9 / bundle.observer.sample_period_ns
-        self.print_line(f"{source}: waiting for the first sample, bundle {bundle.name}; Ctrl-C ends")
+        self.print_line(f"{source}: waiting for the first sample, bundle {bundle.name}{self._blind}; Ctrl-C ends")
 
     def first(self, t_ns: int) -> None:
         """The first live sample."""
@@ -106,6 +106,7 @@ class TextLines(PrintContext):
         self._start_ns = start_ns
         self._latched_s: float | None = None
         self._behind = 0
+        self._blind = "".join(f"; {joint} is not monitored" for joint in not_monitored(bundle))
         self._healths: dict[tuple[int, int, int], tuple[int, HealthChange]] = {}
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:

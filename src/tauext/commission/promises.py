@@ -366,10 +366,11 @@ def raise_limits(bundle: _core.Bundle, old: _core.Bundle, happened: Kept, rate_p
     joints = [link.joint_name for link in bundle.links]
     earlier = (json.loads(old.provenance or "{}").get("limits") or {}).get(RAISED) or {}
     before, now = (np.array([one.sliding_limit_nm, one.near_stiction_limit_nm]) for one in (old, bundle))
-    factors = np.where([joint in earlier for joint in joints], np.maximum(1.0, (before / now).max(axis=0)), 1.0)
+    ratio = np.divide(before, now, out=np.ones_like(now), where=np.isfinite(now))  # infinite: not monitored
+    factors = np.where([joint in earlier for joint in joints], np.maximum(1.0, ratio.max(axis=0)), 1.0)
     overs = [] if happened.kept else [np.array(one.get("over") or (), dtype=float) for one in happened.false_alarms]
     peaks = sorted((over.max(), int(over.argmax())) for over in overs if len(over) == len(joints) and over.max() > 1)
     for over, j in peaks[: max(0, len(peaks) - int(rate_per_hour * happened.hours))]:
-        factors[j] = max(factors[j], over * (before / now)[:, j].max())
+        factors[j] = max(factors[j], over * ratio[:, j].max())
     bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (factors * now).tolist()
     return {joint: round(float(factor), 4) for joint, factor in zip(joints, factors, strict=True) if factor > 1}

@@ -50,6 +50,7 @@ from tauext.files.provenance import provenance, write_json
 from tauext.files.synced_file import write_synced
 from tauext.progress import SILENT, Show, Silent
 from tauext.robot.model_case import chosen_case
+from tauext.train.limits import limit_findings
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given
 from tauext.train.stage import accepted_settings, train_on_recordings
@@ -313,6 +314,8 @@ class Trainer:
             return {}, "there is no free motion to judge it"
         old = [] if active is None or active.stem == name or is_changed(folder.history()) else [active.stem]
         bundles = {one: load_bundle(folder.bundles / f"{one}.tauext") for one in (*old, name)}
+        steps_nm = json.loads(bundles[name].provenance or "{}").get("torque_step_nm", {})
+        wrong = [one for one in limit_findings(bundles[name], steps_nm) if one.severity == "fault"]
         loaders = [lambda one=one: one for one in pieces]
         out = folder.results / name
         results = evaluate(bundles, loaders, [], out / "estimates", 0, THREADS, keep_free_estimates=0, inject=True)
@@ -346,6 +349,8 @@ class Trainer:
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"
+        if wrong:
+            return facts, "; ".join(sentence_of(as_live(one)) for one in wrong)
         return facts, why_not(new, before, is_broken)
 
 

@@ -125,7 +125,10 @@ class BundleMeasures:
         bundle = self._bundle
         trained = json.loads(bundle.provenance or "{}")
         losses = tuple((int(step), training, check) for step, training, check in loss_history or ())
-        sliding, near = tuple(bundle.sliding_limit_nm), tuple(bundle.near_stiction_limit_nm)
+        sliding, near = (
+            tuple(limit if np.isfinite(limit) else None for limit in level)  # none: not monitored
+            for level in (bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
+        )
         return EvaluatedBundle(
             name=self._name,
             bundle=f"{bundle.name}.tauext",

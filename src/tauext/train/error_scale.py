@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -150,14 +151,27 @@ def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingE
 # --- The paper's limits: the largest values in free motion not used in training.
 
 
+LIMIT_KINDS = ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction")
+
+
 @dataclass(frozen=True)
 class LevelLimits:
     """Limits of |tau_ext| of one level of the alarm, [N m]."""
 
     sliding_nm: np.ndarray  # (n,)
     near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
-    at_rest: tuple[str, ...] = ()
-    """Joints that stood still in every recording."""
+
+    def of_arm(self, watched: np.ndarray, joints: int) -> LevelLimits:
+        """These limits of the watched joints, (watched,) indices, among all joints; infinite for the others."""
+        level = np.full((2, joints), np.inf)
+        level[:, watched] = self.sliding_nm, self.near_stiction_nm
+        return LevelLimits(level[0], level[1])
+
+    def put(self, bundle: _core.Bundle, level: Literal["", "contact_"]) -> None:
+        """Set a bundle's limits of a collision, or of a contact; those of joints that are not monitored stay
+        infinite."""
+        for region, limits in (("sliding", self.sliding_nm), ("near_stiction", self.near_stiction_nm)):
+            setattr(bundle, f"{level}{region}_limit_nm", np.where(bundle.monitored, limits, np.inf).tolist())
 
 
 def paper_limits(
@@ -186,6 +200,7 @@ def paper_limits(
     if samples == 0:
         raise no_free_motion(bundle, margins)
     names = [link.joint_name for link in bundle.links]
+    sliding[~np.array(bundle.monitored)] = np.inf
     if (np.maximum(sliding, near) == 0).any():
         name = names[int(np.argmin(np.maximum(sliding, near)))]
         raise TrainingError(
@@ -195,20 +210,45 @@ def paper_limits(
     stand = standing_joints([r.recording if isinstance(r, Judged) else r for r in recordings])
     both = np.maximum(sliding, near)
     sliding = np.where(stand | (sliding == 0), both, sliding)
-    return LevelLimits(sliding, both, tuple(name for name, stands in zip(names, stand, strict=True) if stands))
+    return LevelLimits(sliding, both)
 
 
-def at_rest_sentence(joints: Sequence[str], of: int) -> str:
-    """Sentence on the limits of joints that stood still."""
-    which = "no joint moves" if len(joints) == of else f"{', '.join(joints)} stand{'s' * (len(joints) == 1)} still"
-    return f"limits at rest only: {which} in the recordings; in motion expect false alarms"
+def ignore_standing(bundle: _core.Bundle, recordings: Sequence[Recording]) -> str:
+    """Give joints that stand still in all recordings, while others move, infinite limits; returns a sentence.
+
+    Their friction in motion is unknown, and limits of a locked joint would be those of rounding. If no joint moves, all
+    keep limits that hold at this pose. Call it first: whatever sets limits later leaves infinite ones.
+    """
+    stand = standing_joints(recordings)
+    if stand.all():
+        return "limits at rest only: no joint moves in the recordings; in motion expect false alarms"
+    if not stand.any():
+        return ""
+    for kind in LIMIT_KINDS:
+        name = f"{kind}_limit_nm"
+        setattr(bundle, name, np.where(stand, np.inf, getattr(bundle, name)).tolist())
+    names = [link.joint_name for link, stands in zip(bundle.links, stand, strict=True) if stands]
+    verb = "never moves" if len(names) == 1 else "never move"
+    return f"{', '.join(names)} {verb} in the recordings: not monitored; move every joint that is to be monitored"
+
+
+def blind_sigma(bundle: _core.Bundle) -> None:
+    """Give joints that are not monitored the arm's largest torque as standard error: forces do not follow them."""
+    blind = ~np.array(bundle.monitored)
+    scale, most_nm = bundle.error_scale, float(np.max(bundle.largest_torque_nm))
+    for name in ("sigma_weights", "sigma_near_weights"):
+        weights = np.array(getattr(scale, name)).reshape(bundle.joints, -1)
+        weights[blind] = [most_nm, *[0.0] * (weights.shape[1] - 1)]
+        setattr(scale, name, weights.ravel().tolist())
+    scale.largest_sigma = np.where(blind, most_nm, scale.largest_sigma).tolist()
+    bundle.error_scale = scale
 
 
 def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) -> None:
     """Set limits and hold times of a bundle. The paper has one limit: contact and collision differ in hold time
     only."""
-    bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = limits.sliding_nm.tolist()
-    bundle.near_stiction_limit_nm = bundle.contact_near_stiction_limit_nm = limits.near_stiction_nm.tolist()
+    limits.put(bundle, "")
+    limits.put(bundle, "contact_")
     bundle.hold_s = alarm.collision_hold_s
     bundle.contact_hold_s = alarm.contact_hold_s
     bundle.contact_release_s = alarm.contact_release_s
@@ -216,7 +256,7 @@ def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) ->
 
 def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float = 0.0) -> None:
     """Multiply all limits of a bundle by `factor` and add `by_nm`, one a joint or for all, [N m]."""
-    for kind in ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction"):
+    for kind in LIMIT_KINDS:
         name = f"{kind}_limit_nm"
         setattr(bundle, name, (factor * np.array(getattr(bundle, name)) + by_nm).tolist())
 
@@ -275,6 +315,11 @@ class Rows:
         """p of the limits' scale."""
         return SHARP if self.hours >= SHARP_HOURS else BLUNT
 
+    def of_joints(self, chosen: np.ndarray) -> Rows:
+        """The rows of these joints alone, (chosen,) indices."""
+        error, near, features = (one[:, chosen] for one in (self.error_nm, self.near_stiction, self.features))
+        return replace(self, error_nm=error, near_stiction=near, features=features)
+
     def only(self, inside: np.ndarray) -> Rows:
         """Select rows, by (rows,) bool or indices."""
         return replace(
@@ -298,6 +343,7 @@ def fit_error_scale(
         rows: the bundle's errors (collect_rows).
     """
     bundle.error_scale = scale_of(rows)
+    blind_sigma(bundle)
     if bundle.drift.time_constant_s > 0:
         seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
         drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
@@ -318,6 +364,7 @@ def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
     scale.sigma_weights, scale.sigma_near_weights = regions
     scale.largest_sigma = np.max(regions, axis=0).tolist()
     bundle.error_scale = scale
+    blind_sigma(bundle)
 
 
 def scale_of(rows: Rows) -> _core.ErrorScaleSettings:

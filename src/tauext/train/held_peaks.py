@@ -126,6 +126,12 @@ class Peaks:
     recordings: tuple[str, ...] = ()
     """Names in order of input; a recording with several spans occurs several times."""
 
+    def of_joints(self, chosen: np.ndarray) -> Peaks:
+        """The peaks of these joints alone, (chosen,) indices."""
+        nm, at = (tuple(some[j] for j in chosen) for some in (self.nm, self.at))
+        joints = tuple(self.joints[j] for j in chosen)
+        return replace(self, joints=joints, nm=nm, at=at, region_hours=self.region_hours[chosen])
+
 
 class PeakCollector:
     """Collects the largest peaks of every joint and region from one recording after the other.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from tauext import _core
 from tauext._core import Bundle
+from tauext.check.finding import Finding, Severity
+from tauext.check.sensors import torque_step_nm
 from tauext.config import AlarmConfig, DriftConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
@@ -27,9 +29,11 @@ from tauext.train.error_scale import (
     LevelLimits,
     Rows,
     add_friction,
+    blind_sigma,
     collect_rows,
     fit_error_scale,
     freeze_floor_nm,
+    ignore_standing,
     paper_limits,
     put_constant_error,
     raise_limits,
@@ -98,6 +102,7 @@ def put_fleet_scale(
     found = sizes(rows, scale_settings(errors, np.ones(bundle.joints)))
     size = np.clip(found, LEAST_SIZE, None)
     bundle.error_scale = scale_settings(errors, size)
+    blind_sigma(bundle)
     if bundle.drift.time_constant_s > 0:
         seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
         bundle.drift.freeze_floor_nm = np.maximum(
@@ -116,8 +121,7 @@ def put_fleet_scale(
 def put_fleet_limits(bundle: _core.Bundle, errors: FleetErrors, alarm: AlarmConfig) -> tuple[str, dict]:
     """Set the fleet's limits; returns their basis as text, and facts."""
     set_limits(bundle, LevelLimits(errors.sliding_limit_nm, errors.near_stiction_limit_nm), alarm)
-    bundle.contact_sliding_limit_nm = errors.contact_sliding_limit_nm.tolist()
-    bundle.contact_near_stiction_limit_nm = errors.contact_near_stiction_limit_nm.tolist()
+    LevelLimits(errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm).put(bundle, "contact_")
     bundle.hold_s, bundle.contact_hold_s = errors.hold_s, errors.contact_hold_s
     words = (
         f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
@@ -156,6 +160,8 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
     scaled = config.resolved().error_scale == "on"
     if scaled and kind == "supported" and bundle.region_width >= 0:
         bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s
+    if words := ignore_standing(bundle, [*job.training, *job.validation]):
+        job.notes.append(words)
     unseen, left_out = unseen_motion(job, bundle, setup, fit)
     judged = [*unseen, *left_out]
     if config.row.presliding:
@@ -204,6 +210,8 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
     if fit is not None:
         freeze_drift(bundle, config.drift)
+    if "limits" in job.facts:  # those of the paper's recipes are as they are
+        put_limit_findings(job, bundle)
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object], network: NetworkWeights | None = None) -> str:
@@ -306,8 +314,10 @@ def set_supported_limits(
             facts["friction_reserve"] = share
             words += f" {share:.1%} of the friction is added: so short a time shows little of its changes."
         if rows is not None and promised is not None:
-            names = [link.joint_name for link in bundle.links]
-            other = other_motion(rows, names, promised, EVEN_ODDS, factor, added)
+            watched = np.flatnonzero(bundle.monitored)
+            names = [bundle.links[j].joint_name for j in watched]
+            own = None if added is None else (added[0][watched], added[1][watched])
+            other = other_motion(rows.of_joints(watched), names, promised, EVEN_ODDS, factor, own)
             facts["other_motion"] = other.facts() if other else {"sentence": NOT_MEASURED}
             if other and other.broken:
                 facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
@@ -350,3 +360,54 @@ def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, n
     usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
     slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)
     return np.maximum(usual - slope * speed_rad_s, 0), slope
+
+
+# --- Limits that are of little use.
+
+
+WIDE = 1 / 3
+"""Share of a joint's largest torque in training above which its limit is a finding. Good recordings of ten minutes give
+0.02 to 0.2, and up to 1 at single joints that turn about the vertical or are light."""
+TOO_WIDE = 1 / 2
+"""A fault if the limits of half of the joints or more are above this share."""
+
+
+def limit_findings(bundle: Bundle, step_nm: Mapping[str, float]) -> list[Finding]:
+    """Findings of limits that are far too wide, or finer than the torque is known.
+
+    Args:
+        step_nm: step of which each torque is a whole multiple, by joint; those without one are left out.
+    """
+    found, watched = [], np.array(bundle.monitored)
+    limits = np.maximum(bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
+    shares = (limits / bundle.largest_torque_nm)[watched]
+    severity: Severity = "fault" if 2 * (shares > TOO_WIDE).sum() >= len(shares) else "warning"
+    for j in np.flatnonzero(watched).tolist():
+        limit, largest = float(limits[j]), bundle.largest_torque_nm[j]
+        name, unit = bundle.links[j].joint_name, bundle.estimate_units[j]
+        step = step_nm.get(name, 0.0)
+        if limit > WIDE * largest:
+            evidence = f"{limit:.3g} {unit}, {limit / largest:.0%} of the largest torque that it gave"
+            advice = (
+                "few touches are found there: remove touches and odd recordings from the training, check unit and "
+                "robot file, or train on more motion, in which the joint moves faster and carries more"
+            )
+            found.append(Finding("limit-wide", severity, name, evidence, advice))
+        if min(bundle.sliding_limit_nm[j], limit) < step:
+            evidence = f"{bundle.sliding_limit_nm[j]:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
+            advice = "one step of the torque raises an alarm: train on motion in which the joint moves as in its work"
+            found.append(Finding("limit-fine", "fault", name, evidence, advice))
+    return found
+
+
+def put_limit_findings(job: Job, bundle: Bundle) -> None:
+    """Add the findings of a training's limits to its facts and notes."""
+    steps = {name: torque_step_nm(job.training, j) for j, name in enumerate(job.joints)}
+    constants = dict(zip(job.joints, np.abs(bundle.observer.nm_per_unit or [1.0] * bundle.joints), strict=True))
+    job.facts["torque_step_nm"] = {
+        name: float(step * constants[name]) for name, step in steps.items() if step is not None
+    }
+    found = limit_findings(bundle, job.facts["torque_step_nm"])
+    if found:
+        job.facts["limits"]["findings"] = [asdict(one) for one in found]
+        job.notes.extend(f"{one.severity}: {one.code}: {one.joint}: {one.evidence}; {one.advice}" for one in found)

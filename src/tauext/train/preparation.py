@@ -41,7 +41,6 @@ from tauext.recipes import Recipe
 from tauext.robot.mesh_files import MeshFolders
 from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
-from tauext.train.error_scale import at_rest_sentence
 from tauext.train.suspects import Suspect
 
 # --- Settings that determine a trained bundle besides the data.
@@ -564,13 +563,3 @@ def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.nda
         f"the robot file's torque limits of {', '.join(named)} are ignored: the torque reaches them in "
         f"{MOST_AT_LIMIT:.1%} of the free motion or more"
     )
-
-
-def note_recordings(job: Job) -> None:
-    """Add notes on guessed torque constants and on joints that never moved."""
-    if job.constants is not None:
-        job.notes.extend(job.constants.sentences(job.joints))
-    stand = standing_joints([*job.training, *job.validation])
-    names = [name for name, stands in zip(job.joints, stand, strict=True) if stands]
-    if names:
-        job.notes.append(at_rest_sentence(names, len(job.joints)))

@@ -66,7 +66,7 @@ class PromisedLimits:
     tails: dict
     """Facts of each fit, by joint and region."""
     rates_per_hour: np.ndarray
-    """Mean rate that each collision limit is allowed, (joints, regions), [1/h]."""
+    """Mean rate that each collision limit is allowed, (monitored joints, regions), [1/h]."""
     moments: list[Moment] = field(default_factory=list)
     """Moments that alone determine a collision limit."""
     suspects: int = 0
@@ -151,13 +151,15 @@ def promised_limits(
     Raises:
         TrainingError: no free motion, or too few peaks.
     """
+    watched = np.flatnonzero(bundle.monitored)
     found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins, kept=kept)
+    found = tuple(peaks.of_joints(watched) for peaks in found)
     asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
     promise = Promise(asked, found[0].hours, confidence=alarm.confidence)
     budget = asked if promise.is_supported else promise.supported
     contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
     level_confidence = alarm.confidence if level_confidence is None else level_confidence
-    hits_nm = hits(bundle, poses)
+    hits_nm = hits(bundle, poses)[:, watched]
 
     def limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[LevelLimits, dict, np.ndarray]:
         tails = _tails(peaks)
@@ -184,6 +186,7 @@ def promised_limits(
     )
     moments = _moments(found[best], rates, level_confidence, at_most_seen)
     holds_s = alarm.holds_s[best], alarm.holds_s[held]
+    collision, contact = (one.of_arm(watched, bundle.joints) for one in (collision, contact))
     return PromisedLimits(collision, contact, *holds_s, promise, budget, tails, rates, moments)
 
 
@@ -258,11 +261,9 @@ def _joint_tails(nm: Sequence[np.ndarray], hours: float) -> list[Tail]:
 
 def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:
     """Set limits and hold times of a bundle."""
-    bundle.sliding_limit_nm = found.collision.sliding_nm.tolist()
-    bundle.near_stiction_limit_nm = found.collision.near_stiction_nm.tolist()
+    found.collision.put(bundle, "")
+    found.contact.put(bundle, "contact_")
     bundle.hold_s = found.hold_s
-    bundle.contact_sliding_limit_nm = found.contact.sliding_nm.tolist()
-    bundle.contact_near_stiction_limit_nm = found.contact.near_stiction_nm.tolist()
     bundle.contact_hold_s = found.contact_hold_s
     bundle.contact_release_s = alarm.contact_release_s
 

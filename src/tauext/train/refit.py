@@ -133,17 +133,19 @@ def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.nd
 # more frequent than then.
 
 
-STANDS = "stands"
+STANDS, NOT_MONITORED = "stands", "not monitored"
 
 
 def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any], joint: int) -> str:
-    """Return `stands`, or the reason why the promise is open for this joint.
+    """Return `stands`, `not monitored`, or the reason why the promise is open for this joint.
 
     Args:
         bundle: the old bundle.
         limits: the entry on limits in its provenance.
     """
     of_joint = found.joints[joint]
+    if not bundle.monitored[joint]:
+        return NOT_MONITORED
     if not promised(limits):
         return "none was made"
     if of_joint.moved_s < LEAST_MOVED_S:
@@ -439,7 +441,7 @@ def refit_recordings(
     touches = [touch_of(touch, parts) for touch in found.touches]
     for touch in touches:
         report.say(touch.sentence())
-    still_open = [one.joint for one in joints if one.promise != STANDS]
+    still_open = [one.joint for one in joints if one.promise not in (STANDS, NOT_MONITORED)]
     words = sentence(limits, found.used_s, still_open)
     return Refitted(found.bundle, joints, touches, found.used_s, found.memory_s, words)
 

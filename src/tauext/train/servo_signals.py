@@ -65,9 +65,10 @@ def signal_limits(job: Job, bundle: Bundle, source: str) -> SignalLimits | None:
         return None
     constants = np.array(job.constants.used) if job.constants is not None else 1.0
     size = np.abs(constants) * np.concatenate([recording.tau for recording in job.training]).std(axis=0)
-    if not (size > 0).all():
+    watched = np.array(bundle.monitored)
+    if not (size[watched] > 0).all():
         return None
-    shares = tuple((np.array(bundle.sliding_limit_nm) / size).tolist())
+    shares = tuple((np.array(bundle.sliding_limit_nm) / size)[watched].tolist())
     return SignalLimits(source, sum(other["false"].values()), other["promised"], other["kept_by"], shares)
 
 

@@ -43,7 +43,7 @@ from tauext.train.limits import limits_kind, put_limits
 from tauext.train.load import put_load
 from tauext.train.network import assemble, choose_gain, fit_network, network_settings
 from tauext.train.preflight import check_data
-from tauext.train.preparation import Given, Job, note_recordings, prepare
+from tauext.train.preparation import Given, Job, prepare
 from tauext.train.servo_signals import (
     LEAST_RECORDINGS,
     SignalLimits,
@@ -385,6 +385,7 @@ def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit
     put_coverage(job, bundle, setup)
     put_load(job, bundle, given.robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
     put_wrench(job, bundle, given.robot, given.meshes)  # settings and facts of forces, to which put_limits adds
-    note_recordings(job)
+    if job.constants is not None:
+        job.notes.extend(job.constants.sentences(job.joints))
     job.say("finding the limits")
     put_limits(job, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content

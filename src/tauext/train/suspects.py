@@ -226,6 +226,7 @@ def find_suspects(
     levels, usual = (
         np.array([[of(nm) for nm in of_joint] for of_joint in peaks.nm]) for of in (suspect_level, usual_peak)
     )
+    levels[~np.array(bundle.monitored)] = np.inf
     candidates = _candidates(peaks, levels)
     if not candidates or _seconds(candidates) > MOST_SHARE * 3600 * peaks.hours:
         return []

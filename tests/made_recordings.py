@@ -172,7 +172,12 @@ def motion(samples: int = 400, rate_hz: float = 100.0, joints: int = 3) -> tuple
     t_ns = 10**18 + np.round(np.arange(samples) * 1e9 / rate_hz).astype(np.int64)
     time_s = np.arange(samples)[:, None] / rate_hz
     phase = np.arange(joints)
-    return t_ns, np.sin(time_s + phase), np.cos(time_s + phase), 3 * np.sin(2 * time_s + phase) + 0.1 * time_s
+    return (
+        t_ns,
+        np.sin(time_s + phase),
+        np.cos(time_s + phase),
+        3 * np.sin(2 * time_s + phase) + 0.1 * np.sin(2**0.5 * time_s),
+    )
 
 
 def smooth_motion(seed: int, samples: int) -> tuple[np.ndarray, ...]:

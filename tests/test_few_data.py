@@ -18,9 +18,9 @@ from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.train.calibrate import calibrate_bundle
-from tauext.train.limits import factor_after, limit_findings, put_limits
+from tauext.train.limits import factor_after, put_limits
 from tauext.train.preparation import Given, training_motion, wants_constants
-from tauext.train.promised_limits import NOT_MEASURED
+from tauext.train.promised_limits import NOT_MEASURED, limit_findings
 from tauext.train.stage import train_on_recordings
 
 RATE_HZ = 125.0

@@ -378,7 +378,7 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         rows |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
     if "reason" in facts.get("gain", {}):
         rows["gain was chosen"] = facts["gain"]["reason"]
-    for finding in limits.get("findings", []):
+    for finding in facts.get("limit_findings", []):
         rows[f"{finding['severity']}: {finding['code']} of {finding['joint']}"] = finding["evidence"]
     for moment in limits.get("one_moment", []):
         rows[f"warning: one moment sets the limit of {moment['joint']}"] = (

@@ -27,7 +27,7 @@ from tauext.files.synced_file import write_synced
 from tauext.progress import WallTimes
 from tauext.train.calibrate import no_freeze
 from tauext.train.held_peaks import collect_peaks
-from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.promised_limits import apply_promised, promised_limits, put_limit_findings
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 
 THREADS = 1
@@ -306,6 +306,7 @@ class Promises:
         facts = json.loads(bundle.provenance or "{}")
         recordings = sorted({name for name, *_ in ledger.places})
         facts["limits"] = promised.facts() | {"sentence": sentence, "recordings": recordings, RAISED: raised}
+        put_limit_findings(bundle, facts)
         settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
         facts["calibrated"] = provenance("tauext commission", settings, seed=None)
         facts["calibrated"]["base"] = ledger.base

@@ -50,9 +50,9 @@ from tauext.files.provenance import provenance, write_json
 from tauext.files.synced_file import write_synced
 from tauext.progress import SILENT, Show, Silent
 from tauext.robot.model_case import chosen_case
-from tauext.train.limits import limit_findings
 from tauext.train.preflight import check_data
 from tauext.train.preparation import Given
+from tauext.train.promised_limits import limit_findings
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import search
 

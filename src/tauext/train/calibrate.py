@@ -32,7 +32,7 @@ from tauext.files.provenance import VERSION, provenance
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.held_peaks import KeptPeaks, collect_peaks
-from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
+from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits, put_limit_findings
 from tauext.train.suspects import HeldStore, find_suspects, forget, suspect_facts, suspect_sentences
 
 SCALE_SHARE = 0.2
@@ -90,6 +90,8 @@ def recalibrate(
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
+    for words in put_limit_findings(loaded, facts):
+        report.say(words)
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
         settings["refit_error_scale"] = True

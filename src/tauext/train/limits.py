@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tauext import _core
 from tauext._core import Bundle
-from tauext.check.finding import Finding, Severity
-from tauext.check.sensors import torque_step_nm
 from tauext.config import AlarmConfig, DriftConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
@@ -44,7 +42,14 @@ from tauext.train.error_scale import (
 )
 from tauext.train.held_peaks import Moment
 from tauext.train.preparation import Job
-from tauext.train.promised_limits import NOT_MEASURED, apply_promised, other_motion, promised_limits
+from tauext.train.promised_limits import (
+    NOT_MEASURED,
+    apply_promised,
+    other_motion,
+    promised_limits,
+    put_limit_findings,
+    torque_steps_nm,
+)
 from tauext.train.wrench import fit_wrench
 
 # --- Limits of an arm with a minute of its own motion, from the errors of a fleet's arms.
@@ -211,7 +216,8 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
     if fit is not None:
         freeze_drift(bundle, config.drift)
     if "limits" in job.facts:  # those of the paper's recipes are as they are
-        put_limit_findings(job, bundle)
+        job.facts["torque_step_nm"] = torque_steps_nm(bundle, job.training)
+        job.notes.extend(put_limit_findings(bundle, job.facts))
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object], network: NetworkWeights | None = None) -> str:
@@ -360,54 +366,3 @@ def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, n
     usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
     slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)
     return np.maximum(usual - slope * speed_rad_s, 0), slope
-
-
-# --- Limits that are of little use.
-
-
-WIDE = 1 / 3
-"""Share of a joint's largest torque in training above which its limit is a finding. Good recordings of ten minutes give
-0.02 to 0.2, and up to 1 at single joints that turn about the vertical or are light."""
-TOO_WIDE = 1 / 2
-"""A fault if the limits of half of the joints or more are above this share."""
-
-
-def limit_findings(bundle: Bundle, step_nm: Mapping[str, float]) -> list[Finding]:
-    """Findings of limits that are far too wide, or finer than the torque is known.
-
-    Args:
-        step_nm: step of which each torque is a whole multiple, by joint; those without one are left out.
-    """
-    found, watched = [], np.array(bundle.monitored)
-    limits = np.maximum(bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
-    shares = (limits / bundle.largest_torque_nm)[watched]
-    severity: Severity = "fault" if 2 * (shares > TOO_WIDE).sum() >= len(shares) else "warning"
-    for j in np.flatnonzero(watched).tolist():
-        limit, largest = float(limits[j]), bundle.largest_torque_nm[j]
-        name, unit = bundle.links[j].joint_name, bundle.estimate_units[j]
-        step = step_nm.get(name, 0.0)
-        if limit > WIDE * largest:
-            evidence = f"{limit:.3g} {unit}, {limit / largest:.0%} of the largest torque that it gave"
-            advice = (
-                "few touches are found there: remove touches and odd recordings from the training, check unit and "
-                "robot file, or train on more motion, in which the joint moves faster and carries more"
-            )
-            found.append(Finding("limit-wide", severity, name, evidence, advice))
-        if min(bundle.sliding_limit_nm[j], limit) < step:
-            evidence = f"{bundle.sliding_limit_nm[j]:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
-            advice = "one step of the torque raises an alarm: train on motion in which the joint moves as in its work"
-            found.append(Finding("limit-fine", "fault", name, evidence, advice))
-    return found
-
-
-def put_limit_findings(job: Job, bundle: Bundle) -> None:
-    """Add the findings of a training's limits to its facts and notes."""
-    steps = {name: torque_step_nm(job.training, j) for j, name in enumerate(job.joints)}
-    constants = dict(zip(job.joints, np.abs(bundle.observer.nm_per_unit or [1.0] * bundle.joints), strict=True))
-    job.facts["torque_step_nm"] = {
-        name: float(step * constants[name]) for name, step in steps.items() if step is not None
-    }
-    found = limit_findings(bundle, job.facts["torque_step_nm"])
-    if found:
-        job.facts["limits"]["findings"] = [asdict(one) for one in found]
-        job.notes.extend(f"{one.severity}: {one.code}: {one.joint}: {one.evidence}; {one.advice}" for one in found)

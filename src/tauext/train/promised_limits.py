@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
 from tauext import _core
 from tauext._core import MotionFeature
+from tauext.check.finding import Finding, Severity
+from tauext.check.sensors import torque_step_nm
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.fit.limits_together import TailCurve, rates_together
@@ -413,3 +415,59 @@ def _held(ratio: np.ndarray, t_ns: np.ndarray, hold_s: float) -> np.ndarray:
     """Largest held minimum over the joints, (rows,), of errors divided by limits, (rows, joints)."""
     hold, healthy = hold_lengths(t_ns, hold_s), np.ones(len(t_ns), dtype=bool)
     return np.max([held_minimum(of_joint, healthy, hold) for of_joint in ratio.T], axis=0)
+
+
+# --- Limits that are of little use.
+
+
+WIDE = 1 / 3
+"""Share of a joint's largest torque in training above which its limit is a finding. Good recordings of ten minutes give
+0.02 to 0.2, and up to 1 at single joints that turn about the vertical or are light."""
+TOO_WIDE = 1 / 2
+"""A fault if the limits of half of the joints or more are above this share."""
+
+
+def limit_findings(bundle: _core.Bundle, step_nm: Mapping[str, float]) -> list[Finding]:
+    """Findings of limits that are far too wide, or finer than the torque is known.
+
+    Args:
+        step_nm: step of which each torque is a whole multiple, by joint; those without one are left out.
+    """
+    found, watched = [], np.array(bundle.monitored)
+    limits = np.maximum(bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
+    shares = (limits / bundle.largest_torque_nm)[watched]
+    severity: Severity = "fault" if 2 * (shares > TOO_WIDE).sum() >= len(shares) else "warning"
+    for j in np.flatnonzero(watched).tolist():
+        limit, largest = float(limits[j]), bundle.largest_torque_nm[j]
+        name, unit = bundle.links[j].joint_name, bundle.estimate_units[j]
+        step = step_nm.get(name, 0.0)
+        if limit > WIDE * largest:
+            evidence = f"{limit:.3g} {unit}, {limit / largest:.0%} of the largest torque that it gave"
+            advice = (
+                "few touches are found there: remove touches and odd recordings from the training, check unit and "
+                "robot file, or train on more motion, in which the joint moves faster and carries more"
+            )
+            found.append(Finding("limit-wide", severity, name, evidence, advice))
+        if min(bundle.sliding_limit_nm[j], limit) < step:
+            evidence = f"{bundle.sliding_limit_nm[j]:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
+            advice = "one step of the torque raises an alarm: train on motion in which the joint moves as in its work"
+            found.append(Finding("limit-fine", "fault", name, evidence, advice))
+    return found
+
+
+def put_limit_findings(bundle: _core.Bundle, facts: dict) -> list[str]:
+    """Set `limit_findings` in a bundle's provenance by its `torque_step_nm`; returns a line each for the user."""
+    found = limit_findings(bundle, facts.get("torque_step_nm", {}))
+    facts["limit_findings"] = [asdict(one) for one in found]
+    return [f"{one.severity}: {one.code}: {one.joint}: {one.evidence}; {one.advice}" for one in found]
+
+
+def torque_steps_nm(bundle: _core.Bundle, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Step of which each torque is a whole multiple in the unit of the estimates, by joint, where there is one."""
+    found = {}
+    for j, (link, factor) in enumerate(
+        zip(bundle.links, bundle.observer.nm_per_unit or [1.0] * bundle.joints, strict=True)
+    ):
+        if (step := torque_step_nm(recordings, j)) is not None:
+            found[link.joint_name] = abs(factor) * step
+    return found

@@ -44,7 +44,9 @@ def now(ago_s: float = 0.0) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - ago_s))
 
 
-LOST = "journal: 12 confirmed lines are lost; nothing is trained before `tauext commission --out cell7 --repair`"
+LOST = (
+    "journal: at least 12 confirmed lines are lost; nothing is trained before `tauext commission --out cell7 --repair`"
+)
 
 
 def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:

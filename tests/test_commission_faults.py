@@ -139,7 +139,9 @@ def test_lost_lines_stop_all_learning_until_a_person_accepts_it(copy, capsys):
     assert "another `tauext commission` uses this folder" in capsys.readouterr().err
     assert main(["commission", "--out", str(copy), "--repair"]) == 0
     told = capsys.readouterr().out
-    assert f"journal: {lost} confirmed lines are lost; a person accepts it" in told and "journal is whole" in told
+    assert (
+        f"journal: at least {lost} confirmed lines are lost; a person accepts it" in told and "journal is whole" in told
+    )
     journal._seen.clear()
     after = start(copy)
     assert after.lost() == 0 and Trainer(after).facts().kept_s == 0.0  # training begins again
@@ -273,5 +275,36 @@ def test_the_command_survives_every_fault(name, when, prepared, tmp_path):
 def test_the_command_reports_a_journal_that_both_files_have_lost(fault, prepared, tmp_path):
     found = outcome(prepared, tmp_path, (journal.NAME, journal.COPY), fault, "start")
     assert found.is_monitored and not found.traceback
-    assert any(re.search(r"journal: \d+ confirmed lines are lost", line) for line in found.lines)
+    assert any(re.search(r"journal: at least \d+ confirmed lines are lost", line) for line in found.lines)
     assert json.loads((tmp_path / "cell" / "commission.json").read_text())["journal"] > 20
+
+
+ALL = (journal.NAME, journal.COPY, "commission.json")
+LEFT = {"whole": (), "arm": ("arm.toml",), "robot": ("robot.urdf",), "newest": ("bundles/b0002.tauext",)}
+"""What else is damaged beside journal and commission.json."""
+
+
+@pytest.mark.parametrize("others", LEFT)
+@pytest.mark.parametrize(
+    "fault", ["deleted", *(pytest.param(one, marks=pytest.mark.slow) for one in FAULTS if one != "deleted")]
+)
+def test_a_whole_bundle_monitors_an_arm_that_has_lost_everything_else(fault, others, prepared, tmp_path):
+    """Journal and commission.json are gone together: nothing is trained before a person has accepted that."""
+    if fault not in faults(tmp_path):
+        pytest.skip("root may read everything")
+    found = outcome(prepared, tmp_path, (*ALL, *LEFT[others]), fault, "start")
+    is_older = fault == "cut" or (others == "newest" and fault != "older copy")  # the first half names the older one
+    bundle = "b0001" if is_older else "b0002"
+    assert (found.traceback, found.refused, found.is_monitored) == ("", "", True)
+    if fault == "older copy":
+        return
+    expected = [r"journal: at least \d+ confirmed lines are lost", f"{bundle} monitors the arm"]
+    for line in (*expected, *[f"{bundle} is chosen: "] * (fault != "cut")):
+        assert any(re.search(line, one) for one in found.lines), (line, found.lines)
+    folder = CommissionFolder.open(tmp_path / "cell")
+    assert folder.lost() and Trainer(folder).step() == "nothing" and len(list(folder.bundles.glob("*.tauext"))) >= 1
+    assert folder.facts["epoch"] > max(one.epoch for one in CommissionFolder(prepared).segments())
+    assert main(["commission", "--out", str(folder.path), "--repair"]) == 0
+    journal._seen.clear()
+    assert not start(folder.path).lost() and start(folder.path).fall_back().stem == bundle
+    assert Trainer(CommissionFolder.open(folder.path)).facts().kept_s == 0.0

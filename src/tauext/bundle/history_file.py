@@ -15,7 +15,7 @@ from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
 FACTS = "commission.json"
 NOTED = "journal"
-"""Entry of commission.json: number of a recent line of the journal, which shows whether its end is lost."""
+"""Entry of commission.json and coverage.json: number of a recent line of the journal; it shows a lost end."""
 BUNDLES = "bundles"
 COVERAGE = "coverage.json"
 RESULTS = "results"
@@ -44,12 +44,19 @@ def lost_lines(folder: Place, noted: int | None = None) -> int:
     """Number of lines of the journal that are lost, until a person has accepted that.
 
     Args:
-        noted: a number that a line had; None: that in commission.json.
+        noted: a number that a line had; None: that in commission.json or coverage.json.
     """
     if noted is None:
-        with suppress(ConfigError, TypeError, ValueError):
-            noted = int(read_facts(folder).get(NOTED) or 0)
-    return sum(last - first + 1 for first, last in read(folder).lost(noted or 0))
+        noted = 0
+        with suppress(ConfigError):
+            noted = noted_in(read_facts(folder))
+        noted = max(noted, noted_in(read_coverage(folder)))
+    return sum(last - first + 1 for first, last in read(folder).lost(noted))
+
+
+def noted_in(content: dict[str, Any]) -> int:
+    """Number of a recent line of the journal, as commission.json and coverage.json note it."""
+    return number if isinstance(number := content.get(NOTED), int) else 0
 
 
 def expect_journal(folder: Place) -> None:
@@ -61,7 +68,7 @@ def expect_journal(folder: Place) -> None:
 
 
 def lost_words(lost: int) -> str:
-    return f"journal: {lost} confirmed line{'s are' if lost != 1 else ' is'} lost"
+    return f"journal: at least {lost} confirmed line{'s are' if lost != 1 else ' is'} lost"
 
 
 def active_bundle(folder: Place) -> Place | None:

@@ -75,6 +75,7 @@ def commission(
             say(line)
         if source is None:
             return
+        say(f"{out}: the repair is complete; monitoring begins with {source}")
     if source is None or out is None:
         missing = "--out" if out is None else "--source"
         raise ConfigError(f"{missing} is missing: tauext commission --source ur:HOST --out cell7")

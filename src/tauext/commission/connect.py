@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -480,8 +481,26 @@ ARM_FILES = ("arm.toml", SHAPES_FILE, *ROBOT_FILES)
 
 def restore_arm(folder: CommissionFolder) -> None:
     """Write files of write_arm() again that are missing or damaged."""
-    check: dict[str, Callable[[Path], object]] = dict.fromkeys(ROBOT_FILES, read_xml)
-    folder.restore(check | {"arm.toml": load_arm, SHAPES_FILE: read_json})
+    folder.restore(ARM_CHECKS)
+
+
+ARM_CHECKS: dict[str, Callable[[Path], object]] = {
+    "arm.toml": load_arm,
+    SHAPES_FILE: read_json,
+    **dict.fromkeys(ROBOT_FILES, read_xml),
+}
+
+
+def free_arm(folder: CommissionFolder) -> None:
+    """Set aside what write_arm() would find damaged, where no journal has the files."""
+    for name, check in ARM_CHECKS.items():
+        if os.path.lexists(path := folder.path / name):
+            try:
+                check(path)
+            except (OSError, TauextError) as error:
+                folder.set_aside(path, str(error))
+    if (folder.path / "arm.toml").exists() and not any((folder.path / name).exists() for name in ROBOT_FILES):
+        folder.set_aside(folder.path / "arm.toml", "the robot file is missing")
 
 
 def description(facts: SourceFacts, model: str) -> str:

@@ -23,6 +23,7 @@ from tauext.bundle.history_file import (
     active_bundle,
     lost_lines,
     lost_words,
+    noted_in,
     read_coverage,
     read_facts,
     read_history,
@@ -126,13 +127,16 @@ class CommissionFolder:
                 raise ConfigError(f"{path}: is no folder of `tauext commission`; it has no {FACTS}")
             read_facts(path)
             return folder
-        is_new = not os.path.lexists(path / FACTS) and not journal.is_journal(path)
+        is_lost = folder.is_lost()
+        is_new = not is_lost and not os.path.lexists(path / FACTS) and not journal.is_journal(path)
         if is_new and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise ConfigError(f"{path}: is not empty and no folder of `tauext commission`; choose another --out")
-        if not is_new and not journal.is_journal(path):
+        if not is_new and not is_lost and not journal.is_journal(path):
             read_facts(path)  # refuses a folder of an earlier version
         try:
-            if is_new:
+            if is_lost:
+                folder._begin_again()
+            elif is_new:
                 expect_folder(path, LEAST_DISK)
                 path.mkdir(parents=True, exist_ok=True)
                 folder.save(created=wall(), epoch=0)
@@ -141,6 +145,29 @@ class CommissionFolder:
             raise ConfigError(f"{error.filename or path}: cannot be written ({error.strerror or error})") from error
         reserve(path)
         return folder
+
+    def is_lost(self) -> bool:
+        """Whether journal and commission.json are both gone or damaged, and a whole bundle is left."""
+        with suppress(OSError, ValueError):
+            content = json_of(read_text(self.path / FACTS))
+            if isinstance(content, dict) and "format" in content:
+                return False
+        with suppress(OSError):
+            if "facts" in journal.read(self.path).kinds:
+                return False
+        return any(is_bundle(path) for path in self.bundles.glob("b*.tauext"))
+
+    def _begin_again(self) -> None:
+        """Begin a journal that counts what it had as lost: a bundle monitors, and nothing is trained."""
+        if os.path.lexists(self.path / FACTS):
+            set_aside(self.path / FACTS)
+        bundles, segments = list(self.bundles.glob("b*.tauext")), self.segments()
+        epochs = {one.epoch for one in segments} | {one.epoch for one in self.labels()}
+        lines = max(self.noted(), 2 * len(bundles) + len(epochs))  # a bundle had two lines, and an epoch one
+        content = {"created": wall(), "epoch": max(epochs, default=0), "first": self.next_number()}
+        journal.append(self.path, "facts", content, 0 if journal.read(self.path).lines else lines)
+        self.save()
+        self.report(f"{FACTS} and both files of the journal were missing or damaged")
 
     def _mend(self) -> None:
         """Refill the journal, and set aside what lies in the place of the folder's other files."""
@@ -230,17 +257,14 @@ class CommissionFolder:
             lock(file.fileno())
             with suppress(ConfigError):
                 before = self._facts()[0]
-            newest = {NOTED: max(journal.read(self.path).last, noted(before))}
+            newest = {NOTED: max(journal.read(self.path).last, noted_in(before))}
             write_synced(self.path / FACTS, json.dumps(before | changes | newest, indent=1, allow_nan=False) + "\n")
 
     # The journal.
 
     def _append(self, kind: str, content: dict[str, Any]) -> None:
         """Add a line to the journal; it is on the disk on return."""
-        after = 0
-        with suppress(ConfigError):
-            after = noted(read_facts(self.path))
-        if words := journal.append(self.path, kind, content, after):
+        if words := journal.append(self.path, kind, content, self.noted()):
             self.report(words)
 
     def append_event(self, event: dict[str, Any]) -> None:
@@ -261,18 +285,25 @@ class CommissionFolder:
 
     def lost(self) -> int:
         """Number of lines of the journal that are lost, until a person accepts it with `--repair`."""
-        return lost_lines(self.path, noted(self.facts))
+        return lost_lines(self.path, self.noted())
+
+    def noted(self) -> int:
+        """Number of a recent line of the journal: it shows whether the journal's end is lost."""
+        content: dict[str, Any] = {}
+        with suppress(ConfigError):
+            content = read_facts(self.path)
+        return max(noted_in(content), noted_in(self.coverage()))
 
     def sync(self) -> None:
         """Note in commission.json how long the journal is, and mend it if another program has changed it."""
-        if journal.read(self.path).last > noted(self.facts):
+        if journal.read(self.path).last > noted_in(self.facts):
             self.save()
         if not journal.is_even(self.path) and (words := journal.mend(self.path)):
             self.report(words)
 
     def repair(self) -> list[str]:
         """Accept the loss of lines of the journal: training begins again with the next recording; what was done."""
-        gaps = journal.read(self.path).lost(noted(self.facts))
+        gaps = journal.read(self.path).lost(self.noted())
         if gaps:
             words = f"{lost_words(sum(b - a + 1 for a, b in gaps))}; a person accepts it, and training begins again"
             self.save(learn_from=self.next_number())
@@ -328,7 +359,9 @@ class CommissionFolder:
         """Number of the next recording, which no earlier one had."""
         named = (name.partition(".")[0][4:] for name in os.listdir(self.path) if name.startswith("seg-"))
         numbers = [int(number) for number in named if number.isdecimal()]
-        return max([int(self.facts.get("first") or 1), *(one + 1 for one in numbers)])
+        with suppress(ConfigError):
+            numbers.append(int(self._facts()[0].get("first") or 1) - 1)
+        return 1 + max(numbers, default=0)
 
     def load(self, segments: Iterable[Segment]) -> list[Recording]:
         """Recordings with their labels, those that follow each other at once joined; one that was dropped meanwhile is
@@ -440,14 +473,18 @@ def segment_of(path: Path, size: int) -> Segment | None:
         return None
 
 
+def is_bundle(path: Path) -> bool:
+    """Whether it is a whole bundle."""
+    try:
+        load_bundle(path)
+    except TauextError:
+        return False
+    return True
+
+
 def is_usable(path: Path) -> bool:
     """Whether it is a file that this process can read and write."""
     return path.is_file() and os.access(path, os.R_OK | os.W_OK)
-
-
-def noted(facts: dict[str, Any]) -> int:
-    """Number of a recent line of the journal, as commission.json notes it."""
-    return number if isinstance(number := facts.get(NOTED), int) else 0
 
 
 def joined(recordings: list[Recording]) -> Recording:

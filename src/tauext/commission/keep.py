@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.history_file import monitored_of
+from tauext.bundle.history_file import NOTED, monitored_of
 from tauext.commission.folder import CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
+from tauext.files import journal
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.synced_file import reserve, set_aside, write_synced
 from tauext.monitor.flight_files import ENDINGS, PART
@@ -335,8 +336,9 @@ class KeepSink(RecordSink):
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         folder = self._kept
-        self.epoch = self._writing = int(folder.facts.get("epoch") or 0) + 1
         self._segments = repaired(folder)
+        known = [int(folder.facts.get("epoch") or 0), *(one.epoch for one in self._segments)]  # lines may be lost
+        self.epoch = self._writing = max(known) + 1
         self._number = folder.next_number() - 1
         folder.save(epoch=self.epoch, first=self._number + 1)
         self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
@@ -530,6 +532,7 @@ class KeepSink(RecordSink):
         size = sum(one.bytes for one in self._segments)
         content = self._coverage.facts(size, int(self._budget), None if needs is None else round(needs, 1))
         content |= {"monitored": {one: [round(s, 1) for s in sums] for one, sums in [*self._monitored.items()] if one}}
+        content[NOTED] = journal.read(folder.path).last
         if not math.isnan(hour := self._report.hour):
             content["monitored_hour"] = round(hour, 5)
         self._coverage.save(folder.path / "coverage.npz")

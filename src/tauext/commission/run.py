@@ -29,6 +29,7 @@ from tauext.commission.connect import (
     as_entries,
     connect,
     facts_of_data,
+    free_arm,
     restore_arm,
     sentence_of,
     write_arm,
@@ -134,7 +135,7 @@ def repaired_folder(path: Path) -> list[str]:
     Raises:
         ConfigError: it is no such folder, cannot be written, or another process uses it.
     """
-    if not is_commissioned(path) and not is_journal(path):
+    if not is_commissioned(path) and not is_journal(path) and not CommissionFolder(path).is_lost():
         raise ConfigError(f"{path}: is no folder of `tauext commission`, so nothing can be repaired")
     folder = CommissionFolder.open(path, create=True)
     with folder.locked():
@@ -296,6 +297,7 @@ class Commission:
 
     def _described(self) -> SourceFacts | None:
         """Describe a new arm in the folder; None if the run ends before the arm answers."""
+        free_arm(self._folder)
         wait_s = RETRY_S
         while True:
             try:

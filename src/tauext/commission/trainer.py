@@ -78,15 +78,17 @@ class Trainer:
         self._repair()
 
     def _repair(self) -> None:
-        """After a kill: bundles that nothing names are removed, unless older ones have lost their names."""
+        """After a kill: bundles that nothing names are removed, unless names were ever lost."""
         folder, history = self.folder, self.folder.history()
         active, pending = folder.active(), self._pending()
         named = {str(one.get("bundle")) for one in history} | {str(pending.get("bundle"))}
-        is_known = not folder.lost() and (active is not None or not folder.activation)
+        is_known = not folder.lost() and not any(one["kind"] == REPAIR for one in history)
+        is_known = is_known and (active is not None or not folder.activation)
         for path in folder.bundles.glob("b*.tauext") if is_known else ():
             if path.stem not in named and path.stem > max(named - {"None"}, default=""):
                 for one in folder.bundles.glob(f"{path.stem}.*"):
-                    one.unlink(missing_ok=True)
+                    with suppress(OSError):  # a folder of that name
+                        one.unlink(missing_ok=True)
         self.folder.progress("")
 
     # What is there.

@@ -1,7 +1,8 @@
 """A journal: numbered, checked lines of JSON in two files, to which several processes append.
 
 A line is on the disk twice before append() returns. Readers join both files, so that damage to one loses nothing, and
-numbers without gaps show what is lost in both. It survives `kill -9`, a reboot and a full disk.
+numbers without gaps show what is lost in both. It survives `kill -9`, a reboot and a full disk. compact() leaves out
+lines that newer ones replace; a line names their numbers.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ import json
 import os
 import stat
 import threading
-from collections.abc import Iterator, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +31,8 @@ CHECK = b'{"crc32": "%08x", '
 """Begin of a line: checksum of the object that the rest of the line is, after its opening brace."""
 REPAIR = "repair"
 """Kind of the line with which a person accepts that numbers are lost: `lost` holds their first and last."""
+COMPACTED = "compacted"
+"""Kind of the line that names lines that were left out on purpose: `dropped` holds first and last of each range."""
 TAIL = 64
 """Bytes before the end of what was read, by which a grown file is told from another one."""
 Line = dict[str, Any]
@@ -65,9 +69,42 @@ class Contents:
         Args:
             noted: a number that a line had, from elsewhere: it shows that the end is missing.
         """
-        gaps = [*self.gaps, (self.last + 1, noted)] if noted > self.last else self.gaps
-        accepted = [(int(a), int(b)) for one in self.kinds.get(REPAIR, ()) for a, b in one.get("lost", ())]
-        return [gap for gap in gaps if not any(a <= gap[0] and gap[1] <= b for a, b in accepted)]
+        end = [(self.last + 1, noted)] if noted > self.last else []
+        return [*self._unexplained, *(gap for gap in end if not self._is_accepted(gap))]
+
+    @cached_property
+    def _unexplained(self) -> list[tuple[int, int]]:
+        return [gap for gap in self.gaps if not self._is_accepted(gap)]
+
+    @cached_property
+    def _accepted(self) -> list[tuple[int, int]]:
+        """Ranges of numbers that a person gave up or that were left out on purpose, joined, in order."""
+        return joined_ranges([*ranges(self.kinds.get(REPAIR, ()), "lost"), *dropped_ranges(self.lines)])
+
+    def _is_accepted(self, gap: tuple[int, int]) -> bool:
+        at = bisect_right(self._accepted, gap[0], key=lambda one: one[0]) - 1
+        return at >= 0 and gap[1] <= self._accepted[at][1]
+
+
+def ranges(lines: Iterable[Line], key: str) -> list[tuple[int, int]]:
+    """First and last number of each range in this entry of the lines."""
+    return [(int(a), int(b)) for one in lines for a, b in one.get(key, ())]
+
+
+def dropped_ranges(lines: Iterable[Line]) -> list[tuple[int, int]]:
+    """Numbers of the lines that compact() has left out; its newest line names all of them."""
+    return ranges([one for one in lines if one.get("kind") == COMPACTED][-1:], "dropped")
+
+
+def joined_ranges(found: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The ranges in order; those that touch or overlap are one."""
+    joined: list[tuple[int, int]] = []
+    for first, last in sorted(found):
+        if joined and first <= joined[-1][1] + 1:
+            joined[-1] = joined[-1][0], max(last, joined[-1][1])
+        else:
+            joined.append((first, last))
+    return joined
 
 
 # --- Reading: whole once, then only what was appended.
@@ -154,6 +191,9 @@ def _whole(folder: Place, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
     before = seen.contents.lines if seen else ()
     if before and before[0].get("journal") == lines.get(1, before[0]).get("journal"):
         lines = {int(one["number"]): one for one in before} | lines if _is_there(folder) else lines
+    for first, last in dropped_ranges(lines[number] for number in sorted(lines)):
+        for number in range(first, last + 1) if last - first < len(lines) else [n for n in lines if first <= n <= last]:
+            lines.pop(number, None)  # the other file, or this process, still has it
     end = raw.rfind(b"\n") + 1
     contents = Contents(tuple(lines[number] for number in sorted(lines)))
     return _Seen(stamps, end, raw[max(0, end - TAIL) : end], contents, raw == copy)
@@ -232,6 +272,33 @@ def mend(folder: Path) -> str:
         return _mend(folder)
 
 
+def compact(folder: Path, choose: Callable[[Contents], tuple[Collection[int], Mapping[str, Any]] | None]) -> None:
+    """Leave lines out of both files, and add a line that names them.
+
+    The files are replaced one after the other, each at once. A reader of an old and a new one ignores what is left out,
+    so that a process may be killed in between.
+
+    Args:
+        choose: numbers of the lines to leave out, and the content of the new line; None: nothing is worth it. Other
+            processes wait meanwhile.
+
+    Raises:
+        OSError: a file cannot be written; the journal has the same content as before.
+    """
+    with _locked(folder):
+        if not is_even(folder) or not read(folder).lines or (chosen := choose(read(folder))) is None:
+            return
+        contents, (numbers, content) = read(folder), chosen
+        kept = [one for one in contents.lines if one["number"] not in numbers]
+        out = [(int(one["number"]),) * 2 for one in contents.lines if one["number"] in numbers]
+        dropped = joined_ranges([*out, *contents._accepted])
+        kept.append({"number": contents.last + 1, "kind": COMPACTED} | dict(content) | {"dropped": dropped})
+        text = b"".join(map(_line, kept))
+        for path in _files(folder):
+            write_synced(path, text.decode())
+        _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], Contents(tuple(kept)), True)
+
+
 def is_even(folder: Path) -> bool:
     """Whether both files are as this process has read them, or have grown alike since."""
     read(folder)
@@ -266,7 +333,11 @@ def _mend(folder: Path) -> str:
         if is_file and raw.startswith(text) and b"\n" not in raw[len(text) :]:  # a process was killed while it wrote
             os.truncate(path, len(text))
             continue
+        is_old = is_file and missing <= 1 and _is_superset(raw, contents)
         is_late = is_file and text.startswith(raw)
+        if is_old:  # a process was killed in compact()
+            write_synced(path, text.decode())
+            continue
         if is_late:
             _add(path, text[len(raw) :])
         else:
@@ -278,6 +349,12 @@ def _mend(folder: Path) -> str:
             words.append(f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled from {other}")
     _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], contents, True)
     return "; ".join(words)
+
+
+def _is_superset(raw: bytes, contents: Contents) -> bool:
+    """Whether a whole file has all lines but the newest, and others that were left out since."""
+    own = {int(one["number"]) for one in contents.lines[:-1]}
+    return raw.count(b"\n") == len(_lines(raw)) and own < _lines(raw).keys()
 
 
 def _add(path: Path, line: bytes) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -13,16 +14,16 @@ from made_commission import cut_journal
 from made_faults import ANSWERS, BACKUP, FAULTS, alone, faults, files_of, outcome, prepare
 
 from tauext import _core
-from tauext.bundle.history_file import expect_journal, read_events, read_question
+from tauext.bundle.history_file import expect_journal, left_out, read_events, read_history, read_question
 from tauext.cli import main
 from tauext.commission.connect import restore_arm
-from tauext.commission.folder import CommissionFolder
+from tauext.commission.folder import CommissionFolder, Segment
 from tauext.commission.history import describe_folder
-from tauext.commission.keep import repaired
+from tauext.commission.keep import repaired, trim_damaged
 from tauext.commission.run import free_sockets
 from tauext.commission.trainer import Trainer
 from tauext.data.dataset import load_dataset
-from tauext.data.labels import Label
+from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.files import journal
 
@@ -256,6 +257,98 @@ def test_lines_of_several_processes_get_different_numbers(tmp_path):
     assert [one.returncode for one in writers] == [0, 0]
     assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, 61))
     assert (tmp_path / journal.NAME).read_bytes() == (tmp_path / journal.COPY).read_bytes()
+
+
+def long_journal(path: Path, alarms: int) -> CommissionFolder:
+    """A journal of alarms with four lines each; every tenth is answered, and the answer of every 20th was changed."""
+    folder = CommissionFolder.open(path, create=True)
+    text, number = [], journal.read(path).last
+    for k in range(1, alarms + 1):
+        event = {"kind": "event", "id": k, "level": "collision", "bundle": "b0001", "epoch": 1, "wall": "x"}
+        label = {"kind": "label"} | asdict(Label(k, 1, k * 10**9, k * 10**9, "unanswered", "nobody", "x", "b0001"))
+        lines = [event, label, event | {"flight": f"{k}"}, label]
+        lines += [label | {"answer": "touched", "by": "page"}] * (k % 10 == 0)
+        lines += [label | {"answer": "nothing", "by": "page"}, label | {"answer": "withdrawn"}] * (k % 20 == 0)
+        for line in lines:
+            number += 1
+            text.append(journal._line({"number": number} | line))
+    for name in (journal.NAME, journal.COPY):
+        with (path / name).open("ab") as file:
+            file.write(b"".join(text))
+    journal._seen.clear()
+    return folder
+
+
+def facts_of(path: Path) -> tuple:
+    """What others read of a journal of long_journal()."""
+    answers = {one.id: one.answer for one in read_labels(path) if one.answer in ("touched", "nothing")}
+    events = [one for one in read_events(path) if one["answer"] or one["id"] > 1000]
+    return answers, [(one["id"], one["answer"], one["flight"]) for one in events], read_history(path)
+
+
+def test_a_journal_is_compacted_and_loses_no_answer(tmp_path, monkeypatch):
+    """Lines that newer ones replace go, and old alarms without an answer; a kill in between loses nothing either."""
+    monkeypatch.setattr("tauext.commission.folder.MOST_ALARMS", 900)
+    folder = long_journal(tmp_path, 2000)
+    folder.save(state="x")
+    whole, size = [(tmp_path / name).read_bytes() for name in (journal.NAME, journal.COPY)], journal.read(tmp_path).last
+    before, count = facts_of(tmp_path), len(read_events(tmp_path))
+    folder.compact()
+    compacted = (tmp_path / journal.NAME).read_bytes()
+    assert 3 * len(compacted) < len(whole[0]) and compacted == (tmp_path / journal.COPY).read_bytes()
+    for text in ((compacted, compacted), (compacted, whole[1]), (whole[0], compacted)):  # killed between the two files
+        for name, raw in zip((journal.NAME, journal.COPY), text, strict=True):
+            (tmp_path / name).write_bytes(raw)
+        journal._seen.clear()
+        again = CommissionFolder.open(tmp_path, create=True)
+        assert facts_of(tmp_path) == before and not again.lost() and len(before[0]) == 200
+        assert journal.read(tmp_path).last == size + 1 and not list(tmp_path.glob("*.damaged*"))
+        assert [(tmp_path / name).read_bytes() for name in (journal.NAME, journal.COPY)] == [compacted] * 2
+    there = len(read_events(tmp_path))
+    assert there < count and left_out(tmp_path) == {"b0001": count - there}  # the summary
+    again.append_label(Label(3000, 1, 1, 2, "touched", "page", "", "b0001"))
+    cut_journal(again, lambda line: line["number"] not in (size, size + 1, 40))
+    assert again.lost() > 0  # a line that is lost is no line that was left out
+    again.compact()
+    assert again.lost() > 0
+
+
+def test_alarms_whose_recordings_are_there_keep_their_labels(tmp_path, monkeypatch):
+    monkeypatch.setattr("tauext.commission.folder.MOST_ALARMS", 10)
+    folder = long_journal(tmp_path, 2000)
+    folder.segments = lambda: [Segment("seg-000001.parquet", 1, "train", 1, 500 * 10**9, 510 * 10**9, 10.0, 1)]
+    folder.compact()
+    kept = {one.id for one in folder.labels() if one.answer == "unanswered"}
+    assert set(range(481, 540)) - set(range(0, 2000, 10)) <= kept < set(range(400, 2001)) and 1999 in kept
+
+
+def test_a_page_or_a_training_sees_a_compacted_journal(tmp_path):
+    """Another process that has read the journal, and whose next look meets the new one."""
+    folder = long_journal(tmp_path, 2000)
+    seen = journal.read(tmp_path)
+    old = dict(journal._seen)
+    folder.compact()
+    new = journal.read(tmp_path).lines
+    journal._seen |= old
+    assert journal.read(tmp_path).lines == tuple(new) and len(new) < len(seen.lines)
+
+
+def test_files_that_were_set_aside_have_a_bound(tmp_path):
+    (tmp_path / "bundles").mkdir()
+    names = (
+        "journal.jsonl.damaged",
+        "bundles/b0001.tauext.damaged",
+        "seg-000001.parquet.damaged",
+        "split.json.damaged-3",
+    )
+    for k, name in enumerate((*names, "seg-000002.parquet.damaged-12")):
+        (tmp_path / name).write_bytes(bytes(100))
+        os.utime(tmp_path / name, (k, k))
+    (tmp_path / "log.txt.damaged").mkdir()  # none of this program's files
+    assert trim_damaged(tmp_path, 500) == ""
+    assert trim_damaged(tmp_path, 310) == "seg-000001.parquet.damaged, b0001.tauext.damaged"
+    assert trim_damaged(tmp_path, 0) == "split.json.damaged-3, journal.jsonl.damaged"
+    assert sorted(os.listdir(tmp_path)) == ["bundles", "log.txt.damaged", "seg-000002.parquet.damaged-12"]
 
 
 # --- The whole command, without its children.

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from tauext.errors import ConfigError
-from tauext.files.journal import Contents, read
+from tauext.files.journal import COMPACTED, Contents, read
 from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
@@ -102,6 +102,12 @@ def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
         if one.get("answer") in ("touched", "nothing") and one.get("id") in newest:
             newest[one["id"]] |= {"answer": one["answer"], "by": one.get("by")}
     return tuple(newest.values())
+
+
+def left_out(folder: Place) -> dict[str, int]:
+    """Collision alarms without an answer that the journal has left out, by bundle."""
+    compacted = read(folder).kinds.get(COMPACTED, [{}])[-1]
+    return dict(compacted.get("unanswered", {}))
 
 
 def read_question(folder: Place) -> dict[str, Any]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -82,11 +83,76 @@ def split_of(segments: Iterable[Segment]) -> Split:
     return Split(tuple(sets["train"]), (), tuple(sets["test"]), calibration=tuple(sets["calibration"]))
 
 
+# --- What the journal can do without.
+
+
+def superfluous(
+    contents: journal.Contents, segments: Callable[[], Iterable[Segment]]
+) -> tuple[set[int], dict[str, Any]] | None:
+    """Numbers of the lines that compact() leaves out, and the content of the line that names them; None: too few.
+
+    Left out are lines of an alarm, a label or a file that a newer one replaces, and all lines of old alarms and
+    suspects without an answer whose recordings are gone. An answer stays.
+    """
+    newest, out, answered = set[tuple[str, Any]](), set[int](), set[Any]()
+    last: dict[Any, list[journal.Line]] = {}
+    for one in reversed(contents.lines):
+        kind = str(one.get("kind"))
+        if one["number"] == 1 or kind not in ("event", LABEL, "file", journal.COMPACTED):
+            continue
+        id = one.get("name" if kind == "file" else "id")
+        is_answer = kind == LABEL and one.get("answer") in ("touched", "nothing")
+        if (kind, id) in newest and not (is_answer and id not in answered):
+            out.add(int(one["number"]))
+        elif kind in ("event", LABEL):
+            last.setdefault(id, []).append(one)
+        newest.add((kind, id))
+        answered |= {id} if is_answer else set()
+    counts = Counter[str]((contents.kinds.get(journal.COMPACTED) or [{}])[-1].get("unanswered", {}))
+    old = [id for id in last if id not in answered][MOST_ALARMS:]
+    spans = spans_of(segments() if old else ())
+    for lines in (last[id] for id in old):
+        if not any(is_near(spans, one) for one in lines if one.get("kind") == LABEL):
+            out.update(int(one["number"]) for one in lines)
+            counts.update(str(one.get("bundle")) for one in lines if one.get("level") == "collision")
+    if len(out) < max(LEAST_WORTH, len(contents.lines) // 10):
+        return None
+    return out, {"wall": wall(), "unanswered": dict(counts)}
+
+
+LEAST_WORTH = 1000
+"""Fewest lines that are worth a new copy of both files."""
+
+
+def spans_of(segments: Iterable[Segment]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """First stamps and last stamps of the recordings of each epoch, in order, [ns]."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    for one in segments:
+        found.setdefault(one.epoch, []).append((one.from_ns, one.to_ns))
+    arrays = {epoch: np.array(sorted(spans)) for epoch, spans in found.items()}
+    return {epoch: (spans[:, 0], spans[:, 1]) for epoch, spans in arrays.items()}
+
+
+def is_near(spans: Mapping[int, tuple[np.ndarray, np.ndarray]], label: Mapping[str, Any]) -> bool:
+    """Whether a recording lies near the label of this line."""
+    begins, ends = spans.get(label.get("epoch", 0), (np.zeros(0), np.zeros(0)))
+    at = int(np.searchsorted(begins, label.get("to_ns", 0) + NEAR_NS, side="right")) - 1
+    return at >= 0 and bool(ends[at] >= label.get("from_ns", 0) - NEAR_NS)
+
+
 # --- The folder.
 
 
 LEAST_DISK = 1 << 26
 """Free space that a new folder needs, [bytes]."""
+MOST_ALARMS = 5000
+"""Alarms and suspects without an answer that the journal keeps, beside those whose recordings are there."""
+COMPACT_LINES = 20_000
+"""Lines that the journal grows by until it is compacted while the command runs."""
+LARGEST_LOG = 10_000_000
+"""Size of log.txt from which it becomes log.old.txt, [bytes]."""
+NEAR_NS = 30_000_000_000
+"""Distance of a label within which a recording is dropped last, and without which its label is."""
 LASTING = ("created", "source", "epoch", "first", "arm", "learn_from", "running")
 """Entries of commission.json that are lines of the journal, too."""
 WRITTEN = (
@@ -109,6 +175,8 @@ class CommissionFolder:
         """The bundle that waits to be judged, and what it was trained on."""
         self.shown = 0
         """Lines of the history when the folder was opened: later ones are news."""
+        self._compacted = 0
+        """Lines of the journal when it was compacted."""
         self._known: dict[str, tuple[tuple[int, int], Segment | None]] = {}
 
     @classmethod
@@ -182,6 +250,7 @@ class CommissionFolder:
         for one in folders:
             one.mkdir(exist_ok=True)
         _ = self.facts  # written again where it is damaged
+        self.compact()
 
     def set_aside(self, path: Path, why: str) -> None:
         """Rename a damaged file, and report it."""
@@ -300,6 +369,26 @@ class CommissionFolder:
             self.save()
         if not journal.is_even(self.path) and (words := journal.mend(self.path)):
             self.report(words)
+        if len(journal.read(self.path).lines) > self._compacted + COMPACT_LINES:
+            self.compact()
+
+    def compact(self) -> None:
+        """Leave out lines of the journal that nothing needs, and begin a new log where it is large; a full disk waits.
+
+        Nothing is left out while lines are lost: their numbers are still to be accepted.
+        """
+        before = len(journal.read(self.path).lines)
+        with suppress(OSError):
+            if not self.lost():
+                journal.compact(self.path, lambda contents: superfluous(contents, self.segments))
+        self._compacted = len(journal.read(self.path).lines)
+        if self._compacted < before:
+            self.log(
+                f"journal: {before - self._compacted} lines that newer ones replace, or of old alarms, are left out"
+            )
+        with suppress(OSError):
+            if (log := self.path / "log.txt").stat().st_size > LARGEST_LOG:
+                log.replace(self.path / "log.old.txt")
 
     def repair(self) -> list[str]:
         """Accept the loss of lines of the journal: training begins again with the next recording; what was done."""

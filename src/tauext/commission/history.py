@@ -11,6 +11,7 @@ from typing import Any
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import (
     active_bundle,
+    left_out,
     lost_lines,
     monitored_of,
     read_coverage,
@@ -83,7 +84,7 @@ def kept_of(folder: Place, bundle: str, seconds: float) -> Kept:
     hours, of_hours = (one / 3600 for one in counted)
     alarms = [one for one in read_events(folder) if one.get("bundle") == bundle and one.get("level") == "collision"]
     false = [one for one in alarms if one.get("answer") == "nothing"]
-    unanswered = sum(one.get("answer") is None for one in alarms)
+    unanswered = sum(one.get("answer") is None for one in alarms) + left_out(folder).get(bundle, 0)
     promised, sentence = promise_of(folder, bundle)
     return Kept(bundle, promised, sentence, hours, false, unanswered, of_hours)
 

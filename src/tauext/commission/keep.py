@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import stat
 import zipfile
 import zlib
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -16,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.history_file import NOTED, monitored_of
-from tauext.commission.folder import CommissionFolder, Segment, wall
+from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
+from tauext.commission.folder import NEAR_NS, CommissionFolder, Segment, wall
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
@@ -211,9 +212,7 @@ TEST_SHARE = 0.2
 """Largest share of the recordings' space that test motion after the training takes."""
 FRESH_S = 600.0
 """Newest motion, which is never dropped, [s]: answers may still come."""
-NEAR_NS = 30_000_000_000
-"""Distance of a label within which a recording is dropped last."""
-RECORDINGS_SHARE, FLIGHTS_SHARE = 0.8, 0.15
+RECORDINGS_SHARE, FLIGHTS_SHARE, DAMAGED_SHARE = 0.8, 0.15, 0.05
 LOWERED = 0.98
 """Share of the bound to which recordings are dropped, so that this is seldom."""
 
@@ -527,6 +526,8 @@ class KeepSink(RecordSink):
             self._coverage.dropped_s += one.seconds
         self._segments = kept
         trim_flights(folder.flights, int(FLIGHTS_SHARE * self._budget))
+        if dropped_files := trim_damaged(folder.path, int(DAMAGED_SHARE * self._budget)):
+            folder.log(f"damaged files beyond {DAMAGED_SHARE:.0%} of the disk space are removed: {dropped_files}")
         kept_s = motion_s(folder, self._segments, ("train", "test"))
         needs = next((60 * minutes - kept_s for minutes in SCHEDULE_MIN if 60 * minutes > kept_s), None)
         size = sum(one.bytes for one in self._segments)
@@ -606,3 +607,34 @@ def trim_flights(folder: Path, most_bytes: int) -> None:
         for path in flights[name]:
             path.unlink(missing_ok=True)
         total -= sizes[name]
+
+
+DAMAGED = re.compile(r"(?P<name>.+)\.damaged(-\d+)?$")
+"""Name of a file that was set aside."""
+
+
+def trim_damaged(folder: Path, most_bytes: int) -> str:
+    """Remove files that were set aside beyond the bound, in the folder and that of its bundles; their names.
+
+    First recordings, then other files, at last those of the journal; the oldest first. The newest stays.
+    """
+    found = {path: path.lstat() for place in (folder, folder / BUNDLES) for path in place.glob("*.damaged*")}
+    found = {
+        path: status for path, status in found.items() if DAMAGED.match(path.name) and stat.S_ISREG(status.st_mode)
+    }
+    total = sum(status.st_size for status in found.values())
+    if total <= most_bytes:
+        return ""
+
+    def rank(path: Path) -> tuple[int, float]:
+        kind = 0 if path.name.startswith("seg-") else 2 if path.name.startswith("journal") else 1
+        return kind, found[path].st_mtime
+
+    removed, newest = [], max(found, key=lambda path: found[path].st_mtime)
+    for path in sorted(found.keys() - {newest}, key=rank):
+        if total <= most_bytes:
+            break
+        path.unlink(missing_ok=True)
+        total -= found[path].st_size
+        removed.append(path.name)
+    return ", ".join(removed)

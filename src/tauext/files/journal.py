@@ -291,7 +291,7 @@ def compact(folder: Path, choose: Callable[[Contents], tuple[Collection[int], Ma
         contents, (numbers, content) = read(folder), chosen
         kept = [one for one in contents.lines if one["number"] not in numbers]
         out = [(int(one["number"]),) * 2 for one in contents.lines if one["number"] in numbers]
-        dropped = joined_ranges([*out, *contents._accepted])
+        dropped = [list(one) for one in joined_ranges([*out, *contents._accepted])]
         kept.append({"number": contents.last + 1, "kind": COMPACTED} | dict(content) | {"dropped": dropped})
         text = b"".join(map(_line, kept))
         for path in _files(folder):

@@ -6,6 +6,7 @@ import time
 from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+import made_live_page
 import numpy as np
 import pytest
 
@@ -111,6 +112,40 @@ def test_a_page_of_another_server_gets_nothing_but_a_link(browser, tmp_path, mon
             assert page.value("opened") == 0 and loop.received == [] and shown == []
             page.value(f"location.href = 'http://127.0.0.1:{port}/'")
             until(lambda: page.value("document.querySelector('#banner')?.className") == "good", "the page by a link")
+
+
+WORD = "</script><script>pwned=1</script><img src=x onerror=pwned=1>\"'&\u202e\n" + "x" * 300
+FIXED = ("state", "level", "answer", "touch", "health", "kind", "severity", "code", "wall", "flight")
+"""Keys of the page's JSON whose texts are words of tauext."""
+
+
+def hostile(value, key=""):
+    """The value with a script in every text that a name, a bundle or a folder decides."""
+    if isinstance(value, dict):
+        return {one: hostile(inner, one) for one, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [hostile(one, key) for one in value]
+    return f"{value}{WORD}" if isinstance(value, str) and value and key not in FIXED else value
+
+
+@pytest.mark.parametrize("state", ["alarm", "learning", "connecting", "question"])
+def test_no_name_is_a_script(browser, tmp_path, monkeypatch, state):
+    """Names of joints, bundles, folders and events are texts of the page, whatever they hold."""
+    plain, state_of, facts_of = made_live_page.line, live_server.Folder.state, live_server.Folder.arm
+    monkeypatch.setattr(made_live_page, "line", lambda *words: hostile(plain(*words)))
+    monkeypatch.setattr(live_server.Folder, "state", lambda folder: hostile(state_of(folder)))
+    monkeypatch.setattr(live_server.Folder, "arm", lambda folder: hostile(facts_of(folder)))
+    with (
+        served(tmp_path, state, "rig") as (port, _),
+        browser.page(f"http://127.0.0.1:{port}/", 1280, 900, "light") as page,
+    ):
+        until(lambda: "onerror" in page.value("document.body.innerText"), "the words")
+        until(lambda: state != "alarm" or "pwned" in page.value("alarm.innerText"), "the alarm")
+        time.sleep(0.3)  # a picture that fails runs its script later
+        assert page.value("window.pwned") is None
+        assert page.value("document.images.length + document.scripts.length") == 1  # the page's own script
+        assert page.value("document.documentElement.scrollWidth") <= 1280  # nor does a long name break the page
+        (tmp_path / "page.png").write_bytes(page.picture())
 
 
 @pytest.mark.slow

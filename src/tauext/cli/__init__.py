@@ -75,6 +75,8 @@ HELP_CONFIG = """\
 # from the recipe or the recordings. `tauext calibrate --config` takes the table [alarm].
 """
 
+READING = ("import", "check", "run", "show")
+"""Commands that read files of others: they end before the system has no memory left."""
 LONGEST_ERROR = 1500
 """Letters of an error: what a hostile file holds is quoted no further."""
 
@@ -197,7 +199,14 @@ def main(argv: list[str] | None = None) -> int:
             flush()
             return 0
         prog, command = command_of(argv)
-        status = understood(command, prog, spelled_out(argv[len(prog.split()) - 1 :]))()
+        call = understood(command, prog, spelled_out(argv[len(prog.split()) - 1 :]))
+        if argv[0] in READING:
+            from tauext.files.preflight import within_memory
+
+            with within_memory():
+                status = call()
+        else:
+            status = call()
         flush()
     except FaultyDataError as error:
         print_error(f"tauext: error: {error}")  # several lines: findings in the data, and how to correct them

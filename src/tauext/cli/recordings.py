@@ -83,6 +83,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     """Write the commented arm.toml; nothing is overwritten."""
     from tauext.data.description import open_entries
     from tauext.data.description_template import RATE, Guess, guess, guess_values, template
+    from tauext.data.importers.damaged import whole
     from tauext.data.importers.open_raw import open_raw
     from tauext.files.toml_file import parse_toml
     from tauext.files.toml_file import write_template as write_text
@@ -97,10 +98,11 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         joints = movable_joints(robot)
         model = Path(os.path.relpath(robot, path.parent)).as_posix()
     if sources:
-        (first, *_) = open_raw(sources[0])
-        streams = first.streams
-        guessed = guess(streams, joints)
-        guess_values(guessed, first)
+        with whole(sources[0], "a recording", ()):
+            (first, *_) = open_raw(sources[0])
+            streams = first.streams
+            guessed = guess(streams, joints)
+            guess_values(guessed, first)
     text = template(guessed, model, joints, list(streams))
     write_text(path, text)
     print(path)

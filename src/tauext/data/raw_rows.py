@@ -28,6 +28,8 @@ PIECE_S = 600.0
 """A longer raw recording becomes several recordings of about this length, [s] ..."""
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
+MOST_WAITING = 20 * PIECE_ROWS
+"""Rows that are kept until the stamps go on: no arm is sampled as often within LATE_S."""
 MOST_SHARE = 0.2
 """Share above which the file is refused: it is not what the description says."""
 LEAST_REFUSED = 10
@@ -127,6 +129,11 @@ class RowReader:
                 begin = min(int(t.min()) for parts in tables.values() for t, _ in parts)
             passed = min(newest) - begin - int(LATE_S * 1e9)
             rows = sum(len(t) for parts in tables.values() for t, _ in parts)
+            if rows > MOST_WAITING and passed <= 0:
+                raise RecordingError(
+                    f"{self._raw.path}: more than {MOST_WAITING:,} rows have stamps within {LATE_S:g} s, so they are "
+                    f"no clock; {self.remedy}"
+                )
             if passed > 1.5e9 * PIECE_S or (rows > 1.5 * PIECE_ROWS and passed > 0):
                 begin += passed * 2 // 3
                 yield Piece({stream: _taken(parts, begin) for stream, parts in tables.items()}, present, False)

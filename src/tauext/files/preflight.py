@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from tauext.errors import ConfigError
 from tauext.files.copies import at_home
@@ -89,8 +91,44 @@ def expect_time(seconds: float, what: str) -> None:
         raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(LONGEST_S)} are the most; request less")
 
 
+@contextmanager
+def within_memory() -> Iterator[None]:
+    """More memory than is free at the beginning is a MemoryError here, where the system would end the process.
+
+    A file of a few kilobytes can state, or unpack to, any size, and libraries allocate what it states. Linux only.
+    """
+    limits, free = None, free_memory()
+    with suppress(ImportError, OSError, ValueError, StopIteration):
+        import resource
+
+        limits = resource.getrlimit(resource.RLIMIT_DATA)
+        with open("/proc/self/status") as file:
+            used = next(1024 * int(line.split()[1]) for line in file if line.startswith("VmData:"))
+        if free is not None and (limits[0] == resource.RLIM_INFINITY or used + free < limits[0]):
+            resource.setrlimit(resource.RLIMIT_DATA, (used + free, limits[1]))
+    try:
+        yield
+    finally:
+        if limits is not None:
+            resource.setrlimit(resource.RLIMIT_DATA, limits)
+
+
 def free_memory() -> int | None:
-    """Memory that the system has available, [bytes]; None: unknown."""
+    """Memory that the system, or the group of processes that this one is in, has available, [bytes]; None: unknown."""
+    there = [one for one in (_free_in_system(), _free_in_group()) if one is not None]
+    return min(there) if there else None
+
+
+def _free_in_group() -> int | None:
+    """What a container's limit leaves, by cgroup v2; None: there is none."""
+    try:
+        with open("/sys/fs/cgroup/memory.max") as most, open("/sys/fs/cgroup/memory.current") as now:
+            return max(0, int(most.read()) - int(now.read()))
+    except (OSError, ValueError):
+        return None
+
+
+def _free_in_system() -> int | None:
     try:
         with open("/proc/meminfo") as file:
             for line in file:

@@ -10,6 +10,8 @@ import pyarrow as pa
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 PIECE_BYTES = 1 << 16
+MOST_BYTES = 1 << 28
+"""Largest size of a chunk or a message, unpacked, [bytes]; recorders write chunks of a hundredth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +58,11 @@ def ros_type(name: str) -> str:
 
 
 def decompressed(data: bytes, codec: str) -> tuple[bytes, bool]:
-    """Decompress zstd or lz4 as far as the data is whole; also returns whether all of it is."""
-    stream, parts = pa.CompressedInputStream(pa.BufferReader(data), codec), []
+    """Decompress zstd or lz4 as far as the data is whole, and to MOST_BYTES; also returns whether all of it is."""
+    stream, parts, size = pa.CompressedInputStream(pa.BufferReader(data), codec), list[bytes](), 0
     try:
-        while part := stream.read(PIECE_BYTES):
+        while (part := stream.read(PIECE_BYTES)) and (size := size + len(part)) <= MOST_BYTES:
             parts.append(part)
     except OSError:
         return b"".join(parts), False
-    return b"".join(parts), True
+    return b"".join(parts), size <= MOST_BYTES

@@ -187,7 +187,7 @@ class _Text:
         begin = b""
         for chunk in self.chunks():
             begin += chunk
-            if begin.count(b"\n") >= SAMPLE_LINES:
+            if begin.count(b"\n") >= SAMPLE_LINES or len(begin) > LONGEST_LINE:
                 break
         return [_decoded(line) for line in begin.split(b"\n", SAMPLE_LINES)[:SAMPLE_LINES]]
 

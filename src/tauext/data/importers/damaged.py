@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tauext.errors import RecordingError
+
+OUT_OF_MEMORY = re.compile("memory allocation failed|unable to allocate|out of memory", re.IGNORECASE)
+"""HDF5 and others report it as any other error."""
+
+
+def too_large(path: object) -> RecordingError:
+    """The error about a file that needs more memory than there is."""
+    return RecordingError(
+        f"{path}: what it states or unpacks to needs more memory than is free; split the file, or use a computer with "
+        "more memory"
+    )
 
 
 @contextmanager
@@ -20,5 +32,9 @@ def whole(path: object, kind: str, broken: tuple[type[Exception], ...]) -> Itera
         yield
     except RecordingError:
         raise
+    except MemoryError as error:
+        raise too_large(path) from error
     except broken as error:
+        if OUT_OF_MEMORY.search(str(error)):
+            raise too_large(path) from error
         raise RecordingError(f"{path}: cannot be read as {kind}: it is truncated or damaged; copy it again") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections import Counter
@@ -18,6 +19,7 @@ from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
 from tauext.data.importers.damaged import whole
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
+from tauext.files.preflight import in_words
 
 # --- Named arrays of a file: which are signals, and which of their axes counts samples.
 
@@ -287,6 +289,10 @@ def _rows(array: Any, rows: slice, samples: int) -> np.ndarray:
 BROKEN = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 """Exceptions of h5py on damaged files."""
 MAGIC = b"\x89HDF\r\n\x1a\n"
+MOST_CHUNK = 1 << 27
+"""Largest chunk of a dataset, [bytes]: the library unpacks all of it for a few rows."""
+MOST_WORDS = 1 << 20
+"""Largest list of names or of cells, [bytes]."""
 
 
 def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawRecording]:
@@ -309,7 +315,7 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
     with whole(path, kind, BROKEN), _open(path) as file:
         content = _hdf5_content(file, kind != "HDF5")
         for one in content.arrays:
-            _expect_filters(path, file[one.held[0]])
+            _expect_readable(path, file[one.held[0]])
     return recordings(path, kind, separator, content, opened)
 
 
@@ -318,12 +324,12 @@ def _open(path: Path) -> Any:
     import h5py
 
     try:
-        return h5py.File(path)
+        return h5py.File(path, rdcc_nbytes=MOST_CHUNK)
     except OSError as error:
         if "already open" not in str(error):
             raise
     try:
-        return h5py.File(path, swmr=True)
+        return h5py.File(path, swmr=True, rdcc_nbytes=MOST_CHUNK)
     except OSError as error:
         raise RecordingError(
             f"{path}: the program that writes it has not closed it; close it there, and copy it again"
@@ -367,9 +373,19 @@ def _dataset(file: Any, held: tuple[str, ...]) -> Any:
     return _Stack(tuple(file[one] for one in held)) if others else file[name]
 
 
-def _expect_filters(path: Path, dataset: Any) -> None:
+def _expect_readable(path: Path, dataset: Any) -> None:
+    """Raise RecordingError where rows are stated but not in the file, or cannot be unpacked a few at a time."""
     import h5py
 
+    if dataset.size and dataset.chunks and not dataset.id.get_storage_size():
+        raise RecordingError(
+            f"{path}: '{dataset.name}' states {dataset.shape[0]:,} rows, and none was written; record the file again"
+        )
+    if dataset.chunks and (size := math.prod(dataset.chunks) * dataset.dtype.itemsize) > MOST_CHUNK:
+        raise RecordingError(
+            f"{path}: '{dataset.name}' is stored in chunks of {in_words(size)}, and {in_words(MOST_CHUNK)} are the "
+            "most; write it with smaller chunks, of some thousand rows"
+        )
     plist = dataset.id.get_create_plist()
     for k in range(plist.get_nfilters()):
         number, *_, name = plist.get_filter(k)
@@ -416,7 +432,8 @@ def _hdf5_content(file: Any, matlab: bool) -> Content:
         """A pandas table: blocks of columns of one type, and the index."""
         for name in group:
             if match := re.fullmatch(r"block(\d+)_values", name):
-                words = tuple(_word(one) for one in group[f"block{match[1]}_items"][()])
+                items = group[f"block{match[1]}_items"]
+                words = tuple(_word(one) for one in items[()]) if items.nbytes <= MOST_WORDS else ()
                 content.add((*path, name), group[name].shape, (group[name].name,))
                 content.arrays[-1] = replace(content.arrays[-1], labels=words, named=True)
         if "axis1" in group and group["axis1"].dtype.kind in "iuf":
@@ -430,7 +447,8 @@ def _hdf5_content(file: Any, matlab: bool) -> Content:
         if "MATLAB_object_decode" in item.attrs and kind not in ("logical", "char", "cell", "struct", ""):
             content.objects.append(f"{'.'.join(path)} ({kind})")
         elif h5py.check_ref_dtype(item.dtype) is h5py.Reference:
-            references(path, item, kind == "cell")
+            if item.nbytes <= MOST_WORDS:
+                references(path, item, kind == "cell")
         elif item.dtype.names:
             for name in item.dtype.names:
                 sub = item.dtype[name]
@@ -440,7 +458,13 @@ def _hdf5_content(file: Any, matlab: bool) -> Content:
             if item.size == 1:
                 number(path, item[()])
             content.add(path, item.shape, (item.name,))
-        elif item.dtype.kind in "SO" and item.ndim == 1 and item.size <= MOST_WIDE and JOINT_NAMES.fullmatch(path[-1]):
+        elif (
+            item.dtype.kind in "SO"
+            and item.ndim == 1
+            and item.size <= MOST_WIDE
+            and item.nbytes <= MOST_WORDS
+            and JOINT_NAMES.fullmatch(path[-1])
+        ):
             content.words[path] = tuple(_word(one) for one in item[()])
 
     def references(path: tuple[str, ...], item: Any, cell: bool) -> None:

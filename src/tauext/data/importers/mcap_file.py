@@ -17,7 +17,9 @@ from zlib import crc32
 
 import pyarrow as pa
 
-from tauext.data.importers.bag import Channel, CountLost, decompressed, ros_type
+from tauext.data.importers.bag import MOST_BYTES, Channel, CountLost, decompressed, ros_type
+from tauext.errors import RecordingError
+from tauext.files.preflight import in_words
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
@@ -27,6 +29,8 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence number, log time, publish time."""
 FOOTER_BYTES = 37
 """Of the footer record and the magic after it."""
+MOST_WAITING = 4_000_000
+"""Messages of chunks that overlap in time: an hour of a thousand a second."""
 CODECS = {"zstd": "zstd", "lz4": "lz4"}
 
 
@@ -74,7 +78,7 @@ class McapFile:
         (start,) = struct.unpack_from("<Q", data, len(data) - FOOTER_BYTES + RECORD.size)
         if (operation, length) != (FOOTER, 20) or not start:
             return False
-        messages = None
+        messages, there = None, set[int]()
         try:
             for operation, begin, _ in _records(data, start, end):
                 if operation in (SCHEMA, CHANNEL):
@@ -84,6 +88,9 @@ class McapFile:
                     if at >= start or data[at] != CHUNK:
                         return False
                     held = struct.iter_unpack("<HQ", data[begin + 36 : begin + 36 + size])
+                    if at in there:
+                        return False  # the same messages twice
+                    there.add(at)
                     self._chunks.append((first_ns, at + RECORD.size, frozenset(number for number, _ in held)))
                 elif operation == STATISTICS:
                     (messages,) = struct.unpack_from("<Q", data, begin)
@@ -122,7 +129,7 @@ class McapFile:
         self._counts = Counter({number: count for number, count in self._counts.items() if number in self._channels})
 
     def _count(self, data: bytes | mmap.mmap, operation: int, begin: int, found: Counter[int]) -> None:
-        if operation == MESSAGE:
+        if operation == MESSAGE and begin + MESSAGE_HEAD.size <= len(data):
             found[struct.unpack_from("<H", data, begin)[0]] += 1
         elif operation in (SCHEMA, CHANNEL):
             try:
@@ -163,11 +170,16 @@ class McapFile:
                 missing -= ready
                 waiting = waiting[ready:] + _taken(self._chunk(begin), channels)
                 waiting.sort(key=lambda message: message[0])
+                if len(waiting) > MOST_WAITING:
+                    raise RecordingError(
+                        f"{self._path}: more than {MOST_WAITING:,} messages lie in parts that begin at the same time; "
+                        "write it again in the order of time"
+                    )
             yield from ((channel, at, raw) for at, channel, raw in waiting)
             missing -= len(waiting)
         else:
             for operation, begin, end in _records(self._data, len(MAGIC), len(self._data)):
-                if operation == MESSAGE and end <= len(self._data):
+                if operation == MESSAGE and begin + MESSAGE_HEAD.size <= end <= len(self._data):
                     number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(self._data, begin)
                     if number in channels:
                         missing -= 1
@@ -184,6 +196,9 @@ class McapFile:
         except (struct.error, UnicodeDecodeError):
             return b""
         at += 8
+        if size > MOST_BYTES:
+            self._note(f"a part that states {in_words(size)} is left out: {in_words(MOST_BYTES)} are the most")
+            return b""
         packed = self._data[at : at + length]
         whole = len(packed) == length
         if compression and compression not in CODECS:
@@ -220,7 +235,7 @@ def _taken(chunk: bytes, channels: dict[int, Channel]) -> list[tuple[int, Channe
         operation, length = RECORD.unpack_from(chunk, at)
         begin = at + RECORD.size
         at = begin + length
-        if operation == MESSAGE and at <= end:
+        if operation == MESSAGE and begin + MESSAGE_HEAD.size <= at <= end:
             number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, begin)
             if number in channels:
                 taken.append((log_ns, channels[number], chunk[begin + 22 : at]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -19,9 +20,10 @@ import numpy as np
 import pyarrow as pa
 
 from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
-from tauext.data.importers.bag import ZSTD_MAGIC, BagFile, Channel, decompressed
+from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
+from tauext.files.preflight import in_words
 
 # --- Messages to columns: JointState in bulk where messages have one layout, all others field by field.
 
@@ -448,6 +450,10 @@ def _standard_types(ros1: bool) -> Any:
 # --- Files: one, or those in the folder of a ROS 2 bag.
 
 
+MOST_RATIO = 1000
+"""Largest ratio of the sizes of a bag, unpacked and packed; those of an arm at rest have a ratio below 100."""
+MOST_OF_DISK = 0.5
+"""Share of the free disk space that an unpacked bag may take."""
 MAGIC = ros1_bag.MAGIC
 MAGICS = (ros1_bag.MAGIC, sqlite_bag.MAGIC, mcap_file.MAGIC, ZSTD_MAGIC)
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
@@ -577,9 +583,24 @@ def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
     """Decompress a file into the folder; also returns whether all of it is whole."""
     path = folder / file.name.removesuffix(".zstd")
     with file.open("rb") as packed, path.open("wb") as out, pa.CompressedInputStream(packed, "zstd") as stream:
-        try:
-            while part := stream.read(1 << 20):
-                out.write(part)
-        except OSError:
-            return path, False
-    return path, True
+        free, size = int(MOST_OF_DISK * shutil.disk_usage(folder).free), 0
+        most = max(MOST_RATIO * file.stat().st_size, MOST_BYTES)
+        while True:
+            try:
+                part = stream.read(1 << 20)
+            except OSError:
+                return path, False
+            if not part:
+                return path, True
+            if not size and not part.startswith((ros1_bag.MAGIC, sqlite_bag.MAGIC, mcap_file.MAGIC)):
+                raise RecordingError(f"{file}: what it unpacks to is no bag: it begins otherwise")
+            if (size := size + len(part)) > free:
+                raise RecordingError(
+                    f"{file}: it unpacks to more than {in_words(free)}, {MOST_OF_DISK:.0%} of what is free in "
+                    f"{folder.parent}; free some, or set TMPDIR to another disk"
+                )
+            if size > most:
+                raise RecordingError(
+                    f"{file}: it unpacks to more than {in_words(most)}, {MOST_RATIO} times its size; no recording does"
+                )
+            out.write(part)

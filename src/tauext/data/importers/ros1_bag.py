@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tauext.data.importers.bag import Channel, CountLost, decompressed, ros_type
+from tauext.data.importers.bag import MOST_BYTES, Channel, CountLost, decompressed, ros_type
 
 MAGIC = b"#ROSBAG V"
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
@@ -68,6 +68,8 @@ class Ros1Bag:
                     yield channels[connection.id], log_ns, raw
                     last_ns, missing = log_ns, missing - 1
                 return
+            except MemoryError:
+                raise
             except Exception:  # as above
                 self._note("a damaged part of the file is left out")
         for number, log_ns, raw in self._walk({}):
@@ -141,6 +143,6 @@ def _fields(data: bytes | mmap.mmap, at: int, end: int) -> dict[bytes, bytes]:
 def _bz2(packed: bytes) -> bytes | None:
     """Decompress as far as the data is whole; None: it is damaged."""
     try:
-        return bz2.BZ2Decompressor().decompress(packed)
+        return bz2.BZ2Decompressor().decompress(packed, MOST_BYTES)
     except OSError:
         return None

@@ -31,6 +31,9 @@ class SqliteBag:
         try:
             definitions = self._definitions()
             topics = self._database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        except RecordingError as error:
+            self.close()
+            raise RecordingError(f"{path}: {error}") from error
         except sqlite3.DatabaseError as error:
             self.close()
             raise RecordingError(
@@ -72,11 +75,20 @@ class SqliteBag:
         """Kind and text of the definition of each type; older bags have none."""
         # A file that is shorter than its header states is refused otherwise, with every row that it has.
         self._database.execute("PRAGMA writable_schema=ON")
+        self._expect_tables()
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master")}
         if "message_definitions" not in tables:
             return {}
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id DESC"
         return {kind: (schema, text) for kind, schema, text in self._database.execute(query)}
+
+    def _expect_tables(self) -> None:
+        """Raise RecordingError where rows are computed, not stored: a view can have any number of rows."""
+        kinds = {name: kind for name, kind in self._database.execute("SELECT name, type FROM sqlite_master")}
+        for name in ("topics", "messages", "message_definitions"):
+            columns = self._database.execute(f"PRAGMA table_xinfo({name})").fetchall()
+            if kinds.get(name, "table") != "table" or any(column[-1] for column in columns):
+                raise RecordingError(f"its '{name}' is no plain table: no recorder of ROS 2 writes such a file")
 
     def _counts(self) -> dict[int, int]:
         try:

@@ -7,11 +7,22 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import resource
 import shutil
-from collections.abc import Callable
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
+import h5py
+import matplotlib
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,12 +30,18 @@ import pytest
 from made_fleets import dataset, moving
 from made_results import make_results, run_command
 from made_results import undrawn as no_pictures
+from matplotlib.figure import Figure
 
+from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import load_estimates
 from tauext.data.dataset import Split, save_split
+from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
+from tauext.files.preflight import within_memory
 from tauext.report.page import write_report
+from tauext.report.style import RC
+from tauext.robot.write import write_placeholder
 
 FREE, PUSH = "free.parquet", "push.parquet"
 
@@ -184,6 +201,178 @@ def test_rows_that_do_not_fit_are_refused_before_they_are_read(load, whole, tmp_
         load(path)
 
 
+def refusal(capsys, path: Path, *words: object) -> str:
+    """The line with which the import of a file ends."""
+    code, _, err = run_command(capsys, "import", "--new", path.with_name("arm.toml"), "--source", path, *words)
+    assert code == 2 and err.count("\n") == 1 and not path.with_name("arm.toml").exists(), err
+    return err
+
+
+@contextmanager
+def memory(patch: pytest.MonkeyPatch, free: int) -> Iterator[None]:
+    """This process may use so many bytes more."""
+    patch.setattr("tauext.files.preflight.free_memory", lambda: free)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    yield
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_what_unpacks_to_more_than_the_memory_ends_in_a_line(tmp_path):
+    """Zeros, of which a megabyte is a kilobyte: an Arrow file, and one of MATLAB, whose parts are unpacked whole."""
+    rows = pa.record_batch([pa.array(np.zeros(5_000_000))] * 4, names=["time", "q0", "q1", "tau0"])
+    zipped = pa.ipc.IpcWriteOptions(compression="zstd")
+    with pa.ipc.new_file(str(tmp_path / "bomb.arrow"), rows.schema, options=zipped) as file:
+        file.write_batch(rows)
+    size = 160_000_000
+    head = struct.pack("<6I2i", 6, 8, 6, 0, 5, 8, size // 16, 2)
+    head += struct.pack("<4I", 1 | (1 << 16), ord("q"), 9, size)
+    packer = zlib.compressobj(1)
+    packed = packer.compress(struct.pack("<II", 14, len(head) + size) + head)
+    packed += b"".join(packer.compress(bytes(4_000_000)) for _ in range(size // 4_000_000)) + packer.flush()
+    begin = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    (tmp_path / "bomb.mat").write_bytes(begin + struct.pack("<II", 15, len(packed)) + packed)
+    assert sum(one.stat().st_size for one in tmp_path.iterdir()) < 1_000_000
+    code = "import sys; from tauext.files import preflight; preflight.free_memory = lambda: 120_000_000\n"
+    code += "from tauext.cli import main\n"
+    code += "for name in sys.argv[1:]: print(main(['import', '--new', 'arm.toml', '--source', name]))"
+    command = [sys.executable, "-c", code, "bomb.arrow", "bomb.mat"]  # this process has freed memory that it may use
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert ended.stdout == "2\n2\n" and ended.stderr.count("\n") == 2, ended.stderr
+    for line, name in zip(ended.stderr.splitlines(), ("bomb.arrow", "bomb.mat"), strict=True):
+        assert f"{name}: what it states or unpacks to needs more memory than is free" in line
+
+
+def test_rows_that_a_file_states_but_does_not_hold_are_refused(tmp_path, capsys):
+    rows = 10**9
+    with h5py.File(tmp_path / "stated.h5", "w") as file:
+        file.create_dataset("q", (rows, 7), "f8", chunks=(8192, 7))
+    assert "'/q' states 1,000,000,000 rows, and none was written" in refusal(capsys, tmp_path / "stated.h5")
+    with h5py.File(tmp_path / "chunk.h5", "w") as file:
+        large = file.create_dataset("q", (20_000_000, 7), "f8", chunks=(20_000_000, 7), compression="gzip")
+        large.id.write_direct_chunk((0, 0), zlib.compress(bytes(100)))
+    assert "'/q' is stored in chunks of 1.12 GB, and 134 MB are the most" in refusal(capsys, tmp_path / "chunk.h5")
+
+
+def test_lists_that_are_only_stated_are_not_read(tmp_path, monkeypatch):
+    with h5py.File(tmp_path / "names.h5", "w") as file:
+        file.create_dataset("joint_names", (64,), "S100000000", chunks=(1,))
+        file.create_dataset("cells", (10**9,), h5py.ref_dtype, chunks=(8192,))
+        file["q"] = np.ones((100, 7))
+    with memory(monkeypatch, 10**8), within_memory():
+        (raw,) = open_raw(tmp_path / "names.h5")
+        assert raw.streams[""][0] == "q[0]"
+
+
+@pytest.mark.parametrize("rows", [1, 10**9, 10**12])
+def test_a_footer_with_wrong_rows_is_refused(rows, whole, tmp_path):
+    """The number of rows in the footer of a recording, in each place in which it stands there."""
+    path, raw = tmp_path / "odd.parquet", (whole / "data" / FREE).read_bytes()
+    length = int.from_bytes(raw[-8:-4], "little")
+    footer = raw[-8 - length : -8]
+    was, now = (varint(2 * count) for count in (load_recording(whole / "data" / FREE).samples, rows))
+    places = [one.start() for one in re.finditer(re.escape(was), footer)]
+    rows_of = [places[0], places[-1]]  # of the file, and of its only group
+    columns = places[1:-1:2] + places[2:-1:2]
+    assert len(places) == 2 + 2 * 7
+    for place in (*rows_of, *columns):
+        changed = footer[:place] + now + footer[place + len(was) :]
+        path.write_bytes(raw[: -8 - length] + changed + len(changed).to_bytes(4, "little") + b"PAR1")
+        try:
+            assert load_recording(path).samples == 3750, place  # a count of statistics, which nothing needs
+            assert place in columns
+        except TauextError as error:
+            assert "odd.parquet: " in str(error)
+
+
+def varint(value: int) -> bytes:
+    """A number as the footer of a Parquet file has it."""
+    parts = []
+    while value > 127:
+        parts.append(value & 127 | 128)
+        value >>= 7
+    return bytes([*parts, value])
+
+
+def mcap(path: Path, chunks: list[tuple[int, bytes]], times: int = 1) -> Path:
+    """An MCAP file of zstd chunks, each listed so often, of which it states the unpacked size."""
+    text, record = lambda s: struct.pack("<I", len(s)) + s, lambda op, body: struct.pack("<BQ", op, len(body)) + body
+    schema = struct.pack("<H", 1) + text(b"sensor_msgs/msg/JointState") + text(b"ros2msg") + text(b"")
+    channel = struct.pack("<HH", 1, 1) + text(b"/joint_states") + text(b"cdr") + text(b"")
+    out, index = b"\x89MCAP0\r\n" + record(1, text(b"ros2") + text(b"")), b""
+    for size, packed in chunks:
+        body = struct.pack("<QQQI", 0, 10**18, size, 0) + text(b"zstd") + struct.pack("<Q", len(packed)) + packed
+        place = struct.pack("<QQQQIQ", 0, 10**18, len(out), len(body) + 9, 0, 0) + text(b"zstd")
+        index += times * record(8, place + struct.pack("<QQ", len(packed), size))
+        out += record(6, body)
+    counts = struct.pack("<QHIIIIQQI", 5, 1, 1, 0, 0, len(chunks), 0, 10**18, 10) + struct.pack("<HQ", 1, 5)
+    start = len(out) + 13
+    out += record(15, bytes(4)) + record(3, schema) + record(4, channel) + index + record(11, counts)
+    path.write_bytes(out + record(2, struct.pack("<QQI", start, 0, 0)) + out[:8])
+    return path
+
+
+def test_bags_that_unpack_to_anything_are_refused(tmp_path, monkeypatch, capsys):
+    """A chunk that states a terabyte, chunks that overlap, one that is listed a thousand times, messages cut short."""
+    one = struct.pack("<BQHIQQ", 5, 122, 1, 0, 5, 5) + bytes(100)
+    packed = pa.compress(one * 1000, "zstd", asbytes=True)
+    for size, note in ((1 << 40, "a part that states 1.1 TB is left out"), (1 << 63, "a part that states")):
+        (raw,) = open_raw(mcap(tmp_path / "stated.mcap", [(size, packed)]))
+        assert list(raw.blocks()) == [] and any(note in one for one in [*raw.notes, *raw.lost.reasons])
+    for cut in (9, 10, 30):
+        short = pa.compress(struct.pack("<BQ", 5, cut - 9) + one[9:cut], "zstd", asbytes=True)
+        (raw,) = open_raw(mcap(tmp_path / "short.mcap", [(cut, short), (len(one) * 1000, packed)]))
+        assert "none of its" in refusal(capsys, tmp_path / "short.mcap")
+    mcap(tmp_path / "twice.mcap", [(len(one) * 1000, packed)], times=1000)
+    assert "none of its 1000 messages can be read" in refusal(capsys, tmp_path / "twice.mcap")
+    monkeypatch.setattr("tauext.data.importers.mcap_file.MOST_WAITING", 1500)
+    mcap(tmp_path / "overlap.mcap", [(len(one) * 1000, packed)] * 3)
+    line = refusal(capsys, tmp_path / "overlap.mcap")
+    assert "more than 1,500 messages lie in parts that begin at the same time" in line
+    with pa.CompressedOutputStream(str(tmp_path / "zeros.db3.zstd"), "zstd") as file:
+        file.write(bytes(100_000))
+    assert "what it unpacks to is no bag" in refusal(capsys, tmp_path / "zeros.db3.zstd")
+    with pa.CompressedOutputStream(str(tmp_path / "long.mcap.zstd"), "zstd") as file:
+        file.write(b"\x89MCAP0\r\n" + bytes(10_000_000))
+    monkeypatch.setattr("tauext.data.importers.ros.MOST_BYTES", 10_000)
+    assert "it unpacks to more than" in refusal(capsys, tmp_path / "long.mcap.zstd")
+    monkeypatch.setattr("tauext.data.importers.ros.MOST_OF_DISK", 1e-9)
+    assert "of what is free in" in refusal(capsys, tmp_path / "long.mcap.zstd")
+    assert not list(tmp_path.glob("*.db3")) and not list(tmp_path.glob("*.mcap.part"))
+
+
+def test_rows_that_a_bag_computes_are_refused(tmp_path, capsys):
+    with closing(sqlite3.connect(tmp_path / "view.db3")) as file:
+        file.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        file.execute("INSERT INTO topics VALUES(1, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
+        endless = "WITH RECURSIVE r(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM r)"
+        file.execute(f"CREATE VIEW messages AS {endless} SELECT id, 1 AS topic_id, id AS timestamp, x'' AS data FROM r")
+        file.commit()
+    assert "view.db3: its 'messages' is no plain table" in refusal(capsys, tmp_path / "view.db3")
+
+
+def test_a_clock_that_stands_still_ends_an_import(tmp_path, monkeypatch, capsys):
+    """Rows wait for the stamps to go on; a billion of them would fill the memory."""
+    monkeypatch.setattr("tauext.data.raw_rows.MOST_WAITING", 9000)
+    (tmp_path / "still.csv").write_text("time,q0,tau0\n" + "0,0.1,0.2\n" * 20_000)
+    signals = '[signals]\nq = {columns = ["q0"], unit = "rad"}\ntau = {columns = ["tau0"], unit = "Nm"}\n'
+    (tmp_path / "arm.toml").write_text('[robot]\njoints = ["a"]\nmodel = ""\n[time]\ncolumn = "time"\n' + signals)
+    words = ("import", "--source", tmp_path / "still.csv", "--arm", tmp_path / "arm.toml", "--out", tmp_path / "out")
+    code, _, err = run_command(capsys, *words)
+    assert code == 2 and "more than 9,000 rows have stamps within 1 s" in err and not (tmp_path / "out").exists()
+
+
+def test_names_that_act_on_a_terminal_are_spelled_out(whole, tmp_path, capsys, undrawn):
+    code, _, err = run_command(capsys, "show", tmp_path / "a\x1b[31m\u202eb\n.parquet")
+    assert code == 2 and "a\\x1b[31m\\u202eb" in err and err.count("\n") == 1 and "\x1b" not in err
+    code, _, err = run_command(capsys, "check", "--data", whole / "data", "--out", tmp_path / "a\x1b[31m")
+    assert code == 2 and "has characters that cannot be printed" in err
+    bundle = load_bundle(whole / "arm.tauext")
+    bundle.name = "arm\x1b[31m"
+    bundle.save(str(tmp_path / "odd.tauext"))
+    code, out, err = run_command(capsys, "show", tmp_path / "odd.tauext")
+    assert code == 2 and "odd.tauext: its name 'arm\\x1b[31m' has characters that cannot be printed" in err
+
+
 def test_a_line_without_an_end_is_refused(tmp_path, capsys):
     import gzip
 
@@ -225,6 +414,25 @@ def test_a_label_of_html_is_text_on_every_page(tmp_path, undrawn):
     (results / "results.json").write_text(json.dumps(content))
     page = write_report(results, data, tmp_path / "out", 2.0).read_text()
     assert word not in page and "&lt;img src=x" in page
+
+
+def test_a_joint_of_html_and_of_mathematics_is_text(whole, tmp_path, capsys, undrawn):
+    r"""Dollar signs are no formula of the figures, which `$\frac{$` would end with a traceback."""
+    joints = ("</script><img src=x onerror=alert(1)>$\\frac{$", "\"'%s{0}{{x}}")
+    data, bundle = tmp_path / "data", tmp_path / "arm.tauext"
+    data.mkdir()
+    write_placeholder(joints, data)
+    for name in (FREE, PUSH):
+        save_recording(replace(load_recording(whole / "data" / name), joints=joints), data / name)
+    save_split(Split((FREE,), (), (), (PUSH,)), data)
+    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", bundle)[0] == 0
+    assert run_command(capsys, "run", bundle, data / PUSH, "--flights", tmp_path / "flights")[0] == 0
+    flight = next(one for one in (tmp_path / "flights").glob("*.parquet") if "estimates" not in one.name)
+    assert run_command(capsys, "report", "--flight", flight, "--out", tmp_path / "page")[0] == 0
+    (page,) = (tmp_path / "page").glob("*.html")
+    assert joints[0] not in page.read_text() and "&lt;img src=x" in page.read_text()
+    with matplotlib.rc_context(RC):
+        Figure().text(0, 0, joints[0]).figure.savefig(BytesIO(), format="svg")
 
 
 def test_one_sample_is_a_recording(whole, tmp_path, capsys):

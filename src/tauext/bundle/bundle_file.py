@@ -62,6 +62,8 @@ def expect_text(bundle: _core.Bundle) -> None:
         raise BundleError(f"its names or provenance cannot be read ({error}); it is damaged") from error
     if not isinstance(facts, dict) or not all(names):
         raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
+    if odd := [name for name in names if not name.isprintable()]:
+        raise BundleError(f"its name {odd[0]!r} has characters that cannot be printed")
 
 
 def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, times: WallTimes) -> None:

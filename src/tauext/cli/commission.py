@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.place_argument import LocalArg, PlaceArg
+from tauext.cli.progress import in_plain_letters
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.sources.ros2_settings import Ros2Settings
@@ -122,7 +123,7 @@ def commission(
 def say(text: str) -> None:
     """Print a line at once; a closed terminal ends nothing."""
     with suppress(OSError):
-        print(text, flush=True)
+        print(in_plain_letters(text), flush=True)
 
 
 @contextmanager

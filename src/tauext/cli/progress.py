@@ -59,11 +59,16 @@ class ProgressBar:
             self._bar.stop()
 
 
+def in_plain_letters(text: str) -> str:
+    """A text without characters that would act on a terminal: names of files and joints may hold them."""
+    return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in text)
+
+
 class Terminal:
     """Prints a line a sentence, and draws a bar for whatever takes long (see tauext.progress.Reporter)."""
 
     def say(self, sentence: str) -> None:
-        print(sentence, file=sys.stderr)
+        print(in_plain_letters(sentence), file=sys.stderr)
 
     @contextmanager
     def progress(self, title: str) -> Iterator[Show]:

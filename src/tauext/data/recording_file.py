@@ -250,12 +250,26 @@ def opened(path: Place) -> Iterator[pq.ParquetFile]:
                 expect_whole(path)
                 raise
             with parquet as file:
+                expect_rows(path, file.metadata)
                 yield file
     except FileNotFoundError as error:
         raise RecordingError(f"{path}: there is no such recording") from error
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         cause = str(error).splitlines()[0]
         raise RecordingError(f"{path}: cannot be read ({cause}); if it is damaged, copy or record it again") from error
+
+
+def expect_rows(path: Place, footer: pq.FileMetaData) -> None:
+    """Raise RecordingError unless the footer has the same number of rows in each of its places.
+
+    A reader allocates for the one, and returns as many as the other.
+    """
+    groups = [footer.row_group(g) for g in range(footer.num_row_groups)]
+    counts = {group.column(c).num_values - group.num_rows for group in groups for c in range(group.num_columns)}
+    if sum(group.num_rows for group in groups) != footer.num_rows or not counts <= {0}:
+        raise RecordingError(
+            f"{path}: its footer states {footer.num_rows:,} rows, and other numbers elsewhere; copy or record it again"
+        )
 
 
 def expect_whole(path: Place) -> None:

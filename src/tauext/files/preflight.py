@@ -30,11 +30,13 @@ def expect_new_file(path: Place, size: float = LEAST_ROOM) -> None:
 
 
 def expect_text(path: Place) -> None:
-    """Raise ConfigError where the name is no text: the core and libraries take no other."""
+    """Raise ConfigError where the name is no text: the core, libraries and terminals take no other."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
         raise ConfigError(f"{path}: this name is no UTF-8; choose another") from error
+    if not path.name.isprintable():
+        raise ConfigError(f"{path}: this name has characters that cannot be printed; choose another")
 
 
 def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> None:

@@ -46,6 +46,7 @@ GREY = "#8a8a8a"
 """Colour of baselines, which are not methods."""
 
 RC = {
+    "text.parse_math": False,  # names of joints may have dollar signs
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.titley": 1.0,  # the default position; computing it from what is above the axes is slow

@@ -10,8 +10,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from made_bundles import JOINTS, pushed
 from made_commission import cut_journal
-from made_faults import ANSWERS, BACKUP, FAULTS, alone, faults, files_of, outcome, prepare
+from made_faults import ANSWERS, BACKUP, FAULTS, ROBOT, alone, faults, files_of, outcome, prepare
 
 from tauext import _core
 from tauext.bundle.history_file import expect_journal, left_out, read_events, read_history, read_question
@@ -24,6 +25,7 @@ from tauext.commission.run import free_sockets
 from tauext.commission.trainer import Trainer
 from tauext.data.dataset import load_dataset
 from tauext.data.labels import Label, read_labels
+from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
 from tauext.files import journal
 
@@ -257,6 +259,81 @@ def test_lines_of_several_processes_get_different_numbers(tmp_path):
     assert [one.returncode for one in writers] == [0, 0]
     assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, 61))
     assert (tmp_path / journal.NAME).read_bytes() == (tmp_path / journal.COPY).read_bytes()
+
+
+@pytest.mark.parametrize("odd", [5, "x", [], {}, {"joints": 5}, None, "../../b0002"])
+def test_a_commission_json_of_odd_values_beside_no_journal_still_monitors(odd, prepared, tmp_path):
+    """Its values are used where the journal is gone."""
+    cell = shutil.copytree(prepared, tmp_path / "made" / "cell", symlinks=True)
+    shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "made" / "log.parquet")
+    content = json.loads((cell / "commission.json").read_text())
+    odds = dict.fromkeys((one for one in content if one not in ("format", "journal")), odd)
+    (cell / "commission.json").write_text(json.dumps(content | odds))
+    found = outcome(cell, tmp_path, (journal.NAME, journal.COPY), "deleted", "start")
+    assert (found.traceback, found.refused, found.is_monitored) == ("", "", True)
+    assert any("b0002 monitors the arm" in line for line in found.lines), found.lines
+
+
+@pytest.mark.parametrize(
+    "content", [{"bundle": "../../outside"}, {"bundle": "*"}, {"bundle": 5}, {"minutes": "x"}, {"after": {}}]
+)
+def test_a_name_in_pending_json_leads_nowhere_else(content, copy):
+    outside = copy.parent / "outside.tauext"
+    shutil.copyfile(copy / "bundles" / "b0001.tauext", outside)
+    folder = CommissionFolder.open(copy)
+    folder.pending_file.write_text(json.dumps({"bundle": "b0001", "minutes": 1, "trained_on": []} | content))
+    trainer = Trainer(folder)
+    assert trainer._pending() == {} and trainer.facts().unseen_s is None
+    assert outside.is_file() and len(list(folder.bundles.glob("*.tauext"))) == 2
+
+
+def odd_log(kind: str, folder: Path) -> Path:
+    """A recording that cannot be replayed."""
+    path = folder / f"{kind}.parquet"
+    whole = folder / "whole.parquet"
+    save_recording(pushed(seconds=0.5, pushes=()), whole)
+    raw = whole.read_bytes()
+    made = {"cut": raw[: len(raw) // 2], "empty": b"", "garbage": bytes(range(256)) * 9}
+    made["flipped"] = raw[: len(raw) // 3] + bytes([raw[len(raw) // 3] ^ 255]) + raw[len(raw) // 3 + 1 :]
+    if kind in made:
+        path.write_bytes(made[kind])
+    elif kind != "gone":
+        {"directory": path.mkdir, "dangling": lambda: path.symlink_to("x"), "loop": lambda: path.symlink_to(path.name),
+         "pipe": lambda: os.mkfifo(path)}[kind]()  # fmt: skip
+    return path
+
+
+LOGS = ("cut", "empty", "garbage", "flipped", "directory", "dangling", "loop", "pipe", "gone")
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_a_log_that_cannot_be_replayed_is_refused_and_leaves_no_folder(kind, tmp_path, capsys):
+    path, out = odd_log(kind, tmp_path), tmp_path / "cell"
+    assert main(["commission", "--source", f"replay:{path}", "--out", str(out), "--no-page"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and f"{kind}.parquet: " in err and not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("robot", "why"), [("other", "joint"), ("cut", "not readable as XML"), ("gone", "no such file")]
+)
+def test_a_wrong_robot_file_is_refused_and_leaves_no_folder(robot, why, tmp_path, capsys):
+    path, out = odd_log("gone", tmp_path).with_name("whole.parquet"), tmp_path / "cell"
+    text = {"other": ROBOT.replace(f'"{JOINTS[0]}"', '"other"'), "cut": ROBOT[:200]}.get(robot)
+    if text is not None:
+        (tmp_path / "arm.urdf").write_text(text)
+    words = ["--robot", str(tmp_path / "arm.urdf"), "--no-page"]
+    assert main(["commission", "--source", f"replay:{path}", "--out", str(out), *words]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and why in err and not out.exists()
+
+
+def test_a_repair_that_goes_on_states_its_end(copy, capsys):
+    """The line between the two; the source is refused, so that nothing runs."""
+    assert (
+        main(["commission", "--out", str(copy), "--repair", "--source", f"replay:{copy.parent / 'gone.parquet'}"]) == 2
+    )
+    assert "the repair is complete; monitoring begins with replay:" in capsys.readouterr().out
 
 
 def long_journal(path: Path, alarms: int) -> CommissionFolder:

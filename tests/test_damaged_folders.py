@@ -217,6 +217,7 @@ def memory(patch: pytest.MonkeyPatch, free: int) -> Iterator[None]:
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
+@pytest.mark.slow
 def test_what_unpacks_to_more_than_the_memory_ends_in_a_line(tmp_path):
     """Zeros, of which a megabyte is a kilobyte: an Arrow file, and one of MATLAB, whose parts are unpacked whole."""
     rows = pa.record_batch([pa.array(np.zeros(5_000_000))] * 4, names=["time", "q0", "q1", "tau0"])

@@ -7,6 +7,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -418,6 +419,13 @@ def facts_of_data(data: Mapping[str, Any]) -> SourceFacts:
         return SourceFacts(settings, data["signal"], bool(data["temperature"]), tuple(map(str, data["notes"])))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"the description of the arm is damaged ({type(error).__name__}: {error})") from error
+
+
+def known_arm(folder: CommissionFolder) -> SourceFacts | None:
+    """The arm that the folder describes; None: it is not described yet, or the description is damaged."""
+    with suppress(ConfigError):
+        return facts_of_data(folder.facts["arm"]) if "arm" in folder.facts else None
+    return None
 
 
 def provenance_of(facts: SourceFacts) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -153,8 +154,8 @@ LARGEST_LOG = 10_000_000
 """Size of log.txt from which it becomes log.old.txt, [bytes]."""
 NEAR_NS = 30_000_000_000
 """Distance of a label within which a recording is dropped last, and without which its label is."""
-LASTING = ("created", "source", "epoch", "first", "arm", "learn_from", "running")
-"""Entries of commission.json that are lines of the journal, too."""
+LASTING = {"created": str, "source": str, "epoch": int, "first": int, "arm": dict, "learn_from": int, "running": str}
+"""Entries of commission.json that are lines of the journal, too, and their types."""
 WRITTEN = (
     "split.json", "coverage.json", "coverage.npz", "findings.json", "trainer.json", "pending.json", "learned.json",
     "peaks.state", "carried.bin", "log.txt", "lock", "trainer.lock", ".facts.lock", ".reserve", ".trial.sock",
@@ -306,7 +307,9 @@ class CommissionFolder:
         for one in journal.read(self.path).kinds.get("facts", ()):
             lasting |= {key: one[key] for key in LASTING if key in one}
         try:
-            return read_facts(self.path) | lasting, None
+            content = read_facts(self.path)
+            odd = [key for key, kind in LASTING.items() if key in content and not isinstance(content[key], kind)]
+            return {key: value for key, value in content.items() if key not in odd} | lasting, None
         except ConfigError as error:
             with suppress(OSError, ValueError, AttributeError):
                 if json_of(read_text(self.path / FACTS)).get("format", FORMAT) != FORMAT:
@@ -505,7 +508,7 @@ class CommissionFolder:
             path = self.bundles / f"{name}.tauext"
             try:
                 bundle = load_bundle(path)
-                if [one.joint_name for one in bundle.links] != list(arm.get("joints") or ()) and arm:
+                if [one.joint_name for one in bundle.links] != arm.get("joints") and arm:
                     raise ConfigError(f"{path}: it is of an arm with other joints")
                 if bundle.observer.sample_period_ns != arm.get("period_ns") and arm:
                     raise ConfigError(f"{path}: it is of an arm with another rate")
@@ -560,6 +563,11 @@ def segment_of(path: Path, size: int) -> Segment | None:
         return Segment(path.name, int(about["seq"]), about["set"], about[EPOCH], from_ns, to_ns, seconds, size)
     except (TauextError, KeyError, TypeError, ValueError):
         return None
+
+
+def is_bundle_name(name: object) -> bool:
+    """Whether it is a name of next_bundle(): none leads to another folder."""
+    return isinstance(name, str) and re.fullmatch(r"b\d+", name) is not None
 
 
 def is_bundle(path: Path) -> bool:

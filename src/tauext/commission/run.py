@@ -28,13 +28,13 @@ from tauext.commission.connect import (
     as_data,
     as_entries,
     connect,
-    facts_of_data,
     free_arm,
+    known_arm,
     restore_arm,
     sentence_of,
     write_arm,
 )
-from tauext.commission.folder import CommissionFolder
+from tauext.commission.folder import CommissionFolder, is_bundle_name
 from tauext.commission.keep import KeepSink, repaired
 from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
@@ -121,8 +121,8 @@ def run(
     if options.robot is not None:
         movable_joints(options.robot)
     folder = CommissionFolder.open(path, create=True)
-    if known := folder.facts.get("arm"):
-        options.reactions(facts_of_data(known).settings.joints)
+    if (known := known_arm(folder)) is not None:
+        options.reactions(known.settings.joints)
     with folder.locked(), ExitStack() as stack:
         commission = Commission(folder, text, options, echo, stack)
         listen(commission.steering)
@@ -273,15 +273,15 @@ class Commission:
         until it does; lasting errors are raised. An arm that the folder describes need not answer at once: the
         loop waits for it.
         """
-        known = self._folder.facts.get("arm")
+        known = known_arm(self._folder)
         source, publishers = self._open()  # refuses a wrong option at once
         try:
-            facts = facts_of_data(known) if known else self._described()
+            facts = self._described() if known is None else known
             if facts is None:
                 source.close()
                 return None
             now: SourceFacts | None = facts
-            if known and isinstance(source, Describes):
+            if known is not None and isinstance(source, Describes):
                 now = None
                 with suppress(TauextError):  # away: the lasting source checks the arm when it is back
                     now = source.describe(DESCRIBE_S, self._robot())
@@ -387,7 +387,8 @@ class Commission:
     def _first_bundle(self) -> _core.Bundle | None:
         """The bundle that ran last: the one in charge may still wait for its turn, and is then exchanged again."""
         active = self._folder.fall_back()
-        name = self._folder.facts.get("running") or (active.stem if active else None)
+        running = self._folder.facts.get("running")
+        name = running if is_bundle_name(running) else active.stem if active else None
         for path in (self._folder.bundles / f"{name}.tauext", active):
             if path is not None and name is not None:
                 with suppress(TauextError):

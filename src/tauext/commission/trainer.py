@@ -33,7 +33,7 @@ from tauext.commission.connect import (
     settled,
 )
 from tauext.commission.course import Facts, next_step
-from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
+from tauext.commission.folder import CommissionFolder, Segment, is_bundle_name, up_to, wall
 from tauext.commission.keep import motion_s, segments_of_arm
 from tauext.commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
@@ -129,6 +129,8 @@ class Trainer:
         folder = self.folder
         try:
             content = json_of(read_text(folder.pending_file))
+            if not is_pending(content):
+                return {}
             path = folder.bundles / f"{content['bundle']}.tauext"
             if path == folder.active():  # it was judged, and a kill or a full disk kept the file
                 folder.pending_file.unlink()
@@ -354,6 +356,17 @@ class Trainer:
         if wrong:
             return facts, "; ".join(sentence_of(as_live(one)) for one in wrong)
         return facts, why_not(new, before, is_broken)
+
+
+def is_pending(content: Any) -> bool:
+    """Whether this is the content of pending.json: a name that leads elsewhere, or another type, is none."""
+    return (
+        isinstance(content, dict)
+        and is_bundle_name(content.get("bundle"))
+        and isinstance(content.get("minutes"), int | float)
+        and isinstance(content.get("trained_on", []), list)
+        and isinstance(content.get("after", 0), int)
+    )
 
 
 def hits(bundle: EvaluatedBundle) -> float | None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
 from tauext.commission.folder import NEAR_NS, CommissionFolder, Segment, wall
+from tauext.data.importers.raw import short_list
 from tauext.data.labels import Label, LabelAnswer
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
@@ -515,7 +516,13 @@ class KeepSink(RecordSink):
     def _tidy(self) -> None:
         """Drop recordings and flights beyond the bound; write the split and the coverage."""
         folder, most = self._kept, int(RECORDINGS_SHARE * self._budget)
-        self._segments = folder.segments()
+        before, self._segments = self._segments, folder.segments()
+        names = {one.name for one in self._segments}
+        gone = [
+            one.name for one in before if one.name not in names and not any(folder.path.glob(f"{one.name}.damaged*"))
+        ]
+        if gone:
+            folder.report(f"recordings are missing or damaged, by another program: {short_list(gone, 4)}")
         first_test = next((one.number for one in self._segments if one.set == "calibration"), self._number)
         dropped = to_drop(self._segments, list(self._labels.values()), most, learned_up_to(folder), first_test)
         names = {one.name for one in dropped}

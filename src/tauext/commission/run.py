@@ -34,7 +34,7 @@ from tauext.commission.connect import (
     sentence_of,
     write_arm,
 )
-from tauext.commission.folder import CommissionFolder, is_bundle_name
+from tauext.commission.folder import CommissionFolder, is_bundle, is_bundle_name
 from tauext.commission.keep import KeepSink, repaired
 from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
@@ -42,7 +42,7 @@ from tauext.commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
-from tauext.files.synced_file import write_reserved, write_synced
+from tauext.files.synced_file import set_aside, write_reserved, write_synced
 from tauext.monitor.control_lines import CONTROL, ControlSocket
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import how_to_hold_the_rate
@@ -235,6 +235,10 @@ class Commission:
         """The last failure of what is done beside the loop."""
         self._arm: Any = None
         """The description with which the loop runs."""
+        self._bundle_stamp: tuple[str, int, int] = ("", 0, 0)
+        """Name, size and time of change of the file of the bundle that monitors."""
+        self._bundle_file = b""
+        """Its content."""
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
         self._live.remedy = how_to_hold_the_rate(options.core, options.priority)
         self._watched, self._lost_s = MonitoredNews(self._live.remedy), -math.inf
@@ -430,11 +434,31 @@ class Commission:
         if (loop := self._loop) is None:
             return
         self._news_of_flights()
+        self._watch_bundle()
         if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
             self._again = True  # the training found that the torque has another unit
             return loop.stop("the training: the torque has another unit")
         self._exchange(loop, time.monotonic())
         self._keep_carried(loop, time.monotonic())
+
+    def _watch_bundle(self) -> None:
+        """Write the bundle that monitors again if another program has removed or changed its file."""
+        name = self._live.bundle
+        if not is_bundle_name(name):
+            return
+        path = self._folder.bundles / f"{name}.tauext"
+        with suppress(OSError):
+            status = path.stat()
+            if (stamp := (name, status.st_size, status.st_mtime_ns)) == self._bundle_stamp:
+                return
+            if is_bundle(path) and (self._bundle_stamp[0] != name or path.read_bytes() == self._bundle_file):
+                self._bundle_stamp, self._bundle_file = stamp, path.read_bytes()
+                return
+        if self._bundle_stamp[0] == name:
+            if os.path.lexists(path):
+                set_aside(path)
+            write_bytes(path, self._bundle_file)
+            self._folder.report(f"{path.name} was missing or damaged, and is written again as it monitors")
 
     def _exchange(self, loop: Loop, now_s: float) -> None:
         """Bring the bundle in charge into the loop, again if it could not take over; write what took over."""

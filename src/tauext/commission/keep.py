@@ -517,10 +517,8 @@ class KeepSink(RecordSink):
         """Drop recordings and flights beyond the bound; write the split and the coverage."""
         folder, most = self._kept, int(RECORDINGS_SHARE * self._budget)
         before, self._segments = self._segments, folder.segments()
-        names = {one.name for one in self._segments}
-        gone = [
-            one.name for one in before if one.name not in names and not any(folder.path.glob(f"{one.name}.damaged*"))
-        ]
+        gone = sorted({one.name for one in before} - {one.name for one in self._segments})
+        gone = [one for one in gone if not any(folder.path.glob(f"{one}.damaged*"))]
         if gone:
             folder.report(f"recordings are missing or damaged, by another program: {short_list(gone, 4)}")
         first_test = next((one.number for one in self._segments if one.set == "calibration"), self._number)

@@ -444,7 +444,7 @@ class Commission:
     def _watch_bundle(self) -> None:
         """Write the bundle that monitors again if another program has removed or changed its file."""
         name = self._live.bundle
-        if not is_bundle_name(name):
+        if name is None or not is_bundle_name(name):
             return
         path = self._folder.bundles / f"{name}.tauext"
         with suppress(OSError):

@@ -21,7 +21,7 @@ ORDER = {
     "sources": {"numpy"},
     "evaluate": {"numpy", "scipy"},
     "report": {"numpy", "matplotlib", "jinja2"},
-    "fleet": {"numpy", "scipy", "jinja2", "matplotlib"},
+    "fleet": {"numpy", "scipy"},
     "sim": {"numpy", "mujoco"},
     "commission": {"numpy"},
     "page": {"numpy", "aiohttp"},

@@ -32,7 +32,6 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError, FaultyDataError
-from tauext.fleet.visits import visits_of
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig, changed_friction
 from tauext.train.preparation import Given
@@ -558,23 +557,26 @@ def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, 
     run(capsys, "calibrate", "--bundle", bundle, "--data", str(copy.path), "--out", limits)
 
 
-def test_a_fleet_report_reads_a_folder_of_folders(learned, tmp_path, capsys, monkeypatch):
-    for name in ("cell1", "cell2"):
-        shutil.copytree(learned.path, tmp_path / "arms" / name)
-    empty = CommissionFolder.open(tmp_path / "arms" / "cell3", create=True)
-    assert describe_folder(empty.path)["bundle"] is None
-    cell = CommissionFolder(tmp_path / "arms" / "cell1")
-    for date in ("2020-01-02", "2021-01-02"):
-        monkeypatch.setattr("tauext.commission.folder.wall", lambda date=date: f"{date}T03:04:05Z")
-        cell.activate("b0001", "a test", 9.0)
-    visits = visits_of([tmp_path / "arms"])
-    assert [(one.name, one.state) for one in visits if one.date < "2022"] == [
-        ("cell3", "waiting"), ("cell1", "done"), ("cell1", "done")
-    ]  # fmt: skip
-    run(capsys, "fleet", "report", str(tmp_path / "arms"), "--out", str(tmp_path / "report"))
-    content = json.loads((tmp_path / "report" / "fleet-report.json").read_text())
-    assert [(one["serial"], len(one["visits"])) for one in content["arms"]] == [
-        ("cell1", 3),
-        ("cell2", 1),
-        ("cell3", 1),
-    ]
+def test_a_report_of_several_arms_is_one_table(learned, tmp_path, capsys):
+    arms = [str(tmp_path / f"cell{k}") for k in (1, 2, 3)]
+    for arm in arms[:2]:
+        shutil.copytree(learned.path, arm)
+    bare = CommissionFolder.open(tmp_path / "cell3", create=True)
+    assert describe_folder(bare.path)["bundle"] is None
+    cell = CommissionFolder(tmp_path / "cell1")
+    for number, answer in enumerate(("nothing", "touched", None), 1):
+        add_event(cell, id=number, level="collision", bundle="b0001")
+        if answer:
+            cell.append_label(Label(number, 1, 0, 0, answer, "page", "", "b0001"))
+    cell.findings_file.write_text('{"findings": [{"severity": "warning", "words": "gaps <of> the clock"}]}')
+    (tmp_path / "cell2" / "commission.json").write_text("{")
+    printed = run(capsys, "report", *arms, "--out", str(tmp_path / "page")).splitlines()
+    today = cell.history()[0]["wall"][:10]
+    assert printed[0].split()[:4] == ["arm", "since", "monitored", "promise"]
+    assert re.fullmatch(rf"cell1  {today} .* 1 in .*: kept +3 +1  {today} passed", printed[1]), printed[1]
+    assert printed[2].split() == ["cell2"] and printed[3].split() == ["cell3", "no", "bundle", "yet", "0", "0"]
+    assert printed[4] == "cell1: gaps <of> the clock" and printed[5].startswith("cell2: ")
+    page = (tmp_path / "page" / "arms.html").read_text()
+    assert "gaps &lt;of&gt; the clock" in page and page.count("<tr>") == 4
+    assert main(["report", *arms[:1], str(tmp_path), "--out", str(tmp_path / "page")]) == 2
+    assert "is no folder of `tauext commission`" in capsys.readouterr().err

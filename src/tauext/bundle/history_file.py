@@ -19,6 +19,7 @@ NOTED = "journal"
 BUNDLES = "bundles"
 COVERAGE = "coverage.json"
 RESULTS = "results"
+FINDINGS = "findings.json"
 
 
 def is_commissioned(folder: Place) -> bool:
@@ -144,6 +145,13 @@ def read_coverage(folder: Place) -> dict[str, Any]:
         if isinstance(content := json_of(read_text(folder / COVERAGE)), dict):
             return content
     return {}
+
+
+def read_findings(folder: Place) -> list[dict[str, Any]]:
+    """Findings of the last check of the stream, from findings.json; empty where it is missing or damaged."""
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        return [one for one in json_of(read_text(folder / FINDINGS))["findings"] if isinstance(one, dict)]
+    return []
 
 
 def monitored_of(coverage: Any) -> dict[str, tuple[float, float]]:

@@ -46,11 +46,11 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Results": {
         "evaluate": ("results.evaluate", "measure errors, false alarms and delays of bundles on a dataset"),
-        "report": ("results.report", "draw an HTML page of results, one flight or a commissioned arm"),
+        "report": ("results.report", "draw an HTML page of results, one flight or commissioned arms"),
         "reproduce": ("reproduce.reproduce", "repeat the paper's experiment: simulate, train, evaluate and report"),
     },
     "Many arms": {
-        "fleet": ("fleet", "run all stages for many arms; fleet priors and reports"),
+        "fleet": ("fleet", "run all stages for many arms; fleet priors"),
     },
 }
 """Commands: module and function in this package, and a line of help."""
@@ -59,7 +59,6 @@ FLEET = {
     "run": "import, check, train, calibrate and evaluate every arm",
     "example": "print an example of FLEET.toml",
     "prior": "fit a prior for the next arm of a type from several arms",
-    "report": "draw one page of all arms",
 }
 """Functions of the module fleet, and a line of help."""
 SUMMARY = "External joint torque and collision detection for robot arms, from encoders and motor torque alone."

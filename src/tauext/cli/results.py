@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import tyro
 
 from tauext.bundle.history_file import is_commissioned
 from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
-from tauext.cli.progress import Terminal
+from tauext.cli.progress import Terminal, aligned
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
@@ -119,7 +120,7 @@ def evaluate(
 
 
 def report(
-    folder: tyro.conf.Positional[PlaceArg | None] = None,
+    folders: tyro.conf.Positional[tuple[PlaceArg, ...]] = (),
     *,
     out: PlaceArg,
     results: PlaceArg | None = None,
@@ -131,10 +132,10 @@ def report(
     """Draw Table I and the paper's figures from results, or one flight: an HTML page and PNG figures.
 
     Give --results and --data, or --flight. The page holds traces that can be zoomed; it is one file and needs no
-    network. Or give a folder of `tauext commission`, for a page of its history.
+    network. Or give a folder of `tauext commission` for a page of its history, or several for one table of the arms.
 
     Args:
-        folder: folder of `tauext commission`, whose history is drawn.
+        folders: folder of `tauext commission`, whose history is drawn; of several, a table is printed and drawn.
         out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
         results: results folder to draw, made by `tauext evaluate`.
         data: dataset folder that was evaluated.
@@ -147,18 +148,10 @@ def report(
     from tauext.report.flight import write_flight_report, write_flights_report
     from tauext.report.page import write_report
 
-    if folder is not None:
-        if not is_commissioned(folder):
-            raise ConfigError(f"{folder}: is no folder of `tauext commission`; for results give --results and --data")
+    if folders:
         if results is not None or data is not None or flight is not None or trace_methods:
-            raise ConfigError(f"give either {folder}, or --results and --data, or --flight; not both")
-        from tauext.commission.history import write_history
-
-        print_replaced(out / "history.html")
-        with staged(out, fresh=True) as staging:
-            staging.mkdir(parents=True, exist_ok=True)
-            write_history(local_folder(folder), staging)
-        print(out / "history.html")
+            raise ConfigError(f"give either {folders[0]}, or --results and --data, or --flight; not both")
+        report_commissioned(folders, out)
         return
     if flight is not None:
         if results is not None or data is not None:
@@ -187,6 +180,26 @@ def report(
             f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
             "folder of `tauext commission`"
         )
+
+
+def report_commissioned(folders: Sequence[Place], out: Place) -> None:
+    """Draw the history of one commissioned arm, or print and draw a table of several."""
+    from tauext.commission.history import write_arms, write_history
+
+    for folder in folders:
+        if not is_commissioned(folder):
+            raise ConfigError(f"{folder}: is no folder of `tauext commission`; for results give --results and --data")
+    page = out / ("history.html" if len(folders) == 1 else "arms.html")
+    print_replaced(page)
+    with staged(out, fresh=True) as staging:
+        staging.mkdir(parents=True, exist_ok=True)
+        if len(folders) == 1:
+            write_history(local_folder(folders[0]), staging)
+        else:
+            rows = write_arms(folders, staging)
+            print("\n".join(aligned([row[:-1] for row in rows])))
+            print(*(f"{name}: {warnings}\n" for name, *_, warnings in rows[1:] if warnings), sep="", end="")
+    print(page)
 
 
 def local_flight(flight: Place) -> Path:

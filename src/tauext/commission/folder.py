@@ -20,6 +20,7 @@ from tauext.bundle.history_file import (
     BUNDLES,
     COVERAGE,
     FACTS,
+    FINDINGS,
     NOTED,
     RESULTS,
     active_bundle,
@@ -170,7 +171,7 @@ class CommissionFolder:
     def __init__(self, path: Path):
         self.path = path
         self.bundles, self.results, self.flights = path / BUNDLES, path / RESULTS, path / "flights"
-        self.coverage_file, self.findings_file = path / COVERAGE, path / "findings.json"
+        self.coverage_file, self.findings_file = path / COVERAGE, path / FINDINGS
         self.progress_file = path / "trainer.json"
         self.pending_file = path / "pending.json"
         """The bundle that waits to be judged, and what it was trained on."""

@@ -13,10 +13,12 @@ from tauext.bundle.history_file import (
     active_bundle,
     left_out,
     lost_lines,
+    lost_words,
     monitored_of,
     read_coverage,
     read_events,
     read_facts,
+    read_findings,
     read_history,
     watches,
 )
@@ -149,6 +151,52 @@ def describe_folder(folder: Place) -> dict[str, Any]:
     return content
 
 
+# --- Several arms in one table for `tauext report`.
+
+
+COLUMNS = ("arm", "since", "monitored", "promise", "alarms", "false", "last training", "warnings")
+
+
+def arm_row(folder: Place) -> tuple[str, ...]:
+    """A commissioned arm in words, by COLUMNS; of a damaged folder its name and the damage."""
+    try:
+        content, history = describe_folder(folder), read_history(folder)
+    except TauextError as error:
+        return (folder.name, *[""] * (len(COLUMNS) - 2), str(error))
+    since = next((one["wall"] for one in history if one["kind"] in ("exchange", "activation")), "")
+    trained = [one for one in history if one["kind"] == "training"]
+    active, promise = active_bundle(folder), "no bundle yet"
+    if active is not None:
+        kept = kept_of(folder, active.stem, 3600 * content["received_hours"])
+        rate, promise = kept.promised_per_hour, "none"
+        if rate is not None:
+            promise = f"1 in {duration(1 / rate)}: {'kept' if kept.kept else 'BROKEN'}"
+    warnings = [str(one.get("words")) for one in read_findings(folder) if one.get("severity") in ("fault", "warning")]
+    if lost := content["lost_lines"]:
+        warnings.insert(0, lost_words(lost))
+    return (
+        folder.name,
+        str(since)[:10],
+        content["monitored"] or "",
+        promise,
+        str(content["alarms"]),
+        str(content["nothing"]),
+        f"{trained[-1]['wall'][:10]} {'passed' if trained[-1].get('passed') else 'did not pass'}" if trained else "",
+        "; ".join(warnings),
+    )
+
+
+def write_arms(folders: Sequence[Place], out: Place) -> list[tuple[str, ...]]:
+    """Write OUT/arms.html, a row for each commissioned arm; returns the rows.
+
+    Raises:
+        ConfigError: the page cannot be written.
+    """
+    rows = [arm_row(folder) for folder in folders]
+    write_page(out / "arms.html", "Commissioned arms", [table("", COLUMNS, rows)])
+    return [COLUMNS, *rows]
+
+
 # --- A page of the history for `tauext report`.
 
 
@@ -185,14 +233,22 @@ def write_history(folder: Place, out: Place) -> Place:
         ),
         table("History", ("time", ""), [(in_words(one.get("wall")), in_words(one["words"])) for one in history]),
     ]  # fmt: skip
-    path = out / "history.html"
+    return write_page(out / "history.html", f"{folder.name}: history of a commissioned arm", parts)
+
+
+def write_page(path: Place, title: str, parts: Sequence[str]) -> Place:
+    """Write a page of HTML and return its path.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
     style = (
         "body{font:15px/1.5 system-ui,sans-serif;margin:2em auto;max-width:64em;padding:0 1em;color:#222;"
         "background:#fff}table{border-collapse:collapse}td,th{padding:.2em .8em .2em 0;text-align:left;"
         "vertical-align:top;border-bottom:1px solid #8884}"
         "@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}"
     )
-    title = html.escape(f"{folder.name}: history of a commissioned arm")
+    title = html.escape(title)
     text = f'<!doctype html><meta charset="utf-8"><title>{title}</title><style>{style}</style><h1>{title}</h1>'
     try:
         with atomic_write(path) as part:
@@ -219,7 +275,7 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str
     """A table of HTML; empty without rows."""
     if not rows:
         return ""
-    lines = [f"<h2>{html.escape(title)}</h2><table>"]
+    lines = [f"<h2>{html.escape(title)}</h2>" * bool(title) + "<table>"]
     if any(head):
         lines.append("<tr>" + "".join(f"<th>{html.escape(one)}</th>" for one in head) + "</tr>")
     lines += ["<tr>" + "".join(f"<td>{html.escape(one)}</td>" for one in row) + "</tr>" for row in rows]

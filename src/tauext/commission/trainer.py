@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
+from tauext.bundle.history_file import read_findings
 from tauext.check.finding import Finding
 from tauext.check.preflight import WORTH_A_WARNING
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
@@ -186,19 +187,13 @@ class Trainer:
             lives = judge(load_known(self.folder, newest[::-1]), self._robot(), facts)
             if (now := settled(facts, lives)) != facts:
                 folder.save(arm=as_data(now))
-            known = self._known()
+            known = read_findings(folder.path)
             self._report(lives, known)
             found = [*as_entries(lives), *(one for one in known if one.get("code") == HELD)]
             write_synced(folder.findings_file, json.dumps({"findings": found}, default=float) + "\n")
         except TauextError as error:
             folder.log(f"the stream cannot be checked: {error}")
         self._checked_s = max(seconds, self._checked_s)
-
-    def _known(self) -> list[dict[str, Any]]:
-        """Findings of the last check."""
-        with suppress(OSError, ValueError, LookupError, TypeError):  # none yet, or damaged
-            return [one for one in json_of(read_text(self.folder.findings_file))["findings"] if isinstance(one, dict)]
-        return []
 
     def _report(self, lives: Sequence[Live], known: Sequence[dict[str, Any]]) -> None:
         """Add faults and warnings that the last check did not find to the history."""

@@ -8,14 +8,13 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tauext.data.labels import epoch_of, has_labels, overlay, read_labels
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
-from tauext.errors import RecordingError, StoreError
+from tauext.errors import RecordingError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.copies import reading
 from tauext.files.kind import why_no_recording
@@ -369,29 +368,3 @@ def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
         wanted = "list" if kind is list else "object"
         raise RecordingError(f"{path}: metadata '{key}' is {text[:60]}, must be a JSON {wanted}")
     return value
-
-
-# --- The date of a recording, from its metadata.
-
-
-EARLIEST_NS = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * 10**9
-"""Earliest date of a calendar clock; earlier stamps count from an arbitrary start."""
-
-
-def recording_date(path: Place) -> date | None:
-    """Day of the first sample, UTC; None: the clock is no calendar clock, or the file cannot be read."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    try:
-        with reading(path) as raw, parquet.ParquetFile(raw) as file:
-            column = file.schema_arrow.get_field_index("t_ns")
-            if column < 0 or not file.metadata.num_row_groups:
-                return None
-            statistics = file.metadata.row_group(0).column(column).statistics
-            if statistics is None or not statistics.has_min_max:
-                return None
-            first_ns = int(statistics.min)
-    except (OSError, ValueError, TypeError, StoreError, pa.ArrowException):
-        return None
-    return datetime.fromtimestamp(first_ns / 1e9, UTC).date() if first_ns >= EARLIEST_NS else None

@@ -1,5 +1,5 @@
-"""Many arms: their stages as tasks, a prior for the next arm, a report over months.
+"""Many arms: their stages as tasks, a prior for the next arm.
 
-In go folders of recordings, one an arm. Out come bundles, results, a fleet prior and a fleet report. It imports the
+In go folders of recordings, one an arm. Out come bundles, results and a fleet prior. It imports the
 packages before it.
 """

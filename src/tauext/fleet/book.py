@@ -246,8 +246,7 @@ class Book:
         wanted = [stage for stage in ("train", "calibrate") if stage in stages]
         bundle = f"arms/{name}/{made[-1]}/{name}.tauext" if made and made == wanted else None
         results = f"arms/{name}/evaluate" if self.of(name, "evaluate").state == "done" else None
-        entry = {"name": name, "serial": arm.arm.serial, "date": arm.arm.date or None, "type": arm.arm.type}
-        entry |= {"state": self.state(arm)}
+        entry = {"name": name, "type": arm.arm.type, "state": self.state(arm)}
         return entry | {"dataset": data, "bundle": bundle, "results": results, "stages": stages}
 
     def _stage(self, task: Task) -> dict[str, Any]:

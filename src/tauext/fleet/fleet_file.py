@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from datetime import date, datetime
 from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.check.preflight import expect_codes
@@ -27,8 +26,6 @@ EXAMPLE = """\
 # `tauext fleet run FLEET.toml --out fleet` does it; --dry-run prints what it would do, and why.
 
 stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; these are all, and what holds if left out
-
-# date = 2026-05-04         # day of the recordings, for `tauext fleet report`; an arm's own table may have another one
 
 # For all arms. [types.NAME] is for the arms of a type, an arm's own table for that arm: the last one counts.
 [train]                     # settings of a training; `tauext train --help-config` lists them
@@ -75,9 +72,9 @@ if TYPE_CHECKING:
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/reference/files.md lists what each needs."""
 TABLES = ("train", "calibrate", "evaluate")
-SHARED = ("arm", "robot", "case", "accept", "stages", "date", *TABLES)
+SHARED = ("arm", "robot", "case", "accept", "stages", *TABLES)
 """Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
-OWN = ("name", "serial", "type", "sources", "dataset", "calibration")
+OWN = ("name", "type", "sources", "dataset", "calibration")
 """Keys of an arm alone."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
@@ -107,10 +104,6 @@ class Arm:
     """Fleet prior that its training starts from; None: none."""
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
-    serial: str = ""
-    """Identity of the arm: entries of one serial, here or in another file, are one arm. Default: name."""
-    date: str = ""
-    """Day of its recordings, YYYY-MM-DD; empty: not given."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +154,6 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     keys = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
     tables = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
     arm = Arm(name, kind, stages=(), accept=texts_of(keys, "accept", where), case=case_of(keys, where))
-    arm = replace(arm, serial=text_of(table, "serial", where) or name, date=date_of(keys, where))
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
@@ -302,19 +294,6 @@ def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place 
     """The place that is named under the key; None: no such key."""
     text = text_of(table, key, where)
     return None if text is None else place_of(text, base)
-
-
-def date_of(keys: Mapping[str, Any], where: str) -> str:
-    """The day as text; empty: none is given. A TOML date and text are both accepted."""
-    value = keys.get("date", "")
-    try:
-        if isinstance(value, date) and not isinstance(value, datetime):
-            return value.isoformat()
-        if isinstance(value, str):
-            return date.fromisoformat(value).isoformat() if value else ""
-    except ValueError:
-        pass
-    raise ConfigError(f"{where}: date = {str(value)!r} must be a day, YYYY-MM-DD")
 
 
 def case_of(keys: Mapping[str, Any], where: str) -> str | None:

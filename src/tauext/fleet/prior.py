@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +31,6 @@ from tauext.fleet.prior_evidence import (
     priors_without,
     weight_prior,
 )
-from tauext.fleet.visits import AT_SPEED
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import FULL_PRIOR
 from tauext.train.fitting import observe
@@ -41,6 +40,15 @@ from tauext.train.fitting import observe
 
 ODD = 0.5
 """An arm's joint is the odd one whose trust is below this."""
+SPEED_RAD_S = 0.5
+"""Friction is reported at this speed: most joints slide at it, and few slow moves are faster."""
+Kind = _core.TermKind
+AT_SPEED: dict[_core.TermKind, Callable[[_core.Term], float]] = {
+    Kind.coulomb: lambda term: float(np.tanh(SPEED_RAD_S / term.speed)),
+    Kind.presliding: lambda term: 1.0,
+    Kind.viscous: lambda term: SPEED_RAD_S,
+}
+"""Friction of a term of weight 1 at SPEED_RAD_S."""
 
 
 def friction_columns(terms: Sequence[Sequence[_core.Term]], joint: int) -> np.ndarray:

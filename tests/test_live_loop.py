@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from doc_pages import Page
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
 
@@ -19,7 +20,7 @@ from tauext.monitor.changes import AlarmChange, HealthChange
 from tauext.monitor.control_lines import ControlSocket, obey
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.profiles import TEMPLATE, load_profiles
+from tauext.monitor.profiles import load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder
@@ -411,10 +412,12 @@ def test_a_profiles_file_that_breaks_a_rule_says_which(tmp_path, change, message
         load_profiles(profiles_file(tmp_path, TWO.replace(*change)), JOINTS)
 
 
-def test_the_template_of_profiles_is_one(tmp_path):
-    profiles = load_profiles(profiles_file(tmp_path, TEMPLATE), JOINTS)
-    assert profiles.start == "normal" and profiles.named("pressing").collision.tolist() == [1.5, 1.5]
-    with pytest.raises(ConfigError, match="--new-profiles"):
+def test_profiles_of_the_page_are_read(tmp_path):
+    text = Page("running.md", "Reactions").blocks("toml")[1]
+    profiles = load_profiles(profiles_file(tmp_path, text), ("shoulder", "wrist_3_joint"))
+    assert profiles.named("pressing").collision.tolist() == [1.5, 2.0]
+    assert profiles.start == "normal" and profiles.named("carrying").load.mass == 2.8
+    with pytest.raises(ConfigError, match=r"docs/running\.md"):
         load_profiles(tmp_path / "none.toml", JOINTS)
 
 

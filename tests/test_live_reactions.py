@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from doc_pages import Page
 from made_bundles import JOINTS, pushed, watching_bundle
 from made_live import Keeper
 
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.reaction_file import TEMPLATE, Reaction, load_reactions
+from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import (
     HELPER,
     ReactionFailed,
@@ -350,8 +351,8 @@ command = ["true", "x"]
 def test_a_file_is_read(tmp_path):
     (found,) = load_reactions(reaction_file(tmp_path, GOOD), JOINTS)
     assert found == Reaction("lamp", ("collision", "cleared"), ("elbow",), 1.0, 5.0, ("true", "x"))
-    (found,) = load_reactions(reaction_file(tmp_path, TEMPLATE), JOINTS)
-    assert found.name == "log" and found.joints is None
+    of_the_page = reaction_file(tmp_path, Page("running.md", "Reactions").blocks("toml")[0])
+    assert [one.name for one in load_reactions(of_the_page, JOINTS)] == ["stop the arm", "log", "lamp"]
 
 
 @pytest.mark.parametrize(

@@ -119,34 +119,23 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((*SOURCE, "--segment-s", "0.5"), "--segment-s = 0.5 must be 1 to 3600"),
         ((*SOURCE, "--priority", "100"), "priority = 100 must be 1 to 99"),
         ((*SOURCE, "--status-hz", "1"), "--status-hz = 1.0 must be left out unless --json is given"),
-        ((*SOURCE, "--reactions", "none.toml"), "`tauext monitor --new-reactions none.toml` writes a template"),
+        ((*SOURCE, "--reactions", "none.toml"), "none.toml: there is no such file; docs/running.md has an example"),
         ((*SOURCE, "--profiles", "reactions.toml"), "unknown key 'reaction' at the top"),
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
         ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
         ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
-        (("--new-reactions", "reactions.toml"), "reactions.toml: already exists"),
-        (("--new-profiles", "p.toml", *SOURCE), "only write a template"),
         (("watching.tauext", "--source", "feetech:/dev/ttyACM0"), "--source feetech:PORT needs --bus FILE"),
         (("watching.tauext", "--source", "damiao:can0"), "--source damiao:CAN needs --bus FILE"),
         ((*SOURCE, "--bus", "bus.toml"), "--bus is for source feetech, dynamixel, damiao, not for replay"),
         (
             ("watching.tauext", "--source", "dynamixel:/dev/ttyUSB0", "--bus", "none.toml"),
-            "none.toml: there is no such file; `tauext monitor --new-bus none.toml` writes a template",
+            "none.toml: there is no such file; docs/servo-arms.md has an example",
         ),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(place, capsys, arguments, message):
     code, _, err = monitor(capsys, *arguments)
     assert code == 2 and err.startswith("tauext: error: ") and message in err and err.count("\n") == 1
-
-
-def test_templates_are_written_and_taken(place, capsys):
-    code, out, _ = monitor(capsys, "--new-reactions", "r.toml", "--new-profiles", "p.toml")
-    assert code == 0 and out.split() == ["r.toml", "p.toml"]
-    text = Path("r.toml").read_text().replace('"logger"', '"true"')  # not every system has logger
-    Path("r.toml").write_text(text)
-    code, out, _ = monitor(capsys, *SOURCE, "--reactions", "r.toml", "--profiles", "p.toml")
-    assert code == 0 and "profile normal, by start" in out and "reaction      log: " in out
 
 
 def run_beside(place, *arguments: str, **pipes) -> subprocess.Popen:

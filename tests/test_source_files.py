@@ -90,7 +90,7 @@ def test_a_file_that_breaks_a_rule_says_which(tmp_path, load, text, message):
 @pytest.mark.parametrize(
     "load, message",
     [
-        (load_servo_bus, "`tauext monitor --new-bus .*none.toml` writes a template"),
+        (load_servo_bus, "none.toml: there is no such file; docs/servo-arms.md has an example"),
         (load_lerobot_calibration, "there is no such LeRobot calibration file"),
         (load_ur_constants, "there is no such file$"),
     ],

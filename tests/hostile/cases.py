@@ -47,13 +47,12 @@ LABEL = "label --dataset servos-v3.0 --bundle servos.tauext --arm servos.toml --
 FEETECH = "monitor servos.tauext --source feetech:/dev/null --bus {} --duration-s 0.2"
 DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --bus {} --duration-s 0.2"
 DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 0.2"
-NEW_BUS = "monitor --new-bus out/bus.toml"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD)
 GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, OWN, REFIT_LIKE, CARRYING)
 GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
-GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
+GOOD += (LABEL, LABEL + " --json", FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
 GOOD += (
     "commission --source replay:data/free-006.parquet --out out/cell",
     "commission --source sim:rig --out out/cell",
@@ -83,7 +82,7 @@ WRITERS: tuple[str, ...] = (
     LEROBOT,
     NEW,
 )
-WRITERS += (LABEL, NEW_BUS)
+WRITERS += (LABEL,)
 WRITERS += (FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
 BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)

@@ -47,12 +47,9 @@ def monitor(
     speed: float | None = None,
     torque_constants: PlaceArg | None = None,
     bus: PlaceArg | None = None,
-    new_bus: Path | None = None,
     ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
     reactions: PlaceArg | None = None,
-    new_reactions: Path | None = None,
     profiles: PlaceArg | None = None,
-    new_profiles: Path | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
@@ -83,12 +80,9 @@ def monitor(
             current.
         bus: TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint.
             LeRobot's calibration file (*.json) also works for serial servos.
-        new_bus: write a commented example of a bus of serial servos to this file; nothing is monitored.
         ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
         reactions: TOML file of reactions to a collision, contact or fault, and to its end.
-        new_reactions: write a commented example of reactions to this file; nothing is monitored.
         profiles: TOML file of named factors on the limits, switched while the monitor runs.
-        new_profiles: write a commented example of profiles to this file; nothing is monitored.
         control: socket that accepts the lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         missing_after_ms: time after the last sample when the next one counts as missing, [ms]. None: two periods, or
@@ -110,9 +104,6 @@ def monitor(
         as_json: print JSON lines, an object an event.
         status_hz: how often --json also prints the estimates, per second; 0: events only.
     """
-    if new_reactions is not None or new_profiles is not None or new_bus is not None:
-        write_templates(new_reactions, new_profiles, new_bus, bundle is not None or source is not None)
-        return
     if bundle is None or source is None:
         missing = "--source" if bundle is not None else "the bundle"
         raise ConfigError(f"{missing} is missing: tauext monitor ARM.tauext --source replay:FILE")
@@ -155,21 +146,6 @@ def require_positive(**values: float | None) -> None:
     """Raise ConfigError where an option is given that is no number of a usable size."""
     for name, value in values.items():
         require(value is None or 1e-6 <= value <= 1e9, name, value, "> 0: 1e-6 to 1e9")
-
-
-def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | None, also_run: bool) -> None:
-    """Write the template files whose paths are given."""
-    from tauext.files.toml_file import write_template
-    from tauext.monitor.profiles import TEMPLATE as PROFILES
-    from tauext.monitor.reaction_file import TEMPLATE as REACTIONS
-    from tauext.sources.servo_bus_file import TEMPLATE as BUS
-
-    if also_run:
-        raise ConfigError("--new-reactions, --new-profiles and --new-bus only write a template: omit the other options")
-    for path, text in ((reactions, REACTIONS), (profiles, PROFILES), (bus, BUS)):
-        if path is not None:
-            write_template(path, text)
-            print(path)
 
 
 def watch(

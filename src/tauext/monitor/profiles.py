@@ -21,33 +21,6 @@ OTHERS = "others"
 FILE_KEYS = {"bounds": tables("[bounds]"), "start": tables("[start]", {}), "profiles": tables("[profiles.NAME]")}
 BOUND_KEYS = {"lowest": number(LOWEST, 1.0), "highest": number(1.0, HIGHEST)}
 
-TEMPLATE = """\
-# Factors on a bundle's limits, for phases of a task. Factors above 1 make alarms less sensitive, below 1 more.
-# The promised rate of false alarms applies at factors of 1 and above.
-
-[bounds]                    # no profile may leave them; 0.1 to 10 at most
-lowest = 0.5
-highest = 3.0
-
-[start]
-profile = "normal"          # the active profile at the start
-
-[profiles.normal]
-contact = 1.0               # one factor for every joint ...
-collision = 1.0
-
-[profiles.pressing]
-contact = 3.0
-collision = { others = 1.5 }    # ... or one a joint, by its name; `others` stands for those not named, else 1
-
-# [profiles.carrying]
-# load = { mass = 2.8, com = [0.0, 0.0, 0.05] }   # kg, m: the load from then on, or "none"; without this
-#                                                 # key the load is unchanged
-
-# [profiles.grasping]
-# expect = { seconds = 3, at_most = 2.5 }         # the gripper closes: a load of at most 2.5 kg is no collision
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -86,7 +59,7 @@ def load_profiles(path: Place, joints: Sequence[str]) -> Profiles:
     Raises:
         ConfigError: names the file, the key, the value and the rule that it breaks.
     """
-    content = read_toml(path, f"`tauext monitor --new-profiles {path}` writes a template")
+    content = read_toml(path, "docs/running.md has an example")
     top = read_table(path, "", content, FILE_KEYS)
     bounds = read_table(path, "[bounds]", top["bounds"], BOUND_KEYS)
     factor = number(bounds["lowest"], bounds["highest"])

@@ -12,61 +12,6 @@ from tauext.files.places import Place
 from tauext.files.toml_file import Key, flag, names, number, read_table, read_toml, tables, text
 from tauext.monitor.sink import EVENT_KINDS, EventKind
 
-TEMPLATE = """
-# Actions at events of the monitor. Each [[reaction]] has its own thread: one that fails, hangs or is slow delays
-# neither the monitor nor the others. Events during a running reaction wait; of events with the same kind and joint
-# only the newest is kept.
-#
-#   on               collision, contact, fault, cleared (healthy and no alarm, for the first time after any of them)
-#   joints           of collisions and contacts, and of faults of a joint; left out: all
-#   touch            kinds of touch, of collisions and contacts: impact, push, clamp, load, when they are known, mostly
-#                    0.2 s after the alarm; unknown: at the alarm; left out: at the alarm, for any kind
-#   links            joints that carry them: when one of these links is touched, more likely than not
-#   newtons_over     when the force where the arm is touched is more than this; both are known 0.1 s after the alarm,
-#                    and a reaction bound to them runs once an alarm
-#   min_interval_s   least time between two reactions to events of the same kind; earlier events are counted only; 0
-#   timeout_s        a command or function that takes longer is killed; 5
-#   and one of:
-#   command          program and arguments, no shell. The facts are in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_TOUCH,
-#                    TAUEXT_LINK, TAUEXT_NEWTONS, TAUEXT_T_NS, TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH,
-#                    TAUEXT_CAUSES, and all of them as JSON on stdin
-#   python           "module:function", called with the facts as a dict, in its own process; modules are
-#                    also searched in the folder where the monitor was started
-#   publish = true   publishes the event where the source can (ros2)
-#   stop = true      makes the robot stop where the source can (ur: its program; franka: its motion)
-
-[[reaction]]
-name = "log"
-on = ["collision", "contact", "fault", "cleared"]
-command = ["logger", "-t", "tauext", "event of the monitor"]
-
-# [[reaction]]
-# name = "stop the arm"
-# on = ["collision", "fault"]
-# stop = true
-
-# [[reaction]]
-# name = "lamp"
-# on = ["collision", "cleared"]
-# joints = ["elbow"]
-# min_interval_s = 1.0
-# timeout_s = 2.0
-# python = "lamp:react"
-
-# [[reaction]]
-# name = "open the clamp"
-# on = ["collision", "contact"]
-# touch = ["clamp"]
-# python = "retreat:back_along_the_way"
-
-# [[reaction]]
-# name = "someone leans on the forearm"
-# on = ["collision", "contact"]
-# links = ["elbow", "wrist_1"]
-# newtons_over = 40.0
-# command = ["./slow-down"]
-"""
-
 
 @dataclass(frozen=True)
 class Reaction:
@@ -99,7 +44,7 @@ def load_reactions(path: Place, joints: Sequence[str] | None) -> list[Reaction]:
     Raises:
         ConfigError: names the file, the key, the value and the rule that it breaks.
     """
-    content = read_toml(path, f"`tauext monitor --new-reactions {path}` writes a template")
+    content = read_toml(path, "docs/running.md has an example")
     keys = {
         "name": text("text, not empty"),
         "on": names(EVENT_KINDS, "events"),

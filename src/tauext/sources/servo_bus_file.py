@@ -12,22 +12,6 @@ from tauext.files.toml_file import flag, number, one_of, read_table, read_toml, 
 
 MOST_ID = 252
 BAUD = 1_000_000
-TEMPLATE = """\
-# A bus of serial servos, for `tauext monitor --source feetech:PORT --bus THIS` or dynamixel:PORT.
-# LeRobot's calibration file alone works in place of this file: --bus my_follower.json.
-
-baud = 1000000
-# calibration = "my_follower.json"    # LeRobot's: ids, zeros at the middle of the ranges; tables below override it
-
-# One table per joint, with the joint's name in the bundle.
-[joints.shoulder_pan]
-id = 1
-zero = 2048              # encoder count where the angle is 0
-# sign = -1              # the angle falls as the counts rise; default 1
-# multi_turn = true      # counts continue beyond a turn; default: angles are within half a turn of the zero
-# type = "sts3215"       # refuse another servo; default: any known type
-"""
-
 
 BUS_KEYS = {
     "baud": number(9600, 4_500_000, BAUD, whole=True),
@@ -74,14 +58,14 @@ class ServoBusFile:
 
 
 def load_servo_bus(path: Place) -> ServoBusFile:
-    """Load a bus file (TEMPLATE lists its keys) or a LeRobot calibration file (*.json).
+    """Load a bus file (docs/servo-arms.md) or a LeRobot calibration file (*.json).
 
     Raises:
         ConfigError: the file breaks a rule; the message names file, joint and rule.
     """
     if path.name.endswith(".json"):
         return ServoBusFile(path, {name: _calibrated(one) for name, one in load_lerobot_calibration(path).items()})
-    bus = read_table(path, "", read_toml(path, f"`tauext monitor --new-bus {path}` writes a template"), BUS_KEYS)
+    bus = read_table(path, "", read_toml(path, "docs/servo-arms.md has an example"), BUS_KEYS)
     joints: dict[str, ServoJoint] = {}
     if beside := bus["calibration"]:
         place = Path(beside).expanduser() if beside.startswith(("/", "~")) else path.parent / beside

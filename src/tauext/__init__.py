@@ -33,180 +33,40 @@ from __future__ import annotations
 
 import importlib
 
-TYPE_CHECKING = False  # as in typing, whose import takes longer than this module
-if TYPE_CHECKING:
-    from typing import Any
-
-    from tauext._core import (
-        Alarm,
-        Bundle,
-        Estimate,
-        FlightRecorder,
-        Health,
-        Load,
-        LoadFound,
-        LoadPhase,
-        Monitor,
-        PlaceModel,
-        Touch,
-        TouchPlace,
-        TouchPlaces,
-        Wrench,
-        WrenchAxes,
-        WrenchModel,
-        __version__,
-        cause_names,
-    )
-    from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.estimates import Estimates
-    from tauext.bundle.fit import expect_fit
-    from tauext.config import (
-        AlarmConfig,
-        DriftConfig,
-        EventsConfig,
-        FilterConfig,
-        FreeMotionConfig,
-        ObserverConfig,
-        PriorConfig,
-        TrainConfig,
-    )
-    from tauext.data.dataset import Dataset, load_dataset
-    from tauext.data.recording import Recording
-    from tauext.data.recording_file import load_recording, save_recording
-    from tauext.errors import BundleError, ConfigError, RecordingError, RobotError, TauextError, TrainingError
-    from tauext.evaluate.injected import estimate_recording
-    from tauext.evaluate.results_folder import evaluate_bundles
-    from tauext.progress import Reporter
-    from tauext.train.calibrate import recalibrate
-    from tauext.train.refit import refit_bundle, refit_motion, refit_recordings
-    from tauext.train.stage import train_bundle
-
-__all__ = [
-    "Alarm",
-    "AlarmConfig",
-    "Bundle",
-    "BundleError",
-    "ConfigError",
-    "Dataset",
-    "DriftConfig",
-    "Estimate",
-    "Estimates",
-    "EventsConfig",
-    "FilterConfig",
-    "FlightRecorder",
-    "FreeMotionConfig",
-    "Health",
-    "Load",
-    "LoadFound",
-    "LoadPhase",
-    "Monitor",
-    "ObserverConfig",
-    "PlaceModel",
-    "PriorConfig",
-    "Recording",
-    "RecordingError",
-    "Reporter",
-    "RobotError",
-    "TauextError",
-    "Touch",
-    "TouchPlace",
-    "TouchPlaces",
-    "TrainConfig",
-    "TrainingError",
-    "Wrench",
-    "WrenchAxes",
-    "WrenchModel",
-    "__version__",
-    "cause_names",
-    "estimate_recording",
-    "evaluate_bundles",
-    "expect_fit",
-    "load_bundle",
-    "load_dataset",
-    "load_recording",
-    "recalibrate",
-    "refit_bundle",
-    "refit_motion",
-    "refit_recordings",
-    "save_recording",
-    "train_bundle",
-]
-
 _WHERE = {
     "_core": (
-        "Alarm",
-        "Bundle",
-        "Estimate",
-        "FlightRecorder",
-        "Health",
-        "Load",
-        "LoadFound",
-        "LoadPhase",
-        "Monitor",
-        "PlaceModel",
-        "Touch",
-        "TouchPlace",
-        "TouchPlaces",
-        "Wrench",
-        "WrenchAxes",
-        "WrenchModel",
-        "__version__",
-        "cause_names",
+        "Alarm Bundle Estimate FlightRecorder Health Load LoadFound LoadPhase Monitor PlaceModel Touch "
+        "TouchPlace TouchPlaces Wrench WrenchAxes WrenchModel __version__ cause_names"
     ),
-    "bundle.bundle_file": ("load_bundle",),
-    "bundle.estimates": ("Estimates",),
-    "bundle.fit": ("expect_fit",),
+    "bundle.bundle_file": "load_bundle",
+    "bundle.estimates": "Estimates",
+    "bundle.fit": "expect_fit",
     "config": (
-        "AlarmConfig",
-        "DriftConfig",
-        "EventsConfig",
-        "FilterConfig",
-        "FreeMotionConfig",
-        "ObserverConfig",
-        "PriorConfig",
-        "TrainConfig",
+        "AlarmConfig DriftConfig EventsConfig FilterConfig FreeMotionConfig ObserverConfig PriorConfig TrainConfig"
     ),
-    "data.dataset": (
-        "Dataset",
-        "load_dataset",
-    ),
-    "data.recording": ("Recording",),
-    "data.recording_file": (
-        "load_recording",
-        "save_recording",
-    ),
-    "errors": (
-        "BundleError",
-        "ConfigError",
-        "RecordingError",
-        "RobotError",
-        "TauextError",
-        "TrainingError",
-    ),
-    "evaluate.injected": ("estimate_recording",),
-    "evaluate.results_folder": ("evaluate_bundles",),
-    "progress": ("Reporter",),
-    "train.calibrate": ("recalibrate",),
-    "train.refit": (
-        "refit_bundle",
-        "refit_motion",
-        "refit_recordings",
-    ),
-    "train.stage": ("train_bundle",),
+    "data.dataset": "Dataset load_dataset",
+    "data.recording": "Recording",
+    "data.recording_file": "load_recording save_recording",
+    "errors": "BundleError ConfigError RecordingError RobotError TauextError TrainingError",
+    "evaluate.injected": "estimate_recording",
+    "evaluate.results_folder": "evaluate_bundles",
+    "progress": "Reporter",
+    "train.calibrate": "recalibrate",
+    "train.refit": "refit_bundle refit_motion refit_recordings",
+    "train.stage": "train_bundle",
 }
-"""Module of each name. No name is that of a subpackage, which would take its place once it is imported."""
+"""Names of each module. No name is that of a subpackage, which would take its place once it is imported. `__init__.pyi`
+has the same imports for type checkers."""
+_MODULE_OF = {name: module for module, names in _WHERE.items() for name in names.split()}
+__all__ = sorted(_MODULE_OF)
 
-_MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
-
-if not TYPE_CHECKING:  # a type checker would accept any name
-
-    def __getattr__(name: str) -> Any:
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module 'tauext' has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
-        globals()[name] = value  # cached
-        return value
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'tauext' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
+    globals()[name] = value  # cached
+    return value
 
 
 def __dir__() -> list[str]:

@@ -65,9 +65,9 @@ def test_the_method_shown_misses_least_at_one_false_alarm_an_hour(results):
 def test_what_is_too_weak_is_counted_up_to_the_strength_that_is_seen(results):
     bins = ((0.0, 1.0, 5, 0), (1.0, 2.0, 10, 4), (2.0, 4.0, 20, 19), (4.0, None, 30, 30))
     bundle = replace(results.bundles[0], by_strength=tuple(StrengthBin(*one, None, None) for one in bins))
-    assert weak_words(results, bundle) == " Of 15 collisions below 2 Nm it missed 11."
+    assert weak_words(bundle) == " Of 15 collisions below 2 Nm it missed 11."
     seen = replace(bundle, by_strength=bundle.by_strength[2:])
-    assert weak_words(results, seen) == ""
+    assert weak_words(seen) == ""
 
 
 @pytest.mark.parametrize(

@@ -234,7 +234,7 @@ def test_settings_stand_over_one_another_fleet_then_type_then_arm(place):
 
 ONE = '[[arms]]\nname = "a"\ndataset = "data"\n'
 WRONG = [
-    ("", ["there is no arm", "[[arms]]"]),
+    ("", ["arms is missing", "[[arms]]"]),
     ("arms = [", ["not readable as TOML"]),
     ("stage = []\n" + ONE, ["unknown key 'stage'", "nearest known is 'stages'"]),
     (ONE + "dat = 1", ["arm 1", "unknown key 'dat'"]),
@@ -250,7 +250,7 @@ WRONG = [
     (ONE + 'accept = ["no-such"]', ["no-such", "no code"]),
     (ONE + 'stages = ["train", "report"]', ["'report'", "import, check, train"]),
     (ONE + 'stages = ["evaluate"]', ["lack train"]),
-    (ONE + "stages = []", ["stages = [] must be one or more of"]),
+    (ONE + "stages = []", ["stages = [] must be a list of stages"]),
     (ONE + "[types.light]\n", ["type = ''", "light"]),
     (ONE + "train.max_stepz = 5", ["[train]", "unknown key 'max_stepz'", "'max_steps'"]),
     (ONE + "train.max_steps = 'five'", ["max_steps = 'five' must be a whole number"]),

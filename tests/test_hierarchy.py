@@ -48,7 +48,7 @@ def test_one_bad_block_moves_nothing_and_is_named():
     assert (np.abs(found.mean - usual.mean) < 0.25 * size).all()
     assert (np.diag(found.covariance) < 1.6 * np.diag(usual.covariance)).all()
     assert found.trust[-1, 0] < 0.05 < 0.5 < found.trust[-1, 1]
-    assert found.distance[:, 0].argmax() == 15
+    assert found.trust[:, 0].argmin() == 15
 
 
 def test_arms_that_agree_are_all_trusted():

@@ -89,11 +89,6 @@ class Recipe:
         return self.fit is not None and self.network is not None
 
     @property
-    def judges_itself(self) -> bool:
-        """Whether it needs no validation recordings: a fit alone is judged by motion that is left out of it in turn."""
-        return self.fit is not None and self.network is None
-
-    @property
     def draws(self) -> bool:
         """Whether its network trains on random draws, in steps instead of epochs."""
         return self.network is not None and self.network != "windows"

@@ -154,10 +154,7 @@ def refuse_unknown(path: Place | str, table: str, content: Any, known: Iterable[
     listed = tuple(known)
     for key in content:
         if key not in listed:
-            near = difflib.get_close_matches(key, listed, 1, 0.0)
-            nearest = f"the nearest known is '{near[0]}'" if near else "none is known"
-            where = f"in {table}" if table else "at the top"
-            raise ConfigError(f"{path}: unknown key '{key}' {where}; {nearest}; known are {', '.join(listed)}")
+            raise unknown_key(str(path), key, listed, f" in {table}" if table else " at the top")
 
 
 def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
@@ -286,12 +283,12 @@ def comment_lines(words: str, start: str = "# ") -> list[str]:
     return textwrap.wrap(" ".join(words.split()), 110, initial_indent=start, subsequent_indent=start)
 
 
-def unknown_key(where: str, key: str, known: Iterable[str]) -> ConfigError:
+def unknown_key(where: str, key: str, known: Iterable[str], within: str = "") -> ConfigError:
     """The error for an unknown key."""
     names = list(known)
     near = difflib.get_close_matches(key, names, 1, 0.0)
     nearest = f"the nearest known is '{near[0]}'" if near else "none is known"
-    return ConfigError(f"{where}: unknown key '{key}'; {nearest}; known are {', '.join(names)}")
+    return ConfigError(f"{where}: unknown key '{key}'{within}; {nearest}; known are {', '.join(names)}")
 
 
 def converted(value: Any, hint: Any) -> Any:

@@ -16,7 +16,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT, expect_format, json_of, read_text
-from tauext.files.provenance import json_text, write_json
+from tauext.files.provenance import write_json
 from tauext.fit.prior import bound_loads, branches_of
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.regression import inverse
@@ -71,7 +71,6 @@ class Hierarchy:
     mean: np.ndarray  # (columns,)
     covariance: np.ndarray  # (columns, columns), block by block: of one more arm
     trust: np.ndarray  # (arms, blocks), u: 1 for an arm like the others
-    distance: np.ndarray  # (arms, blocks): standard deviations from the others; 0 where LEAST_ARMS are not there
     weights: np.ndarray  # (arms, columns): each arm's own
     errors: np.ndarray  # (arms, columns, columns): their covariance
 
@@ -105,9 +104,7 @@ def learn_hierarchy(evidence: Sequence[Evidence], blocks: Sequence[np.ndarray]) 
     for b, at in enumerate(inside):
         predictive[np.ix_(at, at)] = covariance[np.ix_(at, at)] * (1 + 1 / trust[:, b].sum())
     back = 1 / floor(scale)
-    return Hierarchy(
-        mean * back, predictive * np.outer(back, back), trust, distance, w * back, V * np.outer(back, back)
-    )
+    return Hierarchy(mean * back, predictive * np.outer(back, back), trust, w * back, V * np.outer(back, back))
 
 
 def scale_of(evidence: Sequence[Evidence]) -> np.ndarray:
@@ -513,11 +510,6 @@ def expect_sound(prior: FleetPrior) -> None:
     correlation = weights.covariance[np.ix_(known, known)] / np.outer(size, size)
     if not np.allclose(correlation, correlation.T, atol=1e-9) or np.linalg.eigvalsh(correlation)[0] <= 0:
         raise ValueError("a covariance is not symmetric and positive")
-
-
-def same_bytes(prior: FleetPrior) -> str:
-    """The text that the file holds."""
-    return json_text(content(prior))
 
 
 # --- A prior from a minute of an arm's own motion and the fleet prior of its type.

@@ -303,7 +303,6 @@ class Progress:
     steps: int
     loss: float
     validation_loss: float
-    seconds_left: float
 
 
 @dataclass(frozen=True)
@@ -351,7 +350,7 @@ def train_network(
     if state is None:
         start = backend.initial_parameters(config.seed)
         state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
-    resumed_at, resumed_seconds = state.at[1].steps, state.seconds
+    resumed_seconds = state.seconds
     started = saved = time.monotonic()
     whole = replace(state)  # after a step with all that belongs to it: an interruption may come between
     try:
@@ -365,8 +364,7 @@ def train_network(
                 validated = float(np.mean(np.square(error, dtype=np.float64)))
                 keep_best(state, schedule, candidate, state.running_loss, validated)
                 state.seconds = resumed_seconds + time.monotonic() - started
-                pace = (state.seconds - resumed_seconds) / (done - resumed_at)
-                report(Progress(done, schedule.steps, *state.history[-1][1:], pace * (schedule.steps - done)))
+                report(Progress(done, schedule.steps, *state.history[-1][1:]))
             whole = replace(state, seconds=resumed_seconds + time.monotonic() - started)
             if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
                 save_checkpoint(whole, settings or {}, checkpoint_path)

@@ -22,7 +22,7 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.core_backend import CoreBackend
-from tauext.fit.network_weights import CORE_ORDER, core_parameters
+from tauext.fit.network_weights import CORE_ORDER
 from tauext.fit.training_set import Setup, WindowSet
 
 try:
@@ -199,22 +199,6 @@ def lstm_from_parameters(shape: _core.LstmShape, parameters: np.ndarray) -> tupl
         lstm.bias_hh_l0.zero_()
     lstm.bias_hh_l0.requires_grad_(False)
     return lstm, head
-
-
-def parameters_from_lstm(lstm: torch.nn.LSTM, head: torch.nn.Linear) -> np.ndarray:
-    """float32 vector in the layout of LstmShape, as a bundle holds it; PyTorch's two biases a gate are added.
-
-    Raises:
-        TrainingError: an LSTM of more than one layer or direction, with a projection, or without biases.
-    """
-    plain = lstm.num_layers == 1 and not lstm.bidirectional and lstm.proj_size == 0 and lstm.bias
-    if not plain or head.bias is None or head.in_features != lstm.hidden_size:
-        raise TrainingError(
-            f"{lstm} with {head} is not the core's network: one layer and direction, no projection, biases, and a head "
-            "on its hidden units"
-        )
-    named = [*lstm.named_parameters(), *head.named_parameters()]
-    return core_parameters({name: p.detach().double().cpu().numpy() for name, p in named})
 
 
 def in_core_order(lstm: torch.nn.LSTM, head: torch.nn.Linear) -> list[torch.nn.Parameter]:

@@ -14,7 +14,18 @@ from tauext.data.description import load_arm
 from tauext.errors import ConfigError
 from tauext.files.places import SHAPES_FILE, Place, named_files
 from tauext.files.places import place_of as any_place
-from tauext.files.toml_file import read_toml, settings_of, unknown_key
+from tauext.files.toml_file import (
+    REQUIRED,
+    Key,
+    names,
+    one_of,
+    read_table,
+    read_toml,
+    refuse_unknown,
+    settings_of,
+    tables,
+    text,
+)
 from tauext.fleet.places import below, files_in, place_of, places_of
 from tauext.fleet.task import Contents
 
@@ -71,13 +82,32 @@ if TYPE_CHECKING:
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/reference/files.md lists what each needs."""
-TABLES = ("train", "calibrate", "evaluate")
-SHARED = ("arm", "robot", "case", "accept", "stages", *TABLES)
-"""Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
-OWN = ("name", "type", "sources", "dataset", "calibration")
-"""Keys of an arm alone."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    return tuple(map(TEXT.read, value if isinstance(value, list) else [value]))
+
+
+TEXT = text(default=None).where(lambda value: "\0" not in value, "text")
+TEXTS = Key(_texts, "a text or a list of texts", ())
+TABLES = ("train", "calibrate", "evaluate")
+SHARED = {
+    "arm": TEXT,
+    "robot": TEXT,
+    "case": one_of(get_args(CaseName), None),
+    "accept": TEXTS,
+    "stages": names(STAGES, "stages", STAGES),
+}
+"""Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
+OWN = {
+    "name": TEXT.where(lambda value: bool(NAME.fullmatch(value)), NAME_RULE)._replace(default=REQUIRED),
+    "type": TEXT._replace(default=""),
+}
+DATA = {"sources": TEXTS, "dataset": TEXT, "calibration": TEXT}
+"""Keys of an arm alone."""
+ANYWHERE = (*SHARED, *TABLES)
 ONE_THREAD = {"threads": "each task has one thread, and --workers sets how many run at a time"}
 
 
@@ -123,15 +153,11 @@ def load_fleet(path: Place | str) -> Fleet:
     """
     path = any_place(path)
     content = read_toml(path, "`tauext fleet example` prints one")
-    expect_keys(content, (*SHARED, "types", "arms"), f"{path}")
-    types = content.get("types", {})
-    listed = content.get("arms")
-    if not isinstance(types, dict):
-        raise ConfigError(f"{path}: types = {types!r} must be tables, [types.NAME]")
+    refuse_unknown(path, "", content, (*ANYWHERE, "types", "arms"))
+    known = {"types": tables("[types.NAME]", {}), "arms": tables("[[arms]]")}
+    types, listed = read_table(path, "", given_of(content, known), known).values()
     for name, table in types.items():
-        expect_keys(table, SHARED, f"{path}: [types.{name}]")
-    if not isinstance(listed, list) or not listed:
-        raise ConfigError(f"{path}: there is no arm; give one or more tables [[arms]], each with a name")
+        refuse_unknown(path, f"[types.{name}]", table, ANYWHERE)
     base = path.absolute().parent
     arms = tuple(arm_of(one, number, content, types, path, base) for number, one in enumerate(listed, 1))
     expect_different(arms, path)
@@ -141,40 +167,40 @@ def load_fleet(path: Place | str) -> Fleet:
 
 def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Place, base: Place) -> Arm:
     """One arm from its own table, that of its type, and the top-level keys."""
-    where = f"{path}: arm {number}"
-    expect_keys(table, (*OWN, *SHARED), where)
-    name = text_of(table, "name", where)
-    if name is None or not NAME.fullmatch(name):
-        raise ConfigError(f"{where}: name = {name!r} must be {NAME_RULE}")
+    refuse_unknown(path, f"arm {number}", table, (*OWN, *DATA, *ANYWHERE))
+    name, kind = read_table(path, f"arm {number}:", given_of(table, OWN), OWN).values()
     where = f"{path}: arm '{name}'"
-    kind = text_of(table, "type", where) or ""
     if types and kind not in types:
         raise ConfigError(f"{where}: type = {kind!r} must be one of {', '.join(types)}, which have tables [types.NAME]")
     layers = [top, types.get(kind, {}), table]
-    keys = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
-    tables = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
-    arm = Arm(name, kind, stages=(), accept=texts_of(keys, "accept", where), case=case_of(keys, where))
+    given = {key: value for layer in layers for key, value in given_of(layer, SHARED).items()}
+    keys = read_table(path, f"arm '{name}':", given | given_of(table, DATA), SHARED | DATA)
+    settings = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
+    arm = Arm(name, kind, stages=(), accept=keys["accept"], case=keys["case"])
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
-    arm = with_data(arm, table, keys, where, base)
-    like = place(tables["train"], "like", f"{where}: [train]", base)
-    own = {key: value for key, value in tables["train"].items() if key != "like"}
+    arm = with_data(arm, keys, where, base)
+    known = {"like": TEXT}
+    like = read_table(path, f"arm '{name}': [train]", given_of(settings["train"], known), known)["like"]
+    own = {key: value for key, value in settings["train"].items() if key not in known}
     arm = replace(
         arm,
         train=settings_of(TrainConfig, own, f"{where}: [train]", ONE_THREAD),
-        like=like,
-        calibrate=settings_of(CalibrateStage, tables["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
-        evaluate=settings_of(EvaluateStage, tables["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
+        like=None if like is None else place_of(like, base),
+        calibrate=settings_of(CalibrateStage, settings["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
+        evaluate=settings_of(EvaluateStage, settings["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
     )
     calibrates = arm.calibration is not None or any("calibrate" in layer for layer in layers)
     return replace(arm, stages=stages_of(keys, arm, calibrates, where))
 
 
-def with_data(arm: Arm, table: Mapping[str, Any], keys: Mapping[str, Any], where: str, base: Place) -> Arm:
+def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Place) -> Arm:
     """The arm with its recordings and files, all of which exist."""
-    patterns, dataset = texts_of(table, "sources", where), place(table, "dataset", where, base)
+    places = {key: place_of(keys[key], base) for key in ("dataset", "calibration", "robot", "arm") if keys[key]}
+    dataset, calibration, robot, description = map(places.get, ("dataset", "calibration", "robot", "arm"))
+    patterns = keys["sources"]
     if bool(patterns) == (dataset is not None):
         raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
     sources: list[Place] = []
@@ -183,10 +209,9 @@ def with_data(arm: Arm, table: Mapping[str, Any], keys: Mapping[str, Any], where
         if not found or not all(one.exists() for one in found):
             raise ConfigError(f"{where}: sources = '{pattern}': there is no such file or folder")
         sources += [one for one in found if one not in sources]
-    description = place(keys, "arm", where, base) if patterns else None
+    description = description if patterns else None
     if patterns and description is None:
         raise ConfigError(f"{where}: arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
-    calibration, robot = place(table, "calibration", where, base), place(keys, "robot", where, base)
     try:
         if description is not None and (model := load_arm(description).model) is not None and not model.is_file():
             raise ConfigError(f"{description}: [robot] model = '{model}': there is no such file")
@@ -205,12 +230,7 @@ def with_data(arm: Arm, table: Mapping[str, Any], keys: Mapping[str, Any], where
 def stages_of(keys: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
     """The stages that this arm has: the requested ones, without import where it has a dataset, and with calibrate only
     where its recordings or its promise are given; train finds limits itself."""
-    wanted = texts_of(keys, "stages", where) if "stages" in keys else STAGES
-    if not wanted:
-        raise ConfigError(f"{where}: stages = [] must be one or more of {', '.join(STAGES)}")
-    for stage in wanted:
-        if stage not in STAGES:
-            raise ConfigError(f"{where}: stages = '{stage}' must be one or more of {', '.join(STAGES)}")
+    wanted = keys["stages"]
     if arm.sources and "import" not in wanted:
         raise ConfigError(f"{where}: stages lack import, which its sources need; or give a dataset")
     for stage in ("calibrate", "evaluate"):
@@ -252,13 +272,9 @@ def alarm_of(settings: CalibrateStage) -> AlarmConfig:
     return AlarmConfig(**{name: getattr(settings, name) for name in AlarmConfig.__dataclass_fields__})
 
 
-def expect_keys(table: Any, known: tuple[str, ...], where: str) -> None:
-    """Raise ConfigError unless it is a table, and all of its keys are known."""
-    if not isinstance(table, dict):
-        raise ConfigError(f"{where} = {table!r} must be a table")
-    for key in table:
-        if key not in known:
-            raise unknown_key(where, key, known)
+def given_of(table: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a table that these keys are."""
+    return {key: table[key] for key in keys if key in table}
 
 
 def merged(tables: list[Any], where: str) -> dict[str, Any]:
@@ -271,37 +287,6 @@ def merged(tables: list[Any], where: str) -> dict[str, Any]:
             both = isinstance(value, dict) and isinstance(found.get(key), dict)
             found[key] = merged([found[key], value], f"{where}.{key}") if both else value
     return found
-
-
-def text_of(table: Mapping[str, Any], key: str, where: str) -> str | None:
-    """The text under the key; None: no such key."""
-    value = table.get(key)
-    if value is not None and (not isinstance(value, str) or not value or "\0" in value):
-        raise ConfigError(f"{where}: {key} = {value!r} must be text")
-    return value
-
-
-def texts_of(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
-    """One text, or a list of them."""
-    value = table.get(key, [])
-    listed = value if isinstance(value, list) else [value]
-    if not all(isinstance(one, str) and one and "\0" not in one for one in listed):
-        raise ConfigError(f"{where}: {key} = {value!r} must be a text or a list of texts")
-    return tuple(listed)
-
-
-def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place | None:
-    """The place that is named under the key; None: no such key."""
-    text = text_of(table, key, where)
-    return None if text is None else place_of(text, base)
-
-
-def case_of(keys: Mapping[str, Any], where: str) -> str | None:
-    """The model case; None: as train chooses it."""
-    case = text_of(keys, "case", where)
-    if case is not None and case not in get_args(CaseName):
-        raise ConfigError(f"{where}: case = '{case}' must be one of {', '.join(get_args(CaseName))}")
-    return case
 
 
 # --- What a stage depends on, by readable names: contents of files, settings, and tasks before it.

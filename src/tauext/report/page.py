@@ -215,7 +215,7 @@ def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
 
 def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
     """Its limitations, with the test's results."""
-    lines = ["Touches that push every joint by less than its limit." + weak_words(results, bundle)]
+    lines = ["Touches that push every joint by less than its limit." + weak_words(bundle)]
     lines.append(
         "Forces that turn no joint: along a link towards the base, or through a joint's axis. Encoders and motors do "
         "not feel them."
@@ -228,7 +228,7 @@ def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
     return lines
 
 
-def weak_words(results: Results, bundle: EvaluatedBundle) -> str:
+def weak_words(bundle: EvaluatedBundle) -> str:
     """The misses among collisions too weak to be found reliably."""
     bins = [one for one in bundle.by_strength if one.collisions]
     dim = [k for k, one in enumerate(bins) if one.latched < RELIABLE * one.collisions]

@@ -199,10 +199,9 @@ def paper_limits(
         samples += len(error)
     if samples == 0:
         raise no_free_motion(bundle, margins)
-    names = [link.joint_name for link in bundle.links]
     sliding[~np.array(bundle.monitored)] = np.inf
     if (np.maximum(sliding, near) == 0).any():
-        name = names[int(np.argmin(np.maximum(sliding, near)))]
+        name = bundle.links[int(np.argmin(np.maximum(sliding, near)))].joint_name
         raise TrainingError(
             f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its limit cannot be found; "
             "is its torque recorded?"

@@ -55,7 +55,6 @@ UNIT = re.compile(
 RULE = re.compile(r"[\s\-=+|:*_.#]*")
 NO_ROWS = "it has no rows under its names"
 THOUSANDS_REFUSED = "has separators between thousands, {} '{}'; write numbers without"
-RATE_LINE = re.compile(r"\W*([A-Za-z][\w .]*?)\s*(?:[\[(]?(?:s|Hz)[\])]?)?\s*[:=,;\t]\s*([-+.\deE]+)\W*(?:Hz|s)?\W*")
 
 
 @dataclass(frozen=True)

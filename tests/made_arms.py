@@ -86,9 +86,6 @@ def regular_times(samples: int, rate_hz: float = 1000.0) -> np.ndarray:
     return np.arange(samples, dtype=np.int64) * round(1e9 / rate_hz)
 
 
-GRAVITY = (0.0, 0.0, -9.81)
-
-
 @dataclass(frozen=True)
 class Part:
     """A joint and the link it carries; `parent` is a part's name, None for the base."""

@@ -28,12 +28,6 @@ from tauext.fit.tail import (
 from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum
 
 
-def made_tail(shape=0.1, scale=2.0, exceedances=100, hours=10.0, threshold=5.0) -> Tail:
-    """A tail whose peaks stand where its distribution puts them on average."""
-    above = threshold + genpareto.isf(np.arange(1, exceedances + 1) / (exceedances + 1), shape, scale=scale)
-    return Tail(threshold, shape, scale, exceedances, hours, 0.5, np.r_[above, threshold])
-
-
 @pytest.mark.parametrize("shape", [-0.4, -0.1, 0.0, 0.3])
 @pytest.mark.parametrize("count", [30, 200])
 def test_the_fit_is_as_likely_as_scipys_or_more(shape, count):

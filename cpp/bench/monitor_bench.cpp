@@ -23,9 +23,9 @@
 #include <time.h>
 #endif
 
-#include "../src/lstm_lanes.hpp"
 #include "../tests/made_bundle.hpp"
-#include "sliding_lstm.hpp"
+#include "network/lstm_lanes.hpp"
+#include "network/sliding_lstm.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

@@ -7,11 +7,11 @@
 #include <limits>
 
 #include "arrays.hpp"
+#include "chain/motion.hpp"
 #include "lstm_gradient.hpp"
+#include "stages/estimates.hpp"
+#include "stages/observation.hpp"
 #include "tauext/bundle.hpp"
-#include "estimates.hpp"
-#include "observation.hpp"
-#include "motion.hpp"
 
 namespace nb = nanobind;
 using namespace tauext;

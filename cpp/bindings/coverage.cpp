@@ -1,5 +1,5 @@
 // Coverage: motion of the training recordings, and the distance of other motion from it.
-#include "coverage.hpp"
+#include "alarm/coverage.hpp"
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

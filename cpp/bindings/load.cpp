@@ -4,8 +4,8 @@
 #include <nanobind/stl/vector.h>
 
 #include "arrays.hpp"
+#include "load/load_columns.hpp"
 #include "tauext/bundle.hpp"
-#include "load_columns.hpp"
 
 namespace tauext::bindings {
 

@@ -7,8 +7,8 @@
 #include <map>
 
 #include "arrays.hpp"
+#include "load/weighing.hpp"
 #include "tauext/bundle.hpp"
-#include "weighing.hpp"
 
 namespace tauext::bindings {
 namespace {

@@ -17,7 +17,7 @@
 #include <vector>
 
 #include "made_bundle.hpp"
-#include "estimates.hpp"
+#include "stages/estimates.hpp"
 #include "tauext/monitor.hpp"
 
 namespace {

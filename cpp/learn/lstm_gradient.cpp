@@ -7,7 +7,7 @@
 #include <numeric>
 #include <vector>
 
-#include "../src/lstm_lanes.hpp"
+#include "network/lstm_lanes.hpp"
 #include "transpose.hpp"
 
 namespace tauext::learn {

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <span>
 
-#include "lstm.hpp"
+#include "network/lstm.hpp"
 
 namespace tauext::learn {
 

@@ -2,7 +2,7 @@
 #pragma once
 #include <utility>
 
-#include "../src/lstm_lanes.hpp"
+#include "network/lstm_lanes.hpp"
 
 namespace tauext::lanes {
 

@@ -5,9 +5,9 @@
 #include <limits>
 #include <vector>
 
-#include "../src/lstm_lanes.hpp"
 #include "check.hpp"
-#include "lstm.hpp"
+#include "network/lstm.hpp"
+#include "network/lstm_lanes.hpp"
 
 using namespace tauext;
 

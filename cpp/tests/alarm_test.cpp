@@ -1,4 +1,4 @@
-#include "alarm.hpp"
+#include "alarm/alarm.hpp"
 
 #include <cmath>
 

@@ -1,5 +1,5 @@
+#include "stages/estimates.hpp"
 #include "tauext/bundle.hpp"
-#include "estimates.hpp"
 
 #include <algorithm>
 #include <cmath>

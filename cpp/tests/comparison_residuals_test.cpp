@@ -1,4 +1,4 @@
-#include "comparison_residuals.hpp"
+#include "chain/comparison_residuals.hpp"
 
 #include <cmath>
 #include <cstring>

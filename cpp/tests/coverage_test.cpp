@@ -1,4 +1,4 @@
-#include "coverage.hpp"
+#include "alarm/coverage.hpp"
 
 #include <algorithm>
 #include <cmath>

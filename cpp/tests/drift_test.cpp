@@ -1,4 +1,4 @@
-#include "drift.hpp"
+#include "alarm/drift.hpp"
 
 #include <algorithm>
 #include <cmath>

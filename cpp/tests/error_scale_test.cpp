@@ -1,4 +1,4 @@
-#include "error_scale.hpp"
+#include "alarm/error_scale.hpp"
 
 #include <cmath>
 #include <limits>

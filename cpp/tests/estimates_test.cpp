@@ -1,6 +1,6 @@
 // The two ways through the chain, sample by sample and in bulk, on recordings with everything wrong that a recording can
 // hold: equal to the last bit, health and causes too.
-#include "estimates.hpp"
+#include "stages/estimates.hpp"
 
 #include <algorithm>
 #include <cmath>

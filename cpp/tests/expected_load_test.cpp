@@ -1,5 +1,5 @@
 // Expected loads: accepted, reported and set; pushes in the same window are not missed.
-#include "expected_load.hpp"
+#include "load/expected_load.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "check.hpp"
+#include "load/load_columns.hpp"
 #include "made_bundle.hpp"
-#include "load_columns.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

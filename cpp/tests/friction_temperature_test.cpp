@@ -9,8 +9,8 @@
 #include "check.hpp"
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
+#include "stages/observation.hpp"
 #include "tauext/monitor.hpp"
-#include "observation.hpp"
 
 using namespace tauext;
 using made::kMs, made::sampled, made::Signals;

@@ -1,4 +1,4 @@
-#include "load_columns.hpp"
+#include "load/load_columns.hpp"
 
 #include <cmath>
 #include <random>

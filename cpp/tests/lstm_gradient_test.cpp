@@ -5,8 +5,8 @@
 #include <random>
 #include <vector>
 
-#include "../src/lstm_lanes.hpp"
 #include "check.hpp"
+#include "network/lstm_lanes.hpp"
 
 using namespace tauext;
 

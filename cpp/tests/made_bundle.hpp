@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "stages/estimates.hpp"
 #include "tauext/bundle.hpp"
-#include "estimates.hpp"
 
 namespace made {
 

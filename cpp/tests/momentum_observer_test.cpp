@@ -1,4 +1,4 @@
-#include "momentum_observer.hpp"
+#include "chain/momentum_observer.hpp"
 
 #include <cmath>
 

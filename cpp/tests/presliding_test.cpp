@@ -1,4 +1,4 @@
-#include "motion.hpp"
+#include "chain/motion.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "prior.hpp"
+#include "prior/prior.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,8 +10,8 @@
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
 #include "refused.hpp"
+#include "stages/observation.hpp"
 #include "tauext/monitor.hpp"
-#include "observation.hpp"
 
 using namespace tauext;
 using made::kMs, made::irregular, made::same, made::sampled, made::Signals;

@@ -8,9 +8,9 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
-#include "estimates.hpp"
+#include "stages/estimates.hpp"
+#include "stages/observation.hpp"
 #include "tauext/monitor.hpp"
-#include "observation.hpp"
 
 using namespace tauext;
 

@@ -1,12 +1,12 @@
-#include "sliding_lstm.hpp"
+#include "network/sliding_lstm.hpp"
 
 #include <cmath>
 #include <random>
 #include <vector>
 
-#include "../src/lstm_lanes.hpp"
+#include "chain/motion.hpp"
 #include "check.hpp"
-#include "motion.hpp"
+#include "network/lstm_lanes.hpp"
 
 using namespace tauext;
 

@@ -1,4 +1,4 @@
-#include "touch_kind.hpp"
+#include "touch/touch_kind.hpp"
 
 #include <algorithm>
 #include <cmath>

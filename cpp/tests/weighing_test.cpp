@@ -1,5 +1,5 @@
 // Load estimation inside the loop: against the truth of the motion, and against the sums of a recording.
-#include "weighing.hpp"
+#include "load/weighing.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -12,7 +12,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
-#include "estimates.hpp"
+#include "stages/estimates.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

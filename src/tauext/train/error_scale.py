@@ -1,4 +1,4 @@
-r"""Growth of errors with the motion: weights of the core's error scale (cpp/src/error_scale.hpp).
+r"""Growth of errors with the motion: weights of the core's error scale (cpp/src/alarm/error_scale.hpp).
 
 With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion not
 used in training, the scale sigma = sum_m w_m F_m minimises

@@ -1,0 +1,265 @@
+#include "load/load_columns.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <type_traits>
+
+#include "chain/motion.hpp"
+#include "chain/vector3.hpp"
+#include "tauext/bundle.hpp"
+
+namespace tauext {
+namespace {
+
+// A twist, a momentum or a wrench: the part along and the part about the frame's axes, at its origin.
+struct Screw {
+  Vector3 angular, linear;
+};
+
+double dot(const Screw& a, const Screw& b) noexcept {
+  return tauext::dot(a.angular, b.angular) + tauext::dot(a.linear, b.linear);
+}
+Screw operator+(const Screw& a, const Screw& b) noexcept { return {a.angular + b.angular, a.linear + b.linear}; }
+Screw operator*(double s, const Screw& a) noexcept { return {s * a.angular, s * a.linear}; }
+// Of twists: v x s.
+Screw cross(const Screw& v, const Screw& s) noexcept {
+  return {tauext::cross(v.angular, s.angular),
+          tauext::cross(v.angular, s.linear) + tauext::cross(v.linear, s.angular)};
+}
+
+using Screws = std::array<Screw, LoadRegressor::kParameters>;
+
+// Momentum of a unit parameter that moves with v; with v = (0, g) its weight.
+Screws momenta(const Screw& v) noexcept {
+  const Vector3 w = v.angular, u = v.linear;
+  const Vector3 axes[] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  Screws h;
+  h[0].linear = u;
+  for (std::size_t k = 0; k < 3; ++k)
+    h[1 + k] = {tauext::cross(axes[k], u), tauext::cross(w, axes[k])};
+  h[4].angular = {w.x, 0, 0};
+  h[5].angular = {0, w.y, 0};
+  h[6].angular = {0, 0, w.z};
+  h[7].angular = {w.y, w.x, 0};
+  h[8].angular = {w.z, 0, w.x};
+  h[9].angular = {0, w.z, w.y};
+  return h;
+}
+
+}  // namespace
+
+void LoadFrame::validate(int links) const {
+  if (link < 0 || link >= links)
+    throw Error("a load is fixed to link " + std::to_string(link) + ", which must be one of the " +
+                std::to_string(links) + " links");
+  for (double value : translation)
+    if (!(std::fabs(value) <= 1e3)) throw Error("the load's frame must lie within 1000 m of its link");
+  const Turn r = turn(rotation);
+  const Vector3 z = cross(r.x, r.y) - r.z;
+  for (double off : {dot(r.x, r.x) - 1, dot(r.y, r.y) - 1, dot(r.x, r.y), z.x, z.y, z.z})
+    if (!(std::fabs(off) <= 1e-9)) throw Error("the rotation of the load's frame is not one: orthonormal, right-handed");
+}
+
+LoadRegressor::LoadRegressor(const Tree& tree, const LoadFrame& frame)
+    : links_(tree.links()), gravity_(tree.gravity()), frame_(frame) {
+  frame.validate(tree.size());
+  for (int at = frame.link; at >= 0; at = links_[static_cast<std::size_t>(at)].parent) chain_.push_back(at);
+}
+
+void LoadRegressor::compute(std::span<const double> q, std::span<const double> dq) noexcept {
+  std::array<Screw, kMaxJoints> twist;  // of the chain, for a unit speed
+  LinkSeen seen(frame_.rotation, frame_.translation);
+  const Turn& axes = seen.axes;
+  Screw whole;
+  for (std::size_t k = 0; k < chain_.size(); ++k) {
+    const auto j = static_cast<std::size_t>(chain_[k]);
+    const Link& link = links_[j];
+    twist[k] = link.type == JointType::revolute ? Screw{axes.z, cross(seen.origin, axes.z)} : Screw{{}, axes.z};
+    whole = whole + dq[j] * twist[k];
+    seen.pass(link, q[j]);
+  }
+
+  const Screws momentum = momenta(whole), weight = momenta({{}, axes.out(vector3(gravity_))});
+  Screw before = whole;  // of the joints between the base and the one that is passed
+  for (std::size_t k = 0; k < chain_.size(); ++k) {
+    const auto j = static_cast<std::size_t>(chain_[k]);
+    before = before + -dq[j] * twist[k];
+    const Screw turned = cross(before, twist[k]);
+    for (std::size_t m = 0; m < kParameters; ++m) {
+      momentum_[m][j] = dot(twist[k], momentum[m]);
+      beta_[m][j] = -dot(twist[k], weight[m]) - dot(turned, momentum[m]);
+    }
+    const Vector3 u = twist[k].linear;
+    const double forces[] = {u.x, u.y, u.z}, base[] = {dot(u, axes.x), dot(u, axes.y), dot(u, axes.z)};
+    for (std::size_t m = 0; m < 3; ++m) {
+      frame_forces_[m][j] = forces[m];
+      base_forces_[m][j] = base[m];
+    }
+  }
+}
+
+namespace {
+
+constexpr std::size_t kLoads = LoadColumns::kParameters, kOffset = kLoads, kFrame = kOffset + 1, kBase = kFrame + 3,
+                      kCoulomb = kBase + 3, kFilters = kCoulomb + 1;
+
+bool goes_by_corrected(const PriorSettings& prior) {
+  return std::ranges::any_of(prior.terms, [](const Term& term) { return (is_load(term) || term.kind == TermKind::backlash) && term.form == 1; });
+}
+
+}  // namespace
+
+LoadColumns::LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s)
+    : joints_(tree.size()),
+      regressor_(tree, frame),
+      shares_((prior.validate(tree.size()), load_friction_shares(prior, tree.size()))),
+      state_{std::vector(kFilters, MomentumObserver(tree.size(), gain_per_s, TorqueTiming::held)), {}, {}, {}, {}, {}} {
+  if (goes_by_corrected(prior)) corrected_.emplace(prior.corrected_links, tree.gravity());
+}
+
+void LoadColumns::reset() noexcept {
+  for (MomentumObserver& one : state_.filters) one.reset();
+}
+
+void LoadColumns::filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v,
+                         JointVector& out) noexcept {
+  constexpr JointVector zero{};
+  const auto n = static_cast<std::size_t>(joints_);
+  state_.filters[which].step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+                             std::span(out).first(n));
+  if (!settled_) return;
+  out = v;
+  state_.filters[which].go_back(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+                                std::span(v).first(n));
+}
+
+void LoadColumns::begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                        std::span<const double> beta, std::span<const double> phi) noexcept {
+  settled_ = true;
+  step(t_ns, q, dq, beta, phi);
+  settled_ = false;
+}
+
+std::size_t LoadColumns::state_bytes() const noexcept {
+  return state_.filters.size() * sizeof(MomentumObserver) + sizeof(state_.load) + 2 * sizeof(state_.frame_forces) +
+         2 * sizeof(JointVector);
+}
+
+void LoadColumns::save(std::span<std::byte> to) const noexcept {
+  static_assert(std::is_trivially_copyable_v<MomentumObserver>);
+  const auto put = [&to](const void* from, std::size_t size) noexcept {
+    std::memcpy(to.data(), from, size);
+    to = to.subspan(size);
+  };
+  put(state_.filters.data(), state_.filters.size() * sizeof(MomentumObserver));
+  put(&state_.load, sizeof state_.load);
+  put(&state_.frame_forces, sizeof state_.frame_forces);
+  put(&state_.base_forces, sizeof state_.base_forces);
+  put(&state_.offset, sizeof state_.offset);
+  put(&state_.coulomb, sizeof state_.coulomb);
+}
+
+void LoadColumns::restore(std::span<const std::byte> from) noexcept {
+  const auto take = [&from](void* to, std::size_t size) noexcept {
+    std::memcpy(to, from.data(), size);
+    from = from.subspan(size);
+  };
+  take(static_cast<void*>(state_.filters.data()), state_.filters.size() * sizeof(MomentumObserver));
+  take(&state_.load, sizeof state_.load);
+  take(&state_.frame_forces, sizeof state_.frame_forces);
+  take(&state_.base_forces, sizeof state_.base_forces);
+  take(&state_.offset, sizeof state_.offset);
+  take(&state_.coulomb, sizeof state_.coulomb);
+}
+
+void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                       std::span<const double> beta, std::span<const double> phi) noexcept {
+  constexpr JointVector zero{};
+  const auto n = static_cast<std::size_t>(joints_);
+  regressor_.compute(q, dq);
+  JointVector corrected_momentum, corrected_beta, rubbing{}, offset{}, coulomb{};
+  if (corrected_) {
+    corrected_->momentum(q, dq, std::span(corrected_momentum).first(n), std::span(corrected_beta).first(n));
+    beta = std::span<const double>(corrected_beta).first(n);
+  }
+  for (std::size_t j = 0; j < n; ++j) {
+    double loaded = beta[j];
+    for (std::size_t k = 0; k < kLoads; ++k) loaded += regressor_.beta()[k][j] * phi[k];
+    const double side = std::copysign(1.0, loaded);
+    coulomb[j] = std::tanh(dq[j] / kSignSpeed);
+    rubbing[j] = -shares_[j] * coulomb[j] * side;
+    offset[j] = -shares_[j] * coulomb[j] * (side * beta[j] - std::fabs(beta[j]));
+  }
+  for (std::size_t k = 0; k < kLoads; ++k) {
+    JointVector p, v;
+    for (std::size_t j = 0; j < n; ++j) {
+      p[j] = -regressor_.momentum()[k][j];
+      v[j] = (rubbing[j] - 1) * regressor_.beta()[k][j];
+    }
+    filter(k, t_ns, p, v, state_.load[k]);
+  }
+  filter(kOffset, t_ns, zero, offset, state_.offset);
+  for (std::size_t k = 0; k < 3; ++k) {
+    filter(kFrame + k, t_ns, zero, regressor_.frame_forces()[k], state_.frame_forces[k]);
+    filter(kBase + k, t_ns, zero, regressor_.base_forces()[k], state_.base_forces[k]);
+  }
+  filter(kCoulomb, t_ns, zero, coulomb, state_.coulomb);
+}
+
+LoadSums::Row LoadColumns::row(int joint, double tau_ext) const noexcept {
+  const auto j = static_cast<std::size_t>(joint);
+  LoadSums::Row row{};
+  for (std::size_t k = 0; k < kLoads; ++k) row[LoadSums::kLoad + k] = state_.load[k][j];
+  row[LoadSums::kOffset] = 1.0;
+  row[LoadSums::kCoulomb] = state_.coulomb[j];
+  for (std::size_t k = 0; k < 3; ++k) {
+    row[LoadSums::kBase + k] = state_.base_forces[k][j];
+    row[LoadSums::kFrame + k] = state_.frame_forces[k][j];
+  }
+  row[LoadSums::kGear] = state_.offset[j];
+  row[LoadSums::kTauExt] = tau_ext;
+  return row;
+}
+
+double LoadColumns::torque(int joint, std::span<const double> phi) const noexcept {
+  const auto j = static_cast<std::size_t>(joint);
+  double sum = state_.offset[j];
+  for (std::size_t k = 0; k < kLoads; ++k) sum += state_.load[k][j] * phi[k];
+  return sum;
+}
+
+LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
+                   const RecordingView& recording, std::span<const std::int64_t> samples) {
+  if (recording.joints != bundle.joints())
+    throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
+                std::to_string(recording.joints));
+  if (phi.size() != kLoads) throw Error("a load has 10 parameters, not " + std::to_string(phi.size()));
+  const Tree tree(bundle.links, bundle.gravity);
+  MotionStage motion(tree, bundle.observer.sample_period_ns, bundle.observer.network_stride, {});
+  LoadColumns columns(tree, bundle.prior, frame, bundle.observer.gain_per_s);
+  const auto n = static_cast<std::size_t>(bundle.joints());
+  LoadRows out;
+  std::size_t next = 0;
+  for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
+    const Sample sample = recording.at(k);
+    const SampleClock::Tick tick = motion.step(sample.t_ns, sample.q, sample.dq);
+    if (tick.kind == SampleClock::Kind::restart) columns.reset();
+    if (tick.kind != SampleClock::Kind::not_later)
+      columns.step(sample.t_ns, sample.q, sample.dq, motion.beta(), phi);
+    if (samples[next] != k) continue;
+    ++next;
+    const LoadColumns::State& s = columns.state();
+    for (std::size_t j = 0; j < n; ++j) {
+      for (const JointVector& column : s.load) out.load.push_back(column[j]);
+      for (const JointVector& column : s.frame_forces) out.frame_forces.push_back(column[j]);
+      for (const JointVector& column : s.base_forces) out.base_forces.push_back(column[j]);
+      out.offset.push_back(s.offset[j]);
+      out.coulomb.push_back(s.coulomb[j]);
+    }
+  }
+  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
+  return out;
+}
+
+}  // namespace tauext

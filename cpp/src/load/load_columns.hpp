@@ -1,0 +1,138 @@
+// Contribution of an unknown load to tau_ext per unit of its parameters, and of other possible causes.
+#pragma once
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "chain/momentum_observer.hpp"
+#include "load/load_solve.hpp"
+#include "prior/prior.hpp"
+#include "tauext/load.hpp"
+#include "tauext/sample.hpp"
+#include "tauext/settings.hpp"
+#include "tauext/tree.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+struct Bundle;
+
+// Mounting of a load: a frame on a link of a tree, in the link's own frame.
+struct LoadFrame {
+  int link = -1;  // index of the tree's links
+  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
+  std::array<double, 3> translation{};                        // its origin in the link's frame, [m]
+
+  // Throws Error if the link does not exist or the rotation is none.
+  void validate(int links) const;
+};
+inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.link, loads.rotation, loads.translation}; }
+
+// Columns of p and beta of every joint, for a load with parameters phi in the frame's axes, about the frame's origin:
+//   phi = (m, h, I):  mass [kg], first moment h = m c [kg m], inertia xx, yy, zz, xy, xz, yz [kg m^2],
+//   p_load = sum_k P_k phi_k,    beta_load = sum_k B_k phi_k.
+// All in the frame: S_i is its twist for a unit speed of joint i, V_i that of the joints before it. H_k and W_k are
+// momentum and weight of a unit parameter. P_ik = S_i . H_k,  B_ik = -S_i . W_k - (V_i x S_i) . H_k. One pass from the
+// load to the base gives S and V; other joints have zeros.
+class LoadRegressor {
+ public:
+  static constexpr int kParameters = 10;
+  using Columns = std::array<JointVector, kParameters>;
+  using Forces = std::array<JointVector, 3>;
+
+  // Throws Error if the frame does not fit the tree.
+  LoadRegressor(const Tree& tree, const LoadFrame& frame);
+
+  // Processes one sample; q and dq hold one value per joint.
+  void compute(std::span<const double> q, std::span<const double> dq) noexcept;
+
+  // Of the last sample: P, B, and the joint torques of a force of 1 N at the frame's origin, along the frame's axes and
+  // along the base's.
+  const Columns& momentum() const noexcept { return momentum_; }
+  const Columns& beta() const noexcept { return beta_; }
+  const Forces& frame_forces() const noexcept { return frame_forces_; }
+  const Forces& base_forces() const noexcept { return base_forces_; }
+  int joints() const noexcept { return static_cast<int>(links_.size()); }
+
+ private:
+  std::vector<Link> links_;
+  std::array<double, 3> gravity_;
+  LoadFrame frame_;
+  std::vector<int> chain_;  // links that carry the load, from its own to the base
+  Columns momentum_{}, beta_{};
+  Forces frame_forces_{}, base_forces_{};
+};
+
+// All columns are passed through the observer's filter, in phase with tau_ext:
+//   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
+//   offset     part of the load's friction that is constant in phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
+//   frame, base force   torque of 1 N at the load frame's origin along its own axes and along the base's
+//   coulomb    tanh(dq / v): friction that is not what training saw
+// with phi the load as known so far, which decides only on the side that the gear is loaded on.
+class LoadColumns {
+ public:
+  static constexpr int kParameters = LoadRegressor::kParameters;
+
+  struct State {
+    std::vector<MomentumObserver> filters;
+    LoadRegressor::Columns load{};
+    LoadRegressor::Forces frame_forces{}, base_forces{};
+    JointVector offset{}, coulomb{};
+  };
+
+  // Throws Error if the frame or the shares do not fit the tree.
+  LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s);
+
+  // Restarts at the next sample.
+  void reset() noexcept;
+  // One sample, with beta of the estimated model; phi: (kParameters), of the load.
+  void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
+            std::span<const double> phi) noexcept;
+  // First sample while r is already running: filters start in steady state.
+  void begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
+             std::span<const double> phi) noexcept;
+  bool started() const noexcept { return state_.filters.front().started(); }
+  // The filters and what they showed last, as plain bytes.
+  std::size_t state_bytes() const noexcept;
+  void save(std::span<std::byte> to) const noexcept;
+  void restore(std::span<const std::byte> from) noexcept;
+
+  // The arm carries that already, on this link: the model that the prior's load terms go by has it too.
+  void carry(int link, const Carried& what) noexcept {
+    if (corrected_) corrected_->carry(link, what);
+  }
+
+  const State& state() const noexcept { return state_; }
+  bool warm() const noexcept { return state_.filters.front().warm(); }  // the filters have forgotten how they began
+  // A joint's row of LoadSums at the last sample.
+  LoadSums::Row row(int joint, double tau_ext) const noexcept;
+  // What a load shows in tau_ext of a joint at the last sample, [N m]; phi: (kParameters), the one that was stepped with or
+  // near it.
+  double torque(int joint, std::span<const double> phi) const noexcept;
+
+ private:
+  void filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v, JointVector& out) noexcept;
+
+  int joints_;
+  LoadRegressor regressor_;
+  std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
+  std::vector<double> shares_;
+  State state_;
+  bool settled_ = false;  // filters are in steady state
+};
+
+// The columns at `samples` of a recording, which rise; row-major.
+struct LoadRows {
+  std::vector<double> load;                       // (rows, joints, parameters)
+  std::vector<double> frame_forces, base_forces;  // (rows, joints, 3)
+  std::vector<double> offset, coulomb;            // (rows, joints)
+};
+
+// Throws Error if something does not fit, or `samples` do not rise.
+LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
+                   const RecordingView& recording, std::span<const std::int64_t> samples);
+
+}  // namespace tauext

@@ -1,0 +1,227 @@
+#include "stages/judge_stage.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tauext/bundle.hpp"
+
+namespace tauext {
+namespace {
+
+// The prior's error is uniform within +-doubt: its standard error is doubt / sqrt(3).
+double with_doubt(double sigma_nm, double doubt_nm) noexcept {
+  if (!(doubt_nm > 0)) return sigma_nm;
+  const double square = sigma_nm * sigma_nm + doubt_nm * doubt_nm / 3;
+  return square < 1e300 ? std::sqrt(square) : std::hypot(sigma_nm, doubt_nm / std::sqrt(3.0));  // hypot is slow
+}
+
+}  // namespace
+
+JudgeStage::JudgeStage(const Bundle& bundle)
+    : output_scale_nm_(bundle.output_scale_nm),
+      alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
+      drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
+      factors_(bundle.drift.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
+      scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
+      contact_errors_(bundle),
+      coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()),
+      touch_(bundle) {
+  estimate_.joints = bundle.joints();
+  for (int j = 0; j < bundle.joints(); ++j)
+    if (!bundle.in_newtons(j)) other_units_ |= std::uint32_t{1} << j;
+  reset();
+}
+
+void JudgeStage::reset() noexcept {
+  alarm_.reset();
+  alarm_.restore_factors({});
+  widen_limits({}, {});
+  hold_drift(false);
+  drift_.reset();
+  factors_.reset();
+  history_.clear();
+  scale_.reset();
+  contact_errors_.reset();
+  coverage_.reset();
+  touch_.reset();
+  waits_ = false;
+  const int joints = estimate_.joints;
+  estimate_ = {};
+  estimate_.joints = joints;
+  blank(true);
+}
+
+void JudgeStage::restore(const State& state) noexcept {
+  alarm_.restore(state.alarm);
+  alarm_.restore_factors(state.factors);
+  drift_.restore(state.drift);
+  factors_.restore(state.factors_of_friction);
+  history_.clear();
+  scale_.restore(state.scale);
+  contact_errors_.restore(state.contact_errors);
+  coverage_.restore(state.coverage);
+  touch_.restore(state.touch);
+  waits_ = state.waits;
+  estimate_ = state.estimate;
+}
+
+void JudgeStage::acknowledge() noexcept {
+  alarm_.acknowledge();
+  report_alarm();
+}
+
+void JudgeStage::report_alarm() noexcept {
+  const AlarmStage::State& alarm = alarm_.state();
+  estimate_.alarm = alarm.alarm;
+  estimate_.held_alarm = alarm.held_alarm;
+  estimate_.alarm_joint = alarm.joint;
+  estimate_.alarm_t_ns = alarm.raised_t_ns;
+  estimate_.touch = alarm.alarm == Alarm::none          ? Touch::none
+                    : touch_.kind() == Touch::none ? Touch::unknown
+                                                   : touch_.kind();
+}
+
+void JudgeStage::advance(std::span<const double> q, std::span<const double> dq) noexcept {
+  if (!waits_) return;
+  waits_ = false;
+  const auto n = static_cast<std::size_t>(estimate_.joints);
+  JointVector left;
+  for (std::size_t j = 0; j < n; ++j) left[j] = estimate_.tau_ext[j] - estimate_.load_nm[j];
+  const bool raised = estimate_.alarm != Alarm::none && estimate_.alarm_t_ns == estimate_.t_ns;
+  touch_.step({estimate_.t_ns, q, dq, std::span(left).first(n),
+               std::span(estimate_.limit_nm).first(n), raised || estimate_.held_alarm != Alarm::none,
+               estimate_.alarm != Alarm::none});
+}
+
+void JudgeStage::blank(bool also_residual) noexcept {
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  Estimate& e = estimate_;
+  for (int j = 0; j < e.joints; ++j) {
+    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.contact_sigma_nm[j] = e.margin_nm[j] = nan;
+    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
+  }
+  forget_load_nm();
+  if (also_residual) e.near_stiction = 0;
+  e.detection = false;
+}
+
+const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::span<const float> network,
+                                 ExpectedLoad* expected) noexcept {
+  Estimate& e = estimate_;
+  e.t_ns = o.t_ns;
+  e.health = o.health;
+  e.causes = o.causes;
+  e.cause_joint = o.cause_joint;
+  if (o.passage == Passage::entered) {
+    for (std::size_t j = 0; j < o.residual.size(); ++j) {
+      e.residual[j] = o.residual[j];
+      e.prior[j] = o.prior[j];
+      e.doubt[j] = o.doubt[j];
+      e.drift[j] = 0;
+    }
+    if (o.restarted) {
+      drift_.restart();
+      factors_.restart();
+      scale_.restart();
+      contact_errors_.reset();
+      coverage_.reset();
+      touch_.restart();
+    }
+    if (drift_.on()) drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
+    if (factors_.on()) factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
+    judge(o, sample, network, expected);
+  } else {  // the alarm stays unchanged
+    e.detection = false;
+    e.held_alarm = Alarm::none;
+    if (o.passage == Passage::refused) {
+      blank(true);
+      report_unfamiliar({});
+    }
+  }
+  if (expected) {
+    e.load_phase = expected->phase();
+    e.load_found_ns = expected->found_ns();
+    e.load_error_kg = expected->error_kg();
+  }
+  return e;
+}
+
+// Scales the limits by the motion alone; the torque has no influence.
+void JudgeStage::scale_limits(const Observed& o, const Sample& sample) noexcept {
+  Estimate& e = estimate_;
+  scale_.step(o.t_ns, sample.dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
+  if (!coverage_.on()) return;
+  report_unfamiliar(coverage_.step(o.t_ns, sample.q, sample.dq));
+  for (int j = 0; j < e.joints; ++j) e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
+}
+
+void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
+  estimate_.unfamiliar = unfamiliar.share;
+  estimate_.unseen = unfamiliar.what;
+  estimate_.unseen_joint = unfamiliar.joint;
+  estimate_.unseen_other = unfamiliar.other;
+}
+
+// Checks tau_ext against its limits.
+void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network,
+                       ExpectedLoad* expected) noexcept {
+  Estimate& e = estimate_;
+  forget_load_nm();
+  scale_limits(o, sample);
+  if (o.judged) {
+    for (int j = 0; j < e.joints; ++j) {
+      const auto at = static_cast<std::size_t>(j);
+      e.network[j] = network.empty() ? 0.0 : network_torque_nm(output_scale_nm_[at], network[at]);
+      e.uncertainty[j] = e.prior[j] + e.network[j] + e.drift[j];
+      e.tau_ext[j] = e.residual[j] - e.uncertainty[j];
+      e.sigma_nm[j] = with_doubt(e.sigma_nm[j], e.doubt[j]);
+    }
+  } else {
+    blank(o.overflowed);
+  }
+  JointVector raised;  // only the first `joints` entries are set
+  for (int j = 0; j < e.joints; ++j)
+    raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
+  e.near_stiction = o.near_stiction;
+  const bool expects = expected && expected->on();
+  if (expects)
+    hold_alarm(o, sample, raised, *expected);
+  else
+    e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
+                              e.contact_limit_nm);
+  if (o.judged && scale_.on()) {
+    contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
+                         first_joints(e.sigma_nm), o.memory_gap, first_joints(e.contact_sigma_nm));
+  } else {
+    std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
+    contact_errors_.skip();
+  }
+  // In motion outside the training data, the error comes from the prior and is not drift.
+  const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthReporting && !drift_held_;
+  // With a load, joints in unknown units learn nothing either, like joints near stiction.
+  const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
+  if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
+  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches, drift_);
+  e.drift_saturated = drift_.saturated() | factors_.saturated();
+  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
+  report_alarm();
+  waits_ = true;
+}
+
+// Checks the torque that the load does not explain. Limits rise by the load model's usual relative error.
+void JudgeStage::hold_alarm(const Observed& o, const Sample& sample, const JointVector& raised,
+                            ExpectedLoad& expected) noexcept {
+  Estimate& e = estimate_;
+  JointVector left{}, higher = raised;
+  expected.explain(sample, o, first_joints(e.tau_ext), first_joints(e.limit_nm), first_joints(e.load_nm),
+                   first_joints(higher));
+  for (int j = 0; j < e.joints; ++j) {
+    left[j] = e.tau_ext[j] - e.load_nm[j];
+    higher[j] += Load::kUsualError * std::fabs(e.load_nm[j]);
+  }
+  e.detection = alarm_.step(o.t_ns, left, e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm, e.contact_limit_nm);
+  expected.follow(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
+}
+
+}  // namespace tauext

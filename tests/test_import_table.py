@@ -1,6 +1,7 @@
-"""Who may import whom: the order of the packages, which keeps the stages apart."""
+"""Who may import whom: the order of the packages and of the rooms of the C++ core, which keeps the parts apart."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -120,10 +121,15 @@ def test_no_file_imports_itself_in_a_circle():
     left = {name: files_imported(file, known) - {name} for name, file in modules.items()}
     inside = sorted(name for name, needed in left.items() if "tauext" in needed)
     assert not inside, f"the front door is for programs; {inside} are inside"
-    while free := {name for name, needed in left.items() if not needed & left.keys()}:
-        left = {name: needed for name, needed in left.items() if name not in free}
-    circle = {name: sorted(needed & left.keys()) for name, needed in left.items()}
-    assert not circle, f"in circles, or on the way to one: {circle}"
+    assert not in_circles(left)
+
+
+def in_circles(needed: dict[str, set[str]]) -> dict[str, list[str]]:
+    """What needs itself in a circle, or is on the way to one, with what it needs of that."""
+    left = dict(needed)
+    while free := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in free}
+    return {name: sorted(others & left.keys()) for name, others in left.items()}
 
 
 def name_of(file: Path) -> str:
@@ -146,3 +152,81 @@ def files_imported(file: Path, modules: set[str]) -> set[str]:
 def test_the_circles_test_finds_one(tmp_path):
     (tmp_path / "a.py").write_text("def late():\n    from tauext.cli import main\n")
     assert files_imported(tmp_path / "a.py", {"tauext.cli", "tauext"}) == {"tauext.cli"}
+    assert in_circles({"a": {"b", "c"}, "b": {"a"}, "c": set()}) == {"a": ["b"], "b": ["a"]}
+
+
+CPP = SOURCE.parents[1] / "cpp"
+PUBLIC = {
+    "bundle": {"types.hpp", "link.hpp", "load.hpp", "settings.hpp", "bundle.hpp"},
+    "chain": {"sample.hpp", "tree.hpp", "servo_input.hpp"},
+    "alarm": {"estimate.hpp"},
+    "touch": {"wrench.hpp", "touch_place.hpp"},
+    "fit": {"refit.hpp"},
+    "api": {"monitor.hpp", "flight_recorder.hpp", "tauext.h"},
+}
+"""Rooms of the headers of cpp/include/tauext, which stand in one folder."""
+
+
+def table_of_rooms() -> dict[str, tuple[bool, set[str]]]:
+    """Rooms in the order of the table in docs/architecture.md: whether a room is optional, and what it may include."""
+    text = (SOURCE.parents[1] / "docs" / "architecture.md").read_text().partition("## Rooms of the core")[2]
+    rows = [line.split("|") for line in text.partition("\n## ")[0].splitlines() if line.startswith("| `")]
+    return {row[1].split("`")[1]: ("optional" in row[1], set(re.findall(r"`(.*?)`", row[4]))) for row in rows}
+
+
+ROOMS = table_of_rooms()
+
+
+def room_of(file: Path) -> str:
+    """Folder of a file of the core; of a public header its room."""
+    if file.parent.name == "tauext":
+        return next(room for room, names in PUBLIC.items() if file.name in names)
+    return file.parent.name
+
+
+def files_included(file: Path) -> set[Path]:
+    """Files of the core that it includes; they are named from cpp/src, from cpp/include or from their own folder."""
+    names = re.findall(r'^\s*#\s*include\s*["<](.+?)[">]', file.read_text(), re.MULTILINE)
+    places = (CPP / "src", CPP / "include", file.parent)
+    return {place / name for name in names for place in places if (place / name).is_file()}
+
+
+CORE = {
+    file: files_included(file)
+    for folder in ("src", "include", "learn")
+    for file in sorted((CPP / folder).rglob("*"))
+    if file.suffix in (".cpp", ".hpp", ".h")
+}
+
+
+def test_every_file_of_the_core_is_in_a_room_of_the_table():
+    assert {room_of(file) for file in CORE} == set(ROOMS)
+    assert sorted(name for names in PUBLIC.values() for name in names) == sorted(
+        file.name for file in (CPP / "include" / "tauext").iterdir()
+    )
+    assert len(CORE) > 80 and sum(map(len, CORE.values())) > 200
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_include_what_their_row_allows_and_need_all_of_it(room):
+    others = {other for file, needed in CORE.items() if room_of(file) == room for other in needed}
+    named = {other: f"{other.parent.name}/{other.name}" for other in others}
+    used = {named[other] if named[other] in ROOMS[room][1] else room_of(other) for other in others}
+    assert used - {room} == ROOMS[room][1]
+
+
+def test_rooms_include_rooms_above_them_in_the_table_and_optional_ones_by_named_headers():
+    before: dict[str, bool] = {}
+    for room, (optional, allowed) in ROOMS.items():
+        headers = {name for name in allowed if "/" in name}
+        assert allowed - headers <= set(before), room
+        assert optional or not any(before[name] for name in allowed - headers), f"{room} is not optional"
+        for name in headers:
+            header = next(CPP / part / name for part in ("src", "include") if (CPP / part / name).is_file())
+            assert before[room_of(header)], f"{room} names {name}, whose room is not optional or stands below"
+        before[room] = optional
+    assert sum(before.values()) > 2
+
+
+def test_no_file_of_the_core_includes_itself_in_a_circle():
+    assert not in_circles({str(file): set(map(str, needed)) for file, needed in CORE.items()})

@@ -8,6 +8,7 @@
 
 #include "arrays.hpp"
 #include "chain/motion.hpp"
+#include "fit/regressors.hpp"
 #include "lstm_gradient.hpp"
 #include "stages/estimates.hpp"
 #include "stages/observation.hpp"

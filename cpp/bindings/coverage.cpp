@@ -73,8 +73,8 @@ void bind_coverage(nb::module_& m) {
           nb::arg("q"), "Marks the cells of positions (samples, joints) as seen.")
       .def("look", &evaluate, nb::arg("q"), nb::arg("dq"),
            "Distance of each sample from the training motion: share (0 to 1), what (Unseen), joint, other (-1: none).");
-  settings.attr("CELLS") = Coverage::kCells;
-  settings.attr("PAIR_CELLS") = Coverage::kPairCells;
+  settings.attr("CELLS") = CoverageSettings::kCells;
+  settings.attr("PAIR_CELLS") = CoverageSettings::kPairCells;
   settings.attr("WORTH_TELLING") = Coverage::kWorthReporting;
 }
 

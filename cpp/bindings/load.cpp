@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "arrays.hpp"
+#include "chain/load_regressor.hpp"
 #include "load/load_columns.hpp"
 #include "tauext/bundle.hpp"
 

@@ -48,14 +48,14 @@ struct Input {
 }  // namespace
 
 void bind_servo(nb::module_& m) {
-  nb::enum_<TorqueFrom>(m, "TorqueFrom", "Signal from which a servo's torque is computed; see servo_input.hpp.")
+  nb::enum_<TorqueFrom>(m, "TorqueFrom", "Signal from which a servo's torque is computed; see settings.hpp.")
       .value("torque", TorqueFrom::torque)
       .value("phase_current", TorqueFrom::phase_current)
       .value("supply_current", TorqueFrom::supply_current)
       .value("duty", TorqueFrom::duty)
       .value("goal", TorqueFrom::goal);
   nb::class_<ServoConstants>(m, "ServoConstants",
-      "Constants of a servo at the joint, behind its gear; see servo_input.hpp.")
+      "Constants of a servo at the joint, behind its gear; see settings.hpp.")
       .def(
           "__init__",
           [](ServoConstants* c, double volts, double ohm, double back_emf_v_s, double nm_per_ampere, double duty_per_rad,

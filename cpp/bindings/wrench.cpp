@@ -157,7 +157,7 @@ void bind_wrench(nb::module_& m) {
       .def_ro("link", &WrenchFrame::link)
       .def_ro("rotation", &WrenchFrame::rotation)
       .def_ro("translation", &WrenchFrame::translation);
-  nb::class_<WrenchSettings>(m, "WrenchSettings", "Model of the errors of tau_ext across the joints; see wrench.hpp.")
+  nb::class_<WrenchSettings>(m, "WrenchSettings", "Model of the errors of tau_ext across the joints; see settings.hpp.")
       .def(nb::init<>())
       .def_rw("frames", &WrenchSettings::frames, "Frames of the robot file.")
       .def_rw("correlation", &WrenchSettings::correlation,

@@ -1,4 +1,4 @@
-#include "alarm/error_scale.hpp"
+#include "alarm/contact_errors.hpp"
 
 #include <cmath>
 #include <limits>

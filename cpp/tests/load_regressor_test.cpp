@@ -1,4 +1,4 @@
-#include "load/load_columns.hpp"
+#include "chain/load_regressor.hpp"
 
 #include <cmath>
 #include <random>

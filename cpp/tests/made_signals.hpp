@@ -102,7 +102,7 @@ inline tauext::CoverageSettings half_seen(int joints) {
   s.seen.assign(n, 0);
   for (std::size_t j = 0; j < n; ++j) s.reach.push_back(j + 1 < n ? 2 : 0);  // the last joint counts in pairs only
   s.reach_together = 1;
-  s.seen_together.assign(n * (n - 1) / 2 * tauext::Coverage::kPairCells, 0);
+  s.seen_together.assign(n * (n - 1) / 2 * tauext::CoverageSettings::kPairCells, 0);
   s.fastest_rad_s.assign(n, 1e-3);
   for (int k = 0; k < 200; ++k) {
     made::signal(k, joints, q, dq, tau);

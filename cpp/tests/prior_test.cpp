@@ -10,6 +10,7 @@
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
 #include "refused.hpp"
+#include "fit/regressors.hpp"
 #include "stages/observation.hpp"
 #include "tauext/monitor.hpp"
 

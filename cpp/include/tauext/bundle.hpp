@@ -5,11 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "tauext/link.hpp"
 #include "tauext/load.hpp"
-#include "tauext/servo_input.hpp"
 #include "tauext/settings.hpp"
-#include "tauext/tree.hpp"
-#include "tauext/wrench.hpp"
 
 namespace tauext {
 
@@ -86,7 +84,7 @@ struct Bundle {
   // model subtracts one unit per N m. kAnyUnit if the arm's weight at the joint is unknown.
   static constexpr double kAnyUnit = 1e6;
   std::vector<double> most_units_per_nm() const;
-  // Throws Error with the field that is invalid.
+  // Throws Error with the field that is invalid, or that keeps the chain from running its reference.
   void validate() const;
   // Sets the default load settings, see assumed_load_settings(). Loads are refused if too few joints are in N m.
   void assume_load();

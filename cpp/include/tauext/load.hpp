@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "tauext/tree.hpp"
+#include "tauext/link.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {

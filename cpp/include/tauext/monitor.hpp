@@ -11,6 +11,7 @@
 #include "tauext/estimate.hpp"
 #include "tauext/load.hpp"
 #include "tauext/sample.hpp"
+#include "tauext/servo_input.hpp"
 #include "tauext/settings.hpp"
 #include "tauext/wrench.hpp"
 

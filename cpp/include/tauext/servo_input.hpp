@@ -4,45 +4,10 @@
 #include <span>
 #include <vector>
 
+#include "tauext/settings.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {
-
-// Signal from which a joint's torque is computed. Bundles store these numbers.
-enum class TorqueFrom : std::uint8_t {
-  torque = 0,         // reported by the servo; used unchanged
-  phase_current = 1,  // current of the windings, signed
-  supply_current = 2,  // current that the bridge draws, unsigned: |D I|
-  duty = 3,  // share of the supply voltage at the motor, signed (Feetech: Present_Load; Dynamixel: Present PWM)
-  goal = 4,           // duty from goal and position, by the gain of the servo's position controller
-};
-
-// Constants of a servo at the joint, behind its gear. For a motor with gear ratio N: V, R and N k_t.
-struct ServoConstants {
-  double volts = 1;          // supply voltage if the samples contain none, > 0, [V]
-  double ohm = 1;            // of the windings, > 0, [ohm]
-  double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
-  double nm_per_ampere = 1;  // k_t, [N m/A]; 1 if unknown: torques are in A
-  double duty_per_rad = 0;   // gain of the position controller, >= 0, [1/rad]; used for torque from the goal
-  double most_duty = 1;      // largest duty of the controller, 0 to 1
-  double count_rad = 0;      // resolution of the encoder, >= 0, [rad]
-};
-
-// Computation of dq and tau from servo signals.
-struct ServoSettings {
-  static constexpr int kMostDelay = 64;  // largest goal delay, in sample periods
-
-  TorqueFrom torque_from = TorqueFrom::torque;
-  int velocity_steps = 0;              // largest window of the velocity, in steps; 0: dq is used unchanged
-  std::int64_t sample_period_ns = 0;   // > 0 if velocity_steps is; a pause of over 2.5 periods restarts the window
-  std::int64_t goal_delay_ns = 0;      // time after which a goal acts, at most kMostDelay sample periods
-  std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
-
-  // False: not servos, and a ServoInput cannot be constructed.
-  bool on() const noexcept { return !joints.empty(); }
-  // Throws Error with the field and its rule.
-  void validate() const;
-};
 
 // One report of all servos: one value per joint; empty: not measured.
 struct ServoSample {
@@ -63,7 +28,7 @@ struct ServoSample {
 // have the same values. Allocates in the constructor only.
 class AdaptiveVelocity {
  public:
-  static constexpr int kMostSteps = 64;  // largest window
+  static constexpr int kMostSteps = ServoSettings::kMostSteps;  // largest window
 
   // steps: largest window, 1 (difference of two samples) to kMostSteps. count_rad: encoder resolution per joint, >= 0,
   // [rad]; 0: difference of two samples. Throws Error for other values.

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "tauext/tree.hpp"
+#include "tauext/link.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {
@@ -257,6 +257,8 @@ struct CoverageSettings {
   bool empty() const noexcept { return fastest_rad_s.empty(); }  // training motion is unknown
   // Throws Error with the field that is invalid.
   void validate(int joints) const;
+  static constexpr int kCells = 64, kPairCells = 32;  // for single joints; for each joint of a pair
+  static constexpr int kMostReach = 16;               // cells: a quarter or half of a turn
   // Marks the cells of a training sample as seen. The settings must be valid and q finite.
   void see(std::span<const double> q) noexcept;
 };
@@ -286,5 +288,72 @@ struct Capsule {
 // Throws Error unless each capsule is fixed to one of this number of links, within 1000 m of it, and 0.1 mm to 10 m
 // wide.
 void validate_capsules(std::span<const Capsule> capsules, int joints);
+
+// A frame fixed to a link, relative to the link's frame.
+struct WrenchFrame {
+  std::string name;
+  std::int32_t link = -1;
+  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
+  std::array<double, 3> translation{};                        // origin in the link's frame, [m]
+};
+
+// Model of the errors of tau_ext across the joints; the estimate's sigma_nm is the size of each.
+struct WrenchSettings {
+  static constexpr double kUsualTorqueShare = 0.05;  // default: measured torques and makers' constants are off by 5 to
+                                                     // 10 %
+
+  std::vector<WrenchFrame> frames;   // frames of the robot file
+  std::vector<double> correlation;   // (joints, joints) in free motion, positive definite; empty: independent
+  std::vector<double> torque_share;  // per joint: relative standard error of the torque constant; empty: the default
+  double common_share = 0;           // relative standard error of a factor common to all joints
+  // By WrenchKind. radius: factor on the variances of free motion, so that 95 % of its errors lie in the 95 %
+  // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.
+  std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
+
+  // Relative standard error of a joint's torque constant beside the common factor, and with it.
+  double own_share(std::size_t joint) const noexcept {
+    return torque_share.empty() ? kUsualTorqueShare : torque_share[joint];
+  }
+  double share(std::size_t joint) const noexcept { return std::hypot(common_share, own_share(joint)); }
+  // Throws Error with the field that is invalid for this number of joints.
+  void validate(int joints) const;
+};
+
+// Signal from which a joint's torque is computed. Bundles store these numbers.
+enum class TorqueFrom : std::uint8_t {
+  torque = 0,         // reported by the servo; used unchanged
+  phase_current = 1,  // current of the windings, signed
+  supply_current = 2,  // current that the bridge draws, unsigned: |D I|
+  duty = 3,  // share of the supply voltage at the motor, signed (Feetech: Present_Load; Dynamixel: Present PWM)
+  goal = 4,           // duty from goal and position, by the gain of the servo's position controller
+};
+
+// Constants of a servo at the joint, behind its gear. For a motor with gear ratio N: V, R and N k_t.
+struct ServoConstants {
+  double volts = 1;          // supply voltage if the samples contain none, > 0, [V]
+  double ohm = 1;            // of the windings, > 0, [ohm]
+  double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
+  double nm_per_ampere = 1;  // k_t, [N m/A]; 1 if unknown: torques are in A
+  double duty_per_rad = 0;   // gain of the position controller, >= 0, [1/rad]; used for torque from the goal
+  double most_duty = 1;      // largest duty of the controller, 0 to 1
+  double count_rad = 0;      // resolution of the encoder, >= 0, [rad]
+};
+
+// Computation of dq and tau from servo signals.
+struct ServoSettings {
+  static constexpr int kMostSteps = 64;  // largest window of the velocity
+  static constexpr int kMostDelay = 64;  // largest goal delay, in sample periods
+
+  TorqueFrom torque_from = TorqueFrom::torque;
+  int velocity_steps = 0;              // largest window of the velocity, in steps; 0: dq is used unchanged
+  std::int64_t sample_period_ns = 0;   // > 0 if velocity_steps is; a pause of over 2.5 periods restarts the window
+  std::int64_t goal_delay_ns = 0;      // time after which a goal acts, at most kMostDelay sample periods
+  std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
+
+  // False: not servos, and a ServoInput cannot be constructed.
+  bool on() const noexcept { return !joints.empty(); }
+  // Throws Error with the field and its rule.
+  void validate() const;
+};
 
 }  // namespace tauext

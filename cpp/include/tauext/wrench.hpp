@@ -1,7 +1,6 @@
 // Estimates the external wrench at a frame of the arm, with its covariance, from tau_ext.
 #pragma once
 #include <array>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -9,6 +8,8 @@
 #include <string_view>
 #include <vector>
 
+#include "tauext/link.hpp"
+#include "tauext/settings.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/types.hpp"
 
@@ -16,41 +17,11 @@ namespace tauext {
 
 struct Bundle;
 
-// A frame fixed to a link, relative to the link's frame.
-struct WrenchFrame {
-  std::string name;
-  std::int32_t link = -1;
-  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from frame, row-major
-  std::array<double, 3> translation{};                        // origin in the link's frame, [m]
-};
-
 // Axes of force and moment. The moment is about the frame's origin in both cases.
 enum class WrenchAxes : std::uint8_t { base = 0, frame = 1 };
 
 // What is estimated: force and moment, or a force without a moment at a known point.
 enum class WrenchKind : std::uint8_t { wrench = 0, force = 1 };
-
-// Model of the errors of tau_ext across the joints; the estimate's sigma_nm is the size of each.
-struct WrenchSettings {
-  static constexpr double kUsualTorqueShare = 0.05;  // default: measured torques and makers' constants are off by 5 to
-                                                     // 10 %
-
-  std::vector<WrenchFrame> frames;   // frames of the robot file
-  std::vector<double> correlation;   // (joints, joints) in free motion, positive definite; empty: independent
-  std::vector<double> torque_share;  // per joint: relative standard error of the torque constant; empty: the default
-  double common_share = 0;           // relative standard error of a factor common to all joints
-  // By WrenchKind. radius: factor on the variances of free motion, so that 95 % of its errors lie in the 95 %
-  // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.
-  std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
-
-  // Relative standard error of a joint's torque constant beside the common factor, and with it.
-  double own_share(std::size_t joint) const noexcept {
-    return torque_share.empty() ? kUsualTorqueShare : torque_share[joint];
-  }
-  double share(std::size_t joint) const noexcept { return std::hypot(common_share, own_share(joint)); }
-  // Throws Error with the field that is invalid for this number of joints.
-  void validate(int joints) const;
-};
 
 // Force and moment that the environment exerts on the arm, with covariance. NaN while unknown.
 struct Wrench {

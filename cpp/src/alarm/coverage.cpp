@@ -7,7 +7,7 @@
 namespace tauext {
 namespace {
 
-constexpr int kCells = Coverage::kCells, kPairCells = Coverage::kPairCells;
+constexpr int kCells = CoverageSettings::kCells, kPairCells = CoverageSettings::kPairCells;
 constexpr double kFarther = Coverage::kFartherCells;
 constexpr double kForgotten = 0.01;           // a share below this counts as 0
 

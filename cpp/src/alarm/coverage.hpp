@@ -20,8 +20,6 @@ struct Unfamiliar {
 // Compares the motion with training, sample by sample.
 class Coverage {
  public:
-  static constexpr int kCells = 64, kPairCells = 32;  // for single joints; for each joint of a pair
-  static constexpr int kMostReach = 16;         // cells: a quarter or half of a turn
   static constexpr int kFartherCells = 2;       // a position this many cells beyond reach counts as fully unfamiliar
   static constexpr double kFasterShare = 0.25;  // a speed above the fastest by this share counts as fully unfamiliar
   static constexpr double kWorthReporting = 0.5;  // from this share on, motion is reported as unfamiliar

@@ -4,9 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "prior/prior.hpp"
-#include "tauext/bundle.hpp"
-
 namespace tauext {
 namespace {
 
@@ -96,57 +93,6 @@ void ErrorScale::step(std::int64_t t_ns, std::span<const double> dq, std::uint32
     scale[static_cast<std::size_t>(j)] = std::min(sum, settings_.largest[static_cast<std::size_t>(j)]);
     sigma_nm[static_cast<std::size_t>(j)] = std::min(sigma, settings_.largest_sigma[static_cast<std::size_t>(j)]);
   }
-}
-
-ContactErrors::ContactErrors(const Bundle& bundle)
-    : joints_(bundle.joints()), gain_per_s_(bundle.observer.gain_per_s) {
-  const std::vector<double>& widths = bundle.prior.widths_rad;
-  const double ratio = widths.empty() ? 0.0 : kBuildsUpRad / widths.front(), coarse = 1 / (1 + ratio * ratio);
-  const double share = kFineShare + (kCoarseShare - kFineShare) * coarse;
-  const bool found = std::ranges::any_of(bundle.prior.terms, [](const Term& term) { return is_load(term); });
-  const std::vector<double> shares = load_friction_shares(bundle.prior, joints_);
-  for (int j = 0; j < joints_; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
-    of_torque_[j] = std::hypot(found ? shares[at] : kUsualRubbing, bundle.in_newtons(j) ? bundle.wrench.share(at) : 0.0);
-    unsure_nm_[j] = kUnsureBank;
-  }
-  JointVector bent{};  // presliding friction
-  for (std::size_t m = 0; m < bundle.prior.terms.size(); ++m) {
-    const Term& term = bundle.prior.terms[m];
-    const double weight = bundle.prior.weights[static_cast<std::size_t>(term.a) * bundle.prior.terms.size() + m];
-    if (term.kind == TermKind::presliding) bent[static_cast<std::size_t>(term.a)] += std::max(-weight, 0.0);
-    if (term.kind == TermKind::local_memory) unsure_nm_[static_cast<std::size_t>(term.a)] = kUnsureLocal;
-  }
-  for (int j = 0; j < joints_; ++j) unsure_nm_[j] *= bent[j];
-}
-
-void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
-                         std::span<const double> sigma_nm, std::span<const double> memory_gap,
-                         std::span<double> into) noexcept {
-  State& s = state_;
-  const double dt = s.started ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, s.t_ns)) : 0.0;
-  if (dt != s.step_s) {  // recomputed only if the step changed
-    s.step_s = dt;
-    s.kept = std::exp(-gain_per_s_ * dt);
-  }
-  s.t_ns = t_ns;
-  s.since_s = touched ? 0.0 : std::min(s.since_s + dt, kStaysS);
-  s.touched = touched ? 1.0 : s.kept * s.touched;
-  s.pressed = near_stiction & (s.since_s < kStaysS ? ~std::uint32_t{0} : s.pressed);
-  for (int j = 0; j < joints_; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    const double now = dt > 0 ? (tau_ext[at] - s.tau_ext[j]) / dt : 0.0;
-    s.rate[j] += (1 - s.kept) * (now - s.rate[j]);
-    if (!s.started) s.rate[j] = 0;
-    s.tau_ext[j] = tau_ext[at];
-    const bool pressed = s.pressed >> j & 1;
-    const double hidden = pressed ? hidden_nm_[j] : 0.0;
-    const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
-    const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
-    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + unsure * unsure + of_torque * of_torque + lag * lag);
-  }
-  s.started = true;
 }
 
 }  // namespace tauext

@@ -15,6 +15,7 @@
 #include "prior/prior.hpp"
 #include "stages/judge_stage.hpp"
 #include "stages/observe_stage.hpp"
+#include "tauext/wrench.hpp"
 
 namespace tauext {
 namespace {

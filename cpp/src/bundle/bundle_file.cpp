@@ -1,16 +1,14 @@
 // The file: "TAUEXT\r\n" | major u32 | minor u32 | payload bytes u64 | CRC-32 of the payload u32 | payload, little-endian.
 // The payload is the fields of Bundle in the order of fields() below, which both reads and writes them: numbers as they
 // are, a text or list as its length (u64) and its elements.
-#include "tauext/bundle.hpp"
+#include "bundle/bundle_file.hpp"
 
+#include <array>
 #include <bit>
-#include <cstdio>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
+#include <string>
 #include <type_traits>
-
-#include "network/lstm.hpp"
+#include <utility>
 
 namespace tauext {
 namespace {
@@ -164,8 +162,7 @@ std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
   return ~crc;
 }
 
-std::vector<char> to_bytes(const Bundle& bundle) {
-  bundle.validate();
+std::vector<char> encode(const Bundle& bundle) {
   Writer payload, file;
   field(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
   const std::uint32_t version[] = {kBundleMajor, kMinor};
@@ -198,8 +195,7 @@ std::uint32_t model_digest(const Bundle& bundle) {
   return crc32(payload.bytes);
 }
 
-Bundle from_bytes(std::span<const char> bytes) {
-  simd_in_use();  // a wrong TAUEXT_SIMD is refused here for every bundle, and never in a control loop
+Bundle decode(std::span<const char> bytes) {
   if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     throw Error("it is not a tauext bundle");
   std::uint32_t version[2], crc;
@@ -220,36 +216,7 @@ Bundle from_bytes(std::span<const char> bytes) {
   Bundle bundle;
   field(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");
-  bundle.validate();
   return bundle;
-}
-
-void save_bundle(const Bundle& bundle, const std::string& path) {
-  const std::vector<char> bytes = to_bytes(bundle);
-  const std::string temporary = path + ".part";
-  {
-    std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
-    file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
-    file.flush();
-    if (!file) {
-      std::remove(temporary.c_str());
-      throw Error(path + ": cannot be written");
-    }
-  }
-  std::filesystem::rename(temporary, path);
-}
-
-Bundle load_bundle(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored)) throw Error(path + ": is a folder; a bundle is a file");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw Error(path + ": cannot be opened");
-  const std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
-  try {
-    return from_bytes(bytes);
-  } catch (const Error& e) {
-    throw Error(path + ": " + e.what());
-  }
 }
 
 }  // namespace tauext

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <span>
 
+#include "bundle/rules.hpp"
+
 namespace tauext {
 namespace {
 
@@ -37,15 +39,6 @@ bool is_of_a_body(const std::array<double, 6>& inertia) noexcept {
   return xx >= 0 && second >= 0 && third >= 0;
 }
 
-bool is_rotation(const std::array<double, 9>& r) noexcept {
-  for (std::size_t i = 0; i < 3; ++i)
-    for (std::size_t j = 0; j < 3; ++j) {
-      const double dot = r[3 * i] * r[3 * j] + r[3 * i + 1] * r[3 * j + 1] + r[3 * i + 2] * r[3 * j + 2];
-      if (!(std::fabs(dot - (i == j ? 1.0 : 0.0)) <= 1e-9)) return false;
-    }
-  return r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]) > 0;
-}
-
 int depth(const std::vector<Link>& links, std::size_t link) {
   int steps = 0;
   for (int parent = links[link].parent; parent >= 0 && steps <= kMaxJoints; ++steps)
@@ -68,7 +61,7 @@ void LoadSettings::validate(int joints) const {
   for (const auto& [what, value] : {std::pair("largest_mass_kg", largest_mass_kg), {"largest_reach_m", largest_reach_m}})
     if (!(value > 0 && value <= kLargest))
       throw Error("load." + std::string(what) + " = " + to_text(value) + " must be above 0, at most 1e6");
-  if (!all_finite(rotation) || !is_rotation(rotation))
+  if (!is_rotation(rotation))
     throw Error("load.rotation is none: orthonormal, right-handed");
   for (double value : translation)
     if (!(std::fabs(value) <= kLargest)) throw Error("load.translation = " + to_text(value) + " must be within +-1e6 m");

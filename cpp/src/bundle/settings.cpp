@@ -4,10 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "alarm/coverage.hpp"
+#include "bundle/linear.hpp"
 #include "bundle/rules.hpp"
-#include "chain/motion.hpp"
-#include "prior/prior.hpp"
+#include "bundle/terms.hpp"
 
 namespace tauext {
 namespace {
@@ -42,10 +41,43 @@ void expect_ceiling(const std::string& what, const std::vector<double>& values, 
 
 }  // namespace
 
+const char* name(ResidualMethod method) noexcept {
+  constexpr const char* names[] = {"momentum", "direct", "velocity", "energy"};
+  return method <= ResidualMethod::energy ? names[static_cast<int>(method)] : "";
+}
+
 void ObserverSettings::validate_constants(int joints) const {
   if (nm_per_unit.empty()) return;
   expect_size("nm_per_unit", nm_per_unit.size(), static_cast<std::size_t>(joints));
   expect_each("nm_per_unit", nm_per_unit, [](double k) { return k != 0 && std::isfinite(k); }, "finite and not 0");
+}
+
+void validate_presliding(int joints, std::span<const double> widths, std::span<const double> branches) {
+  if (joints < 1 || joints > kMaxJoints)
+    throw Error("presliding states need 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
+  if (widths.size() > kMaxWidths)
+    throw Error("a joint has at most " + std::to_string(kMaxWidths) + " presliding states, not " +
+                std::to_string(widths.size()));
+  double before = 0;
+  for (double width : widths) {
+    if (!(width > before) || !std::isfinite(width))
+      throw Error("presliding width " + to_text(width) + " rad must be > " + to_text(before));
+    before = width;
+  }
+  if (branches.empty()) return;
+  const std::size_t columns = static_cast<std::size_t>(joints) * widths.size();
+  if (branches.size() != columns)
+    throw Error("presliding branches are " + std::to_string(branches.size()) + " where " + std::to_string(columns) + " belong");
+  for (std::size_t first = 0; first < columns; first += widths.size()) {
+    double sum = 0;
+    for (double share : branches.subspan(first, widths.size())) {
+      if (!(share >= 0 && share <= 1)) throw Error("presliding branch " + to_text(share) + " must be 0 to 1");
+      sum += share;
+    }
+    if (sum != 0 && !(std::fabs(sum - 1) <= 1e-6))
+      throw Error("presliding branches of joint " + std::to_string(first / widths.size()) + " sum to " + to_text(sum) +
+                  ", not to 1 or 0");
+  }
 }
 
 void FrictionTemperature::validate(int joints) const {
@@ -64,7 +96,7 @@ void FrictionTemperature::validate(int joints) const {
 void PriorSettings::validate(int joints) const {
   constexpr int kMaxCycles = 10000;
   temperature.validate(joints);
-  const Presliding probe(joints, widths_rad, branches);
+  validate_presliding(joints, widths_rad, branches);
   const auto n = static_cast<std::size_t>(joints);
   const auto expect_term = [](bool ok, std::size_t term, const char* rule) {
     if (!ok) throw Error("prior term " + std::to_string(term) + ": " + rule);
@@ -76,9 +108,9 @@ void PriorSettings::validate(int joints) const {
     expect_term(joint(t.a), m, "joint a does not exist");
     if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
       expect_term(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
-    if (t.kind == TermKind::local_memory) expect_term(probe.has_branches(), m, "there is no branch to follow");
+    if (t.kind == TermKind::local_memory) expect_term(!branches.empty(), m, "there is no branch to follow");
     if (has_width(t))
-      expect_term(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
+      expect_term(t.b >= 0 && t.b < static_cast<std::int32_t>(widths_rad.size()), m, "its presliding width does not exist");
     if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
       expect_term(joint(t.b), m, "joint b does not exist");
     if (t.kind == TermKind::quadratic || (t.kind == TermKind::gravity && t.form >= 6))
@@ -176,13 +208,13 @@ void CoverageSettings::validate(int joints) const {
   expect_size("coverage.span_rad", span_rad.size(), n);
   expect_size("coverage.seen", seen.size(), n);
   expect_size("coverage.reach", reach.size(), n);
-  expect(reach_together <= (empty() ? 0 : Coverage::kMostReach), "coverage.reach_together", reach_together,
+  expect(reach_together <= (empty() ? 0 : kMostReach), "coverage.reach_together", reach_together,
          empty() ? "0 where nothing is known" : "0 to 16");
-  expect_size("coverage.seen_together", seen_together.size(), reach_together > 0 ? pairs * Coverage::kPairCells : 0);
+  expect_size("coverage.seen_together", seen_together.size(), reach_together > 0 ? pairs * kPairCells : 0);
   expect_each("coverage.fastest_rad_s", fastest_rad_s, within(least, most), "1e-9 to 1e9");
   expect_each("coverage.span_rad", span_rad, within(least, most), "1e-9 to 1e9");
   expect_each("coverage.centre_rad", centre_rad, within(-most, most), "-1e9 to 1e9");
-  expect_each("coverage.reach", reach, [](int cells) { return cells <= Coverage::kMostReach; }, "0 to 16");
+  expect_each("coverage.reach", reach, [](int cells) { return cells <= kMostReach; }, "0 to 16");
   expect_each("coverage.turns", turns, [](int turn) { return turn <= 1; }, "0 or 1");
 }
 
@@ -215,6 +247,73 @@ void validate_capsules(std::span<const Capsule> capsules, int joints) {
         if (!(std::fabs(value) <= 1000)) throw Error(what + " ends " + to_text(value) + " m away, at most 1000");
     if (!(one.radius_m >= 1e-4 && one.radius_m <= 10))
       throw Error(what + ": its radius_m = " + to_text(one.radius_m) + " must be 0.0001 to 10");
+  }
+}
+
+void LstmShape::validate() const {
+  if (inputs < 1 || inputs > kMaxLstmInputs)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmInputs) + " inputs, not " + std::to_string(inputs));
+  if (hidden < 1 || hidden > kMaxLstmHidden)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmHidden) + " hidden units, not " + std::to_string(hidden));
+  if (outputs < 1 || outputs > kMaxJoints)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxJoints) + " outputs, not " + std::to_string(outputs));
+}
+
+void WrenchSettings::validate(int joints) const {
+  const auto n = static_cast<std::size_t>(joints);
+  constexpr std::size_t kMostFrames = 1000;
+  if (frames.size() > kMostFrames) throw Error("wrench.frames are " + std::to_string(frames.size()) + ", at most 1000");
+  for (const WrenchFrame& one : frames) {
+    if (one.name.empty()) throw Error("a frame for wrenches has no name");
+    const bool near = std::ranges::all_of(one.translation, [](double value) { return std::fabs(value) <= kFarthestFrame_m; });
+    if (one.link < 0 || one.link >= joints || !is_rotation(one.rotation) || !near)
+      throw Error("frame '" + one.name + "' for wrenches must be fixed to one of the " + std::to_string(joints) +
+                  " links, by a rotation and within 1000 m");
+  }
+  if (!correlation.empty()) {
+    expect_size("wrench.correlation", correlation.size(), n * n);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) {
+        const double here = correlation[i * n + j];
+        if (!(std::fabs(here) <= 1) || (i == j && here != 1) || here != correlation[j * n + i])
+          throw Error("wrench.correlation must be symmetric, 1 on its diagonal, within -1 to 1 beside it");
+      }
+    std::array<double, kMaxJoints * kMaxJoints> factor;
+    std::ranges::copy(correlation, factor.begin());
+    if (!cholesky(std::span(factor).first(n * n), n)) throw Error("wrench.correlation is not positive definite");
+  }
+  const auto is_share = [](double value) { return value >= 0 && value <= 1; };
+  if (!torque_share.empty()) expect_size("wrench.torque_share", torque_share.size(), n);
+  expect_each("wrench.torque_share", torque_share, is_share, "0 to 1");
+  expect(is_share(common_share), "wrench.common_share", common_share, "0 to 1");
+  for (const auto* list : {&radius, &residual_radius})
+    expect_each("wrench.radius", *list, [](double value) { return value > 0 && value <= 1e6; }, "above 0, at most 1e6");
+}
+
+void ServoSettings::validate() const {
+  if (joints.empty() || joints.size() > static_cast<std::size_t>(kMaxJoints))
+    throw Error("servo.joints has " + std::to_string(joints.size()) + " entries, must be 1 to " + std::to_string(kMaxJoints));
+  if (torque_from > TorqueFrom::goal)
+    throw Error("servo.torque_from is none of torque, phase_current, supply_current, duty, goal");
+  expect(velocity_steps >= 0 && velocity_steps <= kMostSteps, "servo.velocity_steps", velocity_steps,
+         "0 to " + std::to_string(kMostSteps));
+  expect(sample_period_ns >= (velocity_steps > 0 ? 1 : 0), "servo.sample_period_ns", sample_period_ns, "> 0");
+  const std::int64_t most_ns = ServoSettings::kMostDelay * sample_period_ns;
+  expect(goal_delay_ns >= 0 && goal_delay_ns <= most_ns, "servo.goal_delay_ns", goal_delay_ns,
+         "0 to " + std::to_string(most_ns) + ", " + std::to_string(kMostDelay) + " sample periods");
+  for (const ServoConstants& joint : joints) {
+    const auto expect_finite = [](bool ok, const char* what, double value, const char* rule) {
+      expect(ok && std::isfinite(value), std::string("servo.") + what, value, rule);
+    };
+    expect_finite(joint.volts > 0, "volts", joint.volts, "> 0");
+    expect_finite(joint.ohm > 0, "ohm", joint.ohm, "> 0");
+    expect_finite(joint.back_emf_v_s >= 0, "back_emf_v_s", joint.back_emf_v_s, ">= 0");
+    expect_finite(joint.nm_per_ampere != 0, "nm_per_ampere", joint.nm_per_ampere, "not 0");
+    const bool steers = torque_from == TorqueFrom::goal;
+    expect_finite(steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0, "duty_per_rad", joint.duty_per_rad,
+                  steers ? "> 0, since torque comes from the goal" : ">= 0");
+    expect_finite(joint.most_duty > 0 && joint.most_duty <= 1, "most_duty", joint.most_duty, "> 0, at most 1");
+    expect_finite(joint.count_rad >= 0, "count_rad", joint.count_rad, ">= 0");
   }
 }
 

@@ -36,11 +36,6 @@ double seconds(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
 
 }  // namespace
 
-const char* name(ResidualMethod method) noexcept {
-  constexpr const char* names[] = {"momentum", "direct", "velocity", "energy"};
-  return method <= ResidualMethod::energy ? names[static_cast<int>(method)] : "";
-}
-
 ComparisonResidual::ComparisonResidual(const Tree& tree, ResidualMethod method, double gain_per_s, TorqueTiming timing)
     : method_(method), timing_(timing), gain_per_s_(gain_per_s) {
   if (method > ResidualMethod::energy)

@@ -42,41 +42,20 @@ SampleClock::Tick SampleClock::step(std::int64_t t_ns) noexcept {
 
 Presliding::Presliding(int joints, std::span<const double> widths, std::span<const double> branches)
     : joints_(joints), widths_(widths.begin(), widths.end()), branches_(branches.begin(), branches.end()) {
-  if (joints < 1 || joints > kMaxJoints)
-    throw Error("presliding states need 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
-  if (widths.size() > kMaxWidths)
-    throw Error("a joint has at most " + std::to_string(kMaxWidths) + " presliding states, not " +
-                std::to_string(widths.size()));
-  double before = 0;
-  for (double width : widths) {
-    if (!(width > before) || !std::isfinite(width))
-      throw Error("presliding width " + to_text(width) + " rad must be > " + to_text(before));
-    before = width;
-  }
-  if (branches.empty()) return;
-  if (branches.size() != static_cast<std::size_t>(columns()))
-    throw Error("presliding branches are " + std::to_string(branches.size()) + " where " + std::to_string(columns()) + " belong");
+  validate_presliding(joints, widths, branches);
   edges_.resize(branches.size());
   slopes_.resize(branches.size());
-  for (int j = 0; j < joints_; ++j) {
-    double sum = 0;
-    for (int w = 0; w < width_count(); ++w) {
-      const double share = branches_[index(j, w)];
-      if (!(share >= 0 && share <= 1)) throw Error("presliding branch " + to_text(share) + " must be 0 to 1");
-      sum += share;
-    }
-    if (sum != 0 && !(std::fabs(sum - 1) <= 1e-6))
-      throw Error("presliding branches of joint " + std::to_string(j) + " sum to " + to_text(sum) + ", not to 1 or 0");
+  for (int j = 0; j < joints_ && has_branches(); ++j) {
+    const auto shares = branches.subspan(index(j, 0), widths.size());
+    const bool none = std::ranges::all_of(shares, [](double share) { return share == 0; });
     double edge = -1, from = 0;
     for (int w = 0; w < width_count(); ++w) {
       double slope = 0;
       for (int k = w; k < width_count(); ++k) slope += branches_[index(j, k)] / widths_[k];
       edge += slope * (2 * widths_[w] - from);
       from = 2 * widths_[w];
-      const bool last = std::all_of(branches_.begin() + static_cast<std::ptrdiff_t>(index(j, w)) + 1,
-                                    branches_.begin() + static_cast<std::ptrdiff_t>(index(j, 0)) + width_count(),
-                                    [](double share) { return share == 0; });
-      edges_[index(j, w)] = sum == 0 ? -1 : last ? 1 : std::min(edge, 1.0);
+      const bool last = std::ranges::all_of(shares.subspan(static_cast<std::size_t>(w) + 1), [](double share) { return share == 0; });
+      edges_[index(j, w)] = none ? -1 : last ? 1 : std::min(edge, 1.0);
       slopes_[index(j, w)] = slope;
     }
   }

@@ -4,6 +4,7 @@
 #include <span>
 #include <vector>
 
+#include "bundle/terms.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/types.hpp"
 
@@ -42,8 +43,6 @@ class SampleClock {
   double carry_ = 0;  // ticks by which the stamps lead the count, within +-1
 };
 
-inline constexpr int kMaxWidths = 8;  // per bank
-
 // A bank of stop operators (Maxwell-slip elements) on each joint's displacement, for widths w:
 //   z <- clip(z + (q_k - q_{k-1}), -w, w); the state is z / w, in [-1, 1].
 // The state is -1 or 1 while the joint slides and between them while it is elastically bent. The initial state is
@@ -67,8 +66,8 @@ class Presliding {
     JointVector local{};  // states with local memory, -1 to 1
   };
 
-  // widths [rad]: 0 to kMaxWidths values, > 0 and rising. branches: (joints, widths), zeros for a joint without one;
-  // empty: no joint has one. Throws Error otherwise.
+  // widths [rad]: > 0 and rising. branches: (joints, widths), zeros for a joint without one; empty: no joint has one.
+  // Throws Error as validate_presliding().
   Presliding(int joints, std::span<const double> widths, std::span<const double> branches = {});
 
   // After a gap: all states are undetermined.

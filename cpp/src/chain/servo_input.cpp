@@ -5,8 +5,6 @@
 #include <limits>
 #include <string>
 
-#include "bundle/rules.hpp"
-
 namespace tauext {
 AdaptiveVelocity::AdaptiveVelocity(int steps, std::span<const double> count_rad)
     : steps_(steps), count_rad_(count_rad.begin(), count_rad.end()) {
@@ -86,33 +84,6 @@ AdaptiveVelocity velocity(const ServoSettings& settings) {
 }
 
 }  // namespace
-
-void ServoSettings::validate() const {
-  if (joints.empty() || joints.size() > static_cast<std::size_t>(kMaxJoints))
-    throw Error("servo.joints has " + std::to_string(joints.size()) + " entries, must be 1 to " + std::to_string(kMaxJoints));
-  if (torque_from > TorqueFrom::goal)
-    throw Error("servo.torque_from is none of torque, phase_current, supply_current, duty, goal");
-  expect(velocity_steps >= 0 && velocity_steps <= AdaptiveVelocity::kMostSteps, "servo.velocity_steps", velocity_steps,
-         "0 to " + std::to_string(AdaptiveVelocity::kMostSteps));
-  expect(sample_period_ns >= (velocity_steps > 0 ? 1 : 0), "servo.sample_period_ns", sample_period_ns, "> 0");
-  const std::int64_t most_ns = ServoSettings::kMostDelay * sample_period_ns;
-  expect(goal_delay_ns >= 0 && goal_delay_ns <= most_ns, "servo.goal_delay_ns", goal_delay_ns,
-         "0 to " + std::to_string(most_ns) + ", " + std::to_string(kMostDelay) + " sample periods");
-  for (const ServoConstants& joint : joints) {
-    const auto expect_finite = [](bool ok, const char* what, double value, const char* rule) {
-      expect(ok && std::isfinite(value), std::string("servo.") + what, value, rule);
-    };
-    expect_finite(joint.volts > 0, "volts", joint.volts, "> 0");
-    expect_finite(joint.ohm > 0, "ohm", joint.ohm, "> 0");
-    expect_finite(joint.back_emf_v_s >= 0, "back_emf_v_s", joint.back_emf_v_s, ">= 0");
-    expect_finite(joint.nm_per_ampere != 0, "nm_per_ampere", joint.nm_per_ampere, "not 0");
-    const bool steers = torque_from == TorqueFrom::goal;
-    expect_finite(steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0, "duty_per_rad", joint.duty_per_rad,
-                  steers ? "> 0, since torque comes from the goal" : ">= 0");
-    expect_finite(joint.most_duty > 0 && joint.most_duty <= 1, "most_duty", joint.most_duty, "> 0, at most 1");
-    expect_finite(joint.count_rad >= 0, "count_rad", joint.count_rad, ">= 0");
-  }
-}
 
 ServoInput::ServoInput(const ServoSettings& settings)
     : from_(settings.torque_from),

@@ -3,46 +3,25 @@
 #include <algorithm>
 #include <cmath>
 
+#include "bundle/rules.hpp"
+#include "chain/vector3.hpp"
+
 namespace tauext {
 namespace {
 
-struct Vec3 {
-  double x, y, z;
-};
-
-Vec3 operator+(Vec3 a, Vec3 b) noexcept { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-Vec3 operator*(double s, Vec3 a) noexcept { return {s * a.x, s * a.y, s * a.z}; }
-Vec3 cross(Vec3 a, Vec3 b) noexcept {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-double dot(Vec3 a, Vec3 b) noexcept { return a.x * b.x + a.y * b.y + a.z * b.z; }
-
-// Columns of the rotation parent_from_link.
-struct Rotation {
-  Vec3 x, y, z;
-  Vec3 to_parent(Vec3 a) const noexcept { return a.x * x + a.y * y + a.z * z; }
-  Vec3 to_link(Vec3 a) const noexcept { return {dot(x, a), dot(y, a), dot(z, a)}; }
-};
-
 struct Sweep {
-  Rotation rotation;
-  Vec3 origin;        // of the link's frame, in the parent's
-  Vec3 omega, v;      // of the link, at its origin, link axes
-  Vec3 gravity;       // link axes
-  Vec3 linear;        // composite momentum of the subtree, link axes
-  Vec3 angular;       // the same, about the link's origin
-  Vec3 first_moment;  // sum of m c over the subtree, about the link's origin
+  Turn rotation;
+  Vector3 origin;        // of the link's frame, in the parent's
+  Vector3 omega, v;      // of the link, at its origin, link axes
+  Vector3 gravity;       // link axes
+  Vector3 linear;        // composite momentum of the subtree, link axes
+  Vector3 angular;       // the same, about the link's origin
+  Vector3 first_moment;  // sum of m c over the subtree, about the link's origin
 };
 
-Vec3 vec(const std::array<double, 3>& a) noexcept { return {a[0], a[1], a[2]}; }
-
-Vec3 symmetric_product(const std::array<double, 6>& a, Vec3 w) noexcept {
+Vector3 symmetric_product(const std::array<double, 6>& a, Vector3 w) noexcept {
   return {a[0] * w.x + a[3] * w.y + a[4] * w.z, a[3] * w.x + a[1] * w.y + a[5] * w.z,
           a[4] * w.x + a[5] * w.y + a[2] * w.z};
-}
-
-Rotation columns(const std::array<double, 9>& r) noexcept {
-  return {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
 }
 
 // Largest mass, length, inertia or gravity, in SI units: products of larger values overflow.
@@ -90,11 +69,7 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
     if (link.mass < 0) throw Error(who + "mass = " + std::to_string(link.mass) + " kg must be >= 0");
     if (link.rotor_inertia < 0)
       throw Error(who + "rotor inertia = " + std::to_string(link.rotor_inertia) + " must be >= 0");
-    const Rotation r = columns(link.rotation);
-    const Vec3 z = cross(r.x, r.y);
-    for (double difference :
-         {dot(r.x, r.x) - 1, dot(r.y, r.y) - 1, dot(r.x, r.y), z.x - r.z.x, z.y - r.z.y, z.z - r.z.z})
-      if (std::fabs(difference) > 1e-9) throw Error(who + "its rotation is not one: orthonormal, right-handed");
+    if (!is_rotation(link.rotation)) throw Error(who + "its rotation is not one: orthonormal, right-handed");
   }
 }
 
@@ -160,12 +135,12 @@ bool Tree::has_mass() const noexcept {
   for (int k = 0; k < n; ++k) {
     const Body& body = bodies_[k];
     Sweep& s = sweep[k];
-    s.rotation = columns(body.rotation);
-    s.origin = vec(body.translation);
+    s.rotation = turn(body.rotation);
+    s.origin = vector3(body.translation);
     const bool revolute = body.type == JointType::revolute;
     if (revolute) {
       const double c = cosine[body.joint], sn = sine[body.joint];
-      const Vec3 x = s.rotation.x, y = s.rotation.y;
+      const Vector3 x = s.rotation.x, y = s.rotation.y;
       s.rotation.x = c * x + sn * y;
       s.rotation.y = -sn * x + c * y;
     } else {
@@ -173,15 +148,15 @@ bool Tree::has_mass() const noexcept {
     }
     if (body.parent < 0) {
       s.omega = s.v = {0, 0, 0};
-      s.gravity = s.rotation.to_link(vec(gravity_));
+      s.gravity = s.rotation.back(vector3(gravity_));
     } else {
       const Sweep& parent = sweep[body.parent];
-      s.omega = s.rotation.to_link(parent.omega);
-      s.v = s.rotation.to_link(parent.v + cross(parent.omega, s.origin));
-      s.gravity = s.rotation.to_link(parent.gravity);
+      s.omega = s.rotation.back(parent.omega);
+      s.v = s.rotation.back(parent.v + cross(parent.omega, s.origin));
+      s.gravity = s.rotation.back(parent.gravity);
     }
     (revolute ? s.omega.z : s.v.z) += dq[body.joint];
-    s.first_moment = vec(body.first_moment);
+    s.first_moment = vector3(body.first_moment);
     s.linear = body.mass * s.v + cross(s.omega, s.first_moment);
     s.angular = symmetric_product(body.inertia, s.omega) + cross(s.first_moment, s.v);
   }
@@ -205,11 +180,11 @@ bool Tree::has_mass() const noexcept {
     beta[body.joint] = gravity - coriolis_transpose;
     if (body.parent >= 0) {
       Sweep& parent = sweep[body.parent];
-      const Vec3 linear = s.rotation.to_parent(s.linear);
+      const Vector3 linear = s.rotation.out(s.linear);
       parent.linear = parent.linear + linear;
-      parent.angular = parent.angular + s.rotation.to_parent(s.angular) + cross(s.origin, linear);
+      parent.angular = parent.angular + s.rotation.out(s.angular) + cross(s.origin, linear);
       parent.first_moment =
-          parent.first_moment + s.rotation.to_parent(s.first_moment) + body.subtree_mass * s.origin;
+          parent.first_moment + s.rotation.out(s.first_moment) + body.subtree_mass * s.origin;
     }
   }
 }

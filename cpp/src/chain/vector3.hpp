@@ -3,12 +3,13 @@
 #include <array>
 #include <cmath>
 
-#include "tauext/tree.hpp"
+#include "tauext/link.hpp"
 
 namespace tauext {
 
+// Without initial values: the sweep of the tree fills arrays of them.
 struct Vector3 {
-  double x = 0, y = 0, z = 0;
+  double x, y, z;
 };
 
 inline Vector3 operator+(Vector3 a, Vector3 b) noexcept { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
@@ -22,7 +23,7 @@ inline Vector3 vector3(const std::array<double, 3>& a) noexcept { return {a[0], 
 
 // Columns of `to from own`: own axes in the other frame.
 struct Turn {
-  Vector3 x{1, 0, 0}, y{0, 1, 0}, z{0, 0, 1};
+  Vector3 x, y, z;
   Vector3 out(Vector3 a) const noexcept { return a.x * x + a.y * y + a.z * z; }        // own -> other
   Vector3 back(Vector3 a) const noexcept { return {dot(x, a), dot(y, a), dot(z, a)}; }  // other -> own
 };

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "bundle/linear.hpp"
+#include "fit/regressors.hpp"
 #include "stages/estimates.hpp"
 #include "stages/observation.hpp"
 

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "alarm/alarm.hpp"
+#include "chain/observed.hpp"
 #include "load/load_change.hpp"
 #include "load/load_columns.hpp"
-#include "stages/observe_stage.hpp"
 #include "tauext/estimate.hpp"
 #include "tauext/load.hpp"
 #include "tauext/sample.hpp"

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <span>
 
-#include "load/load_columns.hpp"
+#include "chain/load_regressor.hpp"
 #include "tauext/load.hpp"
 #include "tauext/types.hpp"
 

@@ -3,9 +3,9 @@
 #include <cstdint>
 #include <span>
 
+#include "chain/observed.hpp"
 #include "load/load_columns.hpp"
 #include "load/load_solve.hpp"
-#include "stages/judge_stage.hpp"
 #include "tauext/estimate.hpp"
 #include "tauext/load.hpp"
 #include "tauext/sample.hpp"

@@ -12,15 +12,6 @@
 
 namespace tauext {
 
-void LstmShape::validate() const {
-  if (inputs < 1 || inputs > kMaxLstmInputs)
-    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmInputs) + " inputs, not " + std::to_string(inputs));
-  if (hidden < 1 || hidden > kMaxLstmHidden)
-    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmHidden) + " hidden units, not " + std::to_string(hidden));
-  if (outputs < 1 || outputs > kMaxJoints)
-    throw Error("an LSTM has 1 to " + std::to_string(kMaxJoints) + " outputs, not " + std::to_string(outputs));
-}
-
 // A gate sums b + W_x x + W_h h with |h| <= 1, the head b + W h; the sum of the magnitudes bounds both.
 float largest_lstm_input(const LstmShape& shape, std::span<const float> parameters) {
   constexpr double kLargestSum = 1e37;  // a float holds 3.4e38

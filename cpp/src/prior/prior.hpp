@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "bundle/terms.hpp"
 #include "chain/momentum_observer.hpp"
 #include "chain/motion.hpp"
 #include "tauext/settings.hpp"
@@ -13,21 +14,6 @@
 #include "tauext/types.hpp"
 
 namespace tauext {
-
-// Kind of a term: load on the gear, presliding state, or generalised momentum.
-inline bool is_load(const Term& term) noexcept {
-  return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
-}
-inline bool is_presliding(const Term& term) noexcept {
-  return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
-}
-// Whether the term depends on a presliding state.
-inline bool has_width(const Term& term) noexcept { return is_presliding(term) || term.kind == TermKind::backlash; }
-// Load-dependent friction, at any speed.
-inline bool is_coulomb(const Term& term) noexcept {
-  return term.kind == TermKind::coulomb || term.kind == TermKind::local_memory || is_load(term) || is_presliding(term);
-}
-inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
 
 // Per joint: increase of gear friction by load, as a share of the load. It is the sum of the load terms' weights, with
 // opposite sign, clamped to 0 to kMostLoadFriction. Joints without load terms get the mean of the others.

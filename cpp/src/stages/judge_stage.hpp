@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "alarm/alarm.hpp"
+#include "alarm/contact_errors.hpp"
 #include "alarm/coverage.hpp"
 #include "alarm/drift.hpp"
 #include "alarm/error_scale.hpp"

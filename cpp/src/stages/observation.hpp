@@ -5,9 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "chain/momentum_observer.hpp"
 #include "chain/signal_watch.hpp"
-#include "load/load_columns.hpp"
 #include "network/lstm.hpp"
 #include "stages/residual.hpp"
 #include "tauext/sample.hpp"
@@ -32,41 +30,12 @@ struct Observation {
   int restarts = 0;            // stretches after the first
 };
 
+// Throws Error if the recording has another number of joints.
+void expect_joints(int joints, const RecordingView& recording);
+
 // Throws Error if times do not increase, a number is not finite or the joints differ.
 Observation observe(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                     const RecordingView& recording);
-
-// The terms of a prior passed through the observer's filter one by one, for the fit: (rows, terms), one row for each of
-// `samples`, which rise. The same filter as Prior's: their weighted sum is the prior.
-std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
-                                     const RecordingView& recording, std::span<const std::int64_t> samples);
-
-// Derivative of the unfiltered r by inertial parameters of the robot's links, for the fit: LoadRegressor's of each link
-// about its origin, then its rotor inertia. A recording may come in parts, of which memory holds the rows of one.
-class LinkRegressors {
- public:
-  static constexpr int kParameters = LoadRegressor::kParameters + 1;
-
-  // links, parameters: indices, each in the order of the columns. Throws Error if one does not exist.
-  LinkRegressors(const Tree& tree, const ObserverSettings& settings, std::span<const int> links,
-                 std::span<const int> parameters);
-
-  // The next samples: (rows, joints, links x parameters), one row for each of `samples`, which rise.
-  std::vector<double> rows(const RecordingView& part, std::span<const std::int64_t> samples);
-  std::size_t columns() const noexcept { return columns_; }
-
- private:
-  // A column of a joint that moves the link; those of other joints are zero.
-  struct Cell {
-    std::size_t link, parameter, joint, column;  // link: of links_
-  };
-  int joints_;
-  std::size_t columns_;
-  SampleClock clock_;
-  std::vector<LoadRegressor> links_;
-  std::vector<Cell> cells_;
-  std::vector<MomentumObserver> filters_;  // of kMaxJoints cells each
-};
 
 // The mean step at each sample that a monitor compares with the sample period, as its share (SignalWatch).
 std::vector<double> mean_steps(std::int64_t sample_period_ns, int network_stride, std::span<const std::int64_t> t_ns);

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "chain/observed.hpp"
 #include "chain/signal_watch.hpp"
 #include "network/lstm.hpp"
 #include "stages/residual.hpp"
@@ -16,33 +17,6 @@
 namespace tauext {
 
 struct Bundle;
-
-// How a sample was handled.
-enum class Passage : std::uint8_t {
-  entered,  // processed by the chain
-  held,     // skipped; the previous estimate stays valid
-  refused,  // skipped as a fault; the previous estimate is void
-};
-
-// Result for one sample, before the network. If the sample did not enter, only time, passage, health and causes are
-// valid.
-struct Observed {
-  std::int64_t t_ns = 0;            // stamp of the sample
-  Passage passage = Passage::refused;  // how it was handled
-  Health health = Health::warming_up;  // final: no later stage changes it
-  std::uint32_t causes = 0;         // bits of Cause
-  int cause_joint = -1;             // the first joint concerned by a cause
-  bool restarted = false;           // the chain restarted at this sample
-  std::int64_t ticks = 0;           // since the last entered sample; 0 if restarted
-  bool warm = false;                // the residual is warmed up
-  bool overflowed = false;          // some number overflowed: no residual either
-  bool judged = false;              // tau_ext exists and is checked against its limits
-  bool teaches = false;             // the drift tracker may learn from it
-  std::uint32_t near_stiction = 0;  // one bit per joint: which limit applies
-  std::span<const double> residual, prior, doubt;  // per joint, [N m]; valid until the stage's next sample
-  std::span<const double> coulomb, viscous;  // friction in the prior, before its filter; empty unless requested
-  std::span<const double> memory_gap;  // Presliding::memory_gap of each joint; empty if the prior has no branches
-};
 
 // All parts of the chain that do not depend on the network: checks, clock, dynamics, residual, prior, signal watch,
 // health. Inputs are bounded so that the network's output is finite (largest_lstm_input). So a whole recording can be

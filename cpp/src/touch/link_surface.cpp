@@ -118,7 +118,7 @@ double length_of(Vector3 v) { return std::sqrt(dot(v, v)); }
 // End of a link that carries no joint: the load frame, else the farthest frame that the robot file fixes to the link.
 Vector3 end_of(const Bundle& bundle, int link) {
   if (bundle.load.link == link) return vector3(bundle.load.translation);
-  Vector3 farthest;
+  Vector3 farthest{};
   for (const WrenchFrame& frame : bundle.wrench.frames)
     if (frame.link == link && length_of(vector3(frame.translation)) > length_of(farthest)) farthest = vector3(frame.translation);
   return farthest;

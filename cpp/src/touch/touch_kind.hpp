@@ -7,7 +7,7 @@
 
 #include "chain/step_share.hpp"
 #include "load/load_change.hpp"
-#include "load/load_columns.hpp"
+#include "chain/load_regressor.hpp"
 #include "tauext/estimate.hpp"
 #include "tauext/types.hpp"
 

@@ -322,7 +322,7 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
       }
     }
     const auto grouped = [&](std::size_t i) noexcept { return squared_distance(surface, i, at(densest)) < kApart_m * kApart_m; };
-    Vector3 mean;
+    Vector3 mean{};
     double mass = 0;
     for (std::size_t i = 0; i < points; ++i)
       if (grouped(i)) {

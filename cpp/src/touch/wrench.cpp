@@ -8,9 +8,10 @@
 #include <span>
 
 #include "bundle/linear.hpp"
-#include "bundle/rules.hpp"
+#include "bundle/terms.hpp"
+#include "chain/load_regressor.hpp"
 #include "chain/vector3.hpp"
-#include "load/load_columns.hpp"
+#include "prior/prior.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext {
@@ -176,7 +177,6 @@ bool solve_wrench(std::span<double> s, std::span<double> columns, std::span<cons
   return true;
 }
 
-constexpr int kMostFrames = 1000;
 
 
 std::string why_none(const Bundle& bundle) {
@@ -217,38 +217,6 @@ LinkSeen see(const std::vector<Link>& links, const WrenchFrame& frame, std::span
 }
 
 }  // namespace
-
-void WrenchSettings::validate(int joints) const {
-  const auto n = static_cast<std::size_t>(joints);
-  if (frames.size() > kMostFrames) throw Error("wrench.frames are " + std::to_string(frames.size()) + ", at most 1000");
-  for (const WrenchFrame& one : frames) {
-    if (one.name.empty()) throw Error("a frame for wrenches has no name");
-    try {
-      LoadFrame{one.link, one.rotation, one.translation}.validate(joints);
-    } catch (const Error&) {
-      throw Error("frame '" + one.name + "' for wrenches must be fixed to one of the " + std::to_string(joints) +
-                  " links, by a rotation and within 1000 m");
-    }
-  }
-  if (!correlation.empty()) {
-    expect_size("wrench.correlation", correlation.size(), n * n);
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j) {
-        const double here = correlation[i * n + j];
-        if (!(std::fabs(here) <= 1) || (i == j && here != 1) || here != correlation[j * n + i])
-          throw Error("wrench.correlation must be symmetric, 1 on its diagonal, within -1 to 1 beside it");
-      }
-    std::array<double, kMaxJoints * kMaxJoints> factor;
-    std::ranges::copy(correlation, factor.begin());
-    if (!cholesky(std::span(factor).first(n * n), n)) throw Error("wrench.correlation is not positive definite");
-  }
-  const auto is_share = [](double value) { return value >= 0 && value <= 1; };
-  if (!torque_share.empty()) expect_size("wrench.torque_share", torque_share.size(), n);
-  expect_each("wrench.torque_share", torque_share, is_share, "0 to 1");
-  expect(is_share(common_share), "wrench.common_share", common_share, "0 to 1");
-  for (const auto* list : {&radius, &residual_radius})
-    expect_each("wrench.radius", *list, [](double value) { return value > 0 && value <= 1e6; }, "above 0, at most 1e6");
-}
 
 WrenchModel::WrenchModel(const Bundle& bundle)
     : refused_(why_none(bundle)),

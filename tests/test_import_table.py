@@ -1,4 +1,4 @@
-"""Who may import whom: the order of the packages and of the rooms of the C++ core, which keeps the parts apart."""
+"""Who may import whom: the order of the packages and of the layers of the C++ core, which keeps the parts apart."""
 
 import ast
 import re
@@ -164,23 +164,23 @@ PUBLIC = {
     "fit": {"refit.hpp"},
     "api": {"monitor.hpp", "flight_recorder.hpp", "tauext.h"},
 }
-"""Rooms of the headers of cpp/include/tauext, which stand in one folder."""
+"""Layers of the headers of cpp/include/tauext, which stand in one folder."""
 
 
-def table_of_rooms() -> dict[str, tuple[bool, set[str]]]:
-    """Rooms in the order of the table in docs/architecture.md: whether a room is optional, and what it may include."""
-    text = (SOURCE.parents[1] / "docs" / "architecture.md").read_text().partition("## Rooms of the core")[2]
+def table_of_layers() -> dict[str, tuple[bool, set[str]]]:
+    """Layers in the order of the table in docs/architecture.md: whether one is optional, and what it may include."""
+    text = (SOURCE.parents[1] / "docs" / "architecture.md").read_text().partition("## Layers of the core")[2]
     rows = [line.split("|") for line in text.partition("\n## ")[0].splitlines() if line.startswith("| `")]
     return {row[1].split("`")[1]: ("optional" in row[1], set(re.findall(r"`(.*?)`", row[4]))) for row in rows}
 
 
-ROOMS = table_of_rooms()
+LAYERS = table_of_layers()
 
 
-def room_of(file: Path) -> str:
-    """Folder of a file of the core; of a public header its room."""
+def layer_of(file: Path) -> str:
+    """Folder of a file of the core; of a public header its layer."""
     if file.parent.name == "tauext":
-        return next(room for room, names in PUBLIC.items() if file.name in names)
+        return next(layer for layer, names in PUBLIC.items() if file.name in names)
     return file.parent.name
 
 
@@ -199,32 +199,32 @@ CORE = {
 }
 
 
-def test_every_file_of_the_core_is_in_a_room_of_the_table():
-    assert {room_of(file) for file in CORE} == set(ROOMS)
+def test_every_file_of_the_core_is_in_a_layer_of_the_table():
+    assert {layer_of(file) for file in CORE} == set(LAYERS)
     assert sorted(name for names in PUBLIC.values() for name in names) == sorted(
         file.name for file in (CPP / "include" / "tauext").iterdir()
     )
     assert len(CORE) > 80 and sum(map(len, CORE.values())) > 200
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_rooms_include_what_their_row_allows_and_need_all_of_it(room):
-    others = {other for file, needed in CORE.items() if room_of(file) == room for other in needed}
+@pytest.mark.parametrize("layer", LAYERS)
+def test_layers_include_what_their_row_allows_and_need_all_of_it(layer):
+    others = {other for file, needed in CORE.items() if layer_of(file) == layer for other in needed}
     named = {other: f"{other.parent.name}/{other.name}" for other in others}
-    used = {named[other] if named[other] in ROOMS[room][1] else room_of(other) for other in others}
-    assert used - {room} == ROOMS[room][1]
+    used = {named[other] if named[other] in LAYERS[layer][1] else layer_of(other) for other in others}
+    assert used - {layer} == LAYERS[layer][1]
 
 
-def test_rooms_include_rooms_above_them_in_the_table_and_optional_ones_by_named_headers():
+def test_layers_include_layers_above_them_in_the_table_and_optional_ones_by_named_headers():
     before: dict[str, bool] = {}
-    for room, (optional, allowed) in ROOMS.items():
+    for layer, (optional, allowed) in LAYERS.items():
         headers = {name for name in allowed if "/" in name}
-        assert allowed - headers <= set(before), room
-        assert optional or not any(before[name] for name in allowed - headers), f"{room} is not optional"
+        assert allowed - headers <= set(before), layer
+        assert optional or not any(before[name] for name in allowed - headers), f"{layer} is not optional"
         for name in headers:
             header = next(CPP / part / name for part in ("src", "include") if (CPP / part / name).is_file())
-            assert before[room_of(header)], f"{room} names {name}, whose room is not optional or stands below"
-        before[room] = optional
+            assert before[layer_of(header)], f"{layer} names {name}, whose layer is not optional or stands below"
+        before[layer] = optional
     assert sum(before.values()) > 2
 
 

@@ -68,7 +68,6 @@ void bind_sums(nb::module_& m) {
   sums.def(nb::init<int>(), nb::arg("joints"))
       .def("add", &add, nb::arg("rows"), nb::arg("sigma"), nb::arg("worth"),
            "Adds consecutive rows, (rows, n, columns); sigma and worth (rows, n).")
-      .def("fade", &LoadSums::fade, nb::arg("share"), "Multiplies the weight of all rows so far by `share`.")
       .def_prop_ro("rows", &LoadSums::rows, "Number of rows added.")
       .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); },
            "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)

@@ -1,4 +1,4 @@
-// The format is read and written without the chain: this program is linked with the room bundle alone.
+// The format is read and written without the chain: this program is linked with the layer bundle alone.
 #include "bundle/bundle_file.hpp"
 
 #include <algorithm>

@@ -29,6 +29,11 @@ inline std::uint64_t elapsed_ns(std::int64_t later_ns, std::int64_t earlier_ns) 
   return static_cast<std::uint64_t>(later_ns) - static_cast<std::uint64_t>(earlier_ns);
 }
 
+// The same in seconds.
+inline double elapsed_s(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
+  return 1e-9 * static_cast<double>(elapsed_ns(later_ns, earlier_ns));
+}
+
 // Formats a number for a message: %g.
 inline std::string to_text(double value) {
   char text[32];

@@ -35,7 +35,7 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
                          std::span<const double> sigma_nm, std::span<const double> memory_gap,
                          std::span<double> into) noexcept {
   State& s = state_;
-  const double dt = s.started ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, s.t_ns)) : 0.0;
+  const double dt = s.started ? elapsed_s(t_ns, s.t_ns) : 0.0;
   if (dt != s.step_s) {  // recomputed only if the step changed
     s.step_s = dt;
     s.kept = std::exp(-gain_per_s_ * dt);

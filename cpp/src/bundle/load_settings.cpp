@@ -4,6 +4,7 @@
 #include <cmath>
 #include <span>
 
+#include "bundle/bodies.hpp"
 #include "bundle/rules.hpp"
 
 namespace tauext {
@@ -18,8 +19,6 @@ Vec3 turned(const std::array<double, 9>& r, const Vec3& v) noexcept {
   return {r[0] * v[0] + r[1] * v[1] + r[2] * v[2], r[3] * v[0] + r[4] * v[1] + r[5] * v[2],
           r[6] * v[0] + r[7] * v[1] + r[8] * v[2]};
 }
-
-double length(const Vec3& v) noexcept { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
 bool all_finite(std::span<const double> values) noexcept {
   return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
@@ -120,11 +119,11 @@ Carried LoadSettings::in_link(const Load& load) const noexcept {
   const auto entry = [&](std::size_t i, std::size_t j) noexcept {  // of R I R^T
     return columns[0][i] * r[3 * j] + columns[1][i] * r[3 * j + 1] + columns[2][i] * r[3 * j + 2];
   };
+  const std::array<double, 6> far = point_inertia(m, c);
   return {m,
           {m * c[0], m * c[1], m * c[2]},
-          {entry(0, 0) + m * (c[1] * c[1] + c[2] * c[2]), entry(1, 1) + m * (c[0] * c[0] + c[2] * c[2]),
-           entry(2, 2) + m * (c[0] * c[0] + c[1] * c[1]), entry(0, 1) - m * c[0] * c[1], entry(0, 2) - m * c[0] * c[2],
-           entry(1, 2) - m * c[1] * c[2]}};
+          {entry(0, 0) + far[0], entry(1, 1) + far[1], entry(2, 2) + far[2], entry(0, 1) + far[3], entry(0, 2) + far[4],
+           entry(1, 2) + far[5]}};
 }
 
 Link LoadSettings::merged(const Load& load, const Link& own) const {
@@ -134,15 +133,8 @@ Link LoadSettings::merged(const Load& load, const Link& own) const {
   if (!(mass > 0)) return whole;
   Vec3 com;
   for (std::size_t i = 0; i < 3; ++i) com[i] = (whole.mass * whole.com[i] + added.first_moment[i]) / mass;
-  const auto about_com = [&](const Vec3& c, double m, std::array<double, 6>& to, double sign) {
-    const double square = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
-    const std::size_t rows[6] = {0, 1, 2, 0, 0, 1}, columns[6] = {0, 1, 2, 1, 2, 2};
-    for (std::size_t k = 0; k < 6; ++k)
-      to[k] += sign * m * ((k < 3 ? square : 0.0) - c[rows[k]] * c[columns[k]]);
-  };
-  about_com(whole.com, whole.mass, whole.inertia, 1.0);
-  for (std::size_t k = 0; k < 6; ++k) whole.inertia[k] += added.inertia[k];
-  about_com(com, mass, whole.inertia, -1.0);
+  const std::array<double, 6> own_far = point_inertia(own.mass, own.com), far = point_inertia(mass, com);
+  for (std::size_t k = 0; k < far.size(); ++k) whole.inertia[k] = whole.inertia[k] + own_far[k] + added.inertia[k] - far[k];
   whole.mass = mass;
   whole.com = com;
   return whole;

@@ -1,6 +1,5 @@
 // Validation rules for settings; each Error names the value.
 #pragma once
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <string>
@@ -36,15 +35,6 @@ void expect_finite(const std::string& what, const List& list) {
     if (!std::isfinite(value)) throw Error(what + " holds a value that is not finite");
 }
 
-// Whether a 3 x 3 matrix, row-major, is orthonormal and right-handed.
-inline bool is_rotation(const std::array<double, 9>& r) noexcept {
-  for (std::size_t i = 0; i < 3; ++i)
-    for (std::size_t j = 0; j < 3; ++j) {
-      const double dot = r[3 * i] * r[3 * j] + r[3 * i + 1] * r[3 * j + 1] + r[3 * i + 2] * r[3 * j + 2];
-      if (!(std::fabs(dot - (i == j ? 1.0 : 0.0)) <= 1e-9)) return false;
-    }
-  return r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]) > 0;
-}
 inline constexpr double kFarthestFrame_m = 1000;  // of a frame's origin from that of its link, along each axis
 
 inline bool is_positive(double value) noexcept { return value > 0 && std::isfinite(value); }

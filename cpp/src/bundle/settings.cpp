@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "bundle/bodies.hpp"
 #include "bundle/linear.hpp"
 #include "bundle/rules.hpp"
 #include "bundle/terms.hpp"

@@ -30,10 +30,6 @@ double mean_torque(TorqueTiming timing, double before, double now) noexcept {
   return before;
 }
 
-double seconds(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
-  return 1e-9 * static_cast<double>(elapsed_ns(later_ns, earlier_ns));
-}
-
 }  // namespace
 
 ComparisonResidual::ComparisonResidual(const Tree& tree, ResidualMethod method, double gain_per_s, TorqueTiming timing)
@@ -93,7 +89,7 @@ void ComparisonResidual::step(const Tree& tree, std::int64_t t_ns, std::span<con
     start_ns_ = t_ns;
     start(tree, q);
   } else {
-    const double dt = seconds(t_ns, t_ns_);
+    const double dt = elapsed_s(t_ns, t_ns_);
     JointVector disturbance{};
     double power = (energy - energy_) / dt;
     for (std::size_t i = 0; i < n; ++i) {
@@ -104,7 +100,7 @@ void ComparisonResidual::step(const Tree& tree, std::int64_t t_ns, std::span<con
     if (method_ == ResidualMethod::velocity) {
       observe_velocity(tree, q, dt, disturbance);
     } else {
-      faded_ = gain_per_s_ * seconds(t_ns, start_ns_);
+      faded_ = gain_per_s_ * elapsed_s(t_ns, start_ns_);
       const double weight = -std::expm1(-gain_per_s_ * dt);
       if (of_energy)
         residual_.fill(residual_[0] + weight * (power - residual_[0]));
@@ -167,11 +163,11 @@ void ResidualFilter::filter(std::int64_t t_ns, bool residual_warm, std::span<dou
     start_ns_ = t_ns_ = t_ns;
     low_.fill(0.0);
   }
-  const double dt = seconds(t_ns, t_ns_);
+  const double dt = elapsed_s(t_ns, t_ns_);
   const bool begun = warm_;
   started_ = true;
   t_ns_ = t_ns;
-  warm_ = residual_warm && (low_pass_per_s_ == 0.0 || low_pass_per_s_ * seconds(t_ns, start_ns_) >= 10.0);
+  warm_ = residual_warm && (low_pass_per_s_ == 0.0 || low_pass_per_s_ * elapsed_s(t_ns, start_ns_) >= 10.0);
   if (low_pass_per_s_ > 0.0) {
     const double weight = -std::expm1(-low_pass_per_s_ * dt);
     for (int i = 0; i < joints_; ++i) residual[i] = low_[i] += weight * (residual[i] - low_[i]);

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "bundle/bodies.hpp"
 #include "bundle/rules.hpp"
 #include "chain/vector3.hpp"
 

@@ -42,7 +42,7 @@ bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum,
     residual_.fill(0.0);
   } else {
     const auto step_ns = static_cast<std::int64_t>(elapsed_ns(t_ns, t_ns_));
-    const double dt = 1e-9 * static_cast<double>(elapsed_ns(t_ns, t_ns_));
+    const double dt = elapsed_s(t_ns, t_ns_);
     const double weight = share_.of(step_ns, -gain_per_s_ * dt);  // 1 - a
     for (int i = 0; i < joints_; ++i) {
       double mean_tau = tau_m_[i];  // held: the last command acted until now

@@ -37,10 +37,8 @@ class MomentumObserver {
   void raise(std::span<const double> least, std::span<double> residual) noexcept;
 
   // Time since the start, [s]; r counts as warmed up after 10/K0.
-  double age_s() const noexcept { return started_ ? 1e-9 * static_cast<double>(elapsed_ns(t_ns_, start_ns_)) : 0.0; }
-  // Whether it is warm, and the sample of that.
+  double age_s() const noexcept { return started_ ? elapsed_s(t_ns_, start_ns_) : 0.0; }
   bool started() const noexcept { return started_; }
-  std::int64_t last_ns() const noexcept { return t_ns_; }
   // Of the last sample, one value per joint.
   std::span<const double> tau_m() const noexcept { return {tau_m_.data(), static_cast<std::size_t>(joints_)}; }
   std::span<const double> residual() const noexcept { return {residual_.data(), static_cast<std::size_t>(joints_)}; }

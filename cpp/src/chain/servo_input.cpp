@@ -47,7 +47,7 @@ double AdaptiveVelocity::slope(std::size_t joint) const noexcept {
   double sum_t = 0, sum_y = 0, sum_tt = 0, sum_ty = 0, best = 0;
   for (int i = 1; i < filled_; ++i) {
     const std::size_t at = place(i), k = static_cast<std::size_t>(i);
-    t[k] = -1e-9 * static_cast<double>(elapsed_ns(now_ns, t_ns_[at]));
+    t[k] = -elapsed_s(now_ns, t_ns_[at]);
     y[k] = q_[at * n + joint] - q;
     const double line = y[k] / t[k];
     for (std::size_t m = 1; m < k; ++m)

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "bundle/rules.hpp"
+#include "bundle/bodies.hpp"
 #include "chain/vector3.hpp"
 
 namespace tauext {
@@ -40,12 +40,8 @@ Carried about_origin(const Link& link) noexcept {
   const auto& c = link.com;
   const double m = link.mass;
   Carried own{m, {m * c[0], m * c[1], m * c[2]}, link.inertia};
-  own.inertia[0] += m * (c[1] * c[1] + c[2] * c[2]);
-  own.inertia[1] += m * (c[0] * c[0] + c[2] * c[2]);
-  own.inertia[2] += m * (c[0] * c[0] + c[1] * c[1]);
-  own.inertia[3] -= m * c[0] * c[1];
-  own.inertia[4] -= m * c[0] * c[2];
-  own.inertia[5] -= m * c[1] * c[2];
+  const std::array<double, 6> far = point_inertia(m, c);
+  for (std::size_t k = 0; k < far.size(); ++k) own.inertia[k] += far[k];
   return own;
 }
 

@@ -142,7 +142,7 @@ void ExpectedLoad::explain(const Sample& sample, const Observed& observed, std::
 
 // Raises the limits by the uncertainty of the load's torques.
 void ExpectedLoad::raise(std::span<double> raised) const noexcept {
-  const LoadRegressor::Columns& columns = columns_.state().load;
+  const LoadRegressor::Columns& columns = columns_.shown().load;
   for (std::size_t j = 0; j < raised.size(); ++j) {
     double variance = 0;
     for (std::size_t i = 0; i < 4; ++i)
@@ -158,7 +158,7 @@ double ExpectedLoad::alike() const noexcept { return std::max(1.0, 1 / (gain_per
 void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explained) noexcept {
   State& s = state_;
   const auto n = static_cast<std::size_t>(joints_);
-  const LoadRegressor::Columns& columns = columns_.state().load;
+  const LoadRegressor::Columns& columns = columns_.shown().load;
   const auto already = ten_of(s.set), before = ten_of(s.change);
   JointVector shown, inertia, sigma;
   for (std::size_t j = 0; j < n; ++j) {
@@ -325,7 +325,7 @@ bool ExpectedLoad::shows(const LoadChange& one, const LoadChange& other, double 
   const auto from = ten_of(one), to = ten_of(other);
   for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) {
     if (units_per_nm_[j] > 0) continue;
-    const double apart = torque(columns_.state().load, from, j) - torque(columns_.state().load, to, j);
+    const double apart = torque(columns_.shown().load, from, j) - torque(columns_.shown().load, to, j);
     if (std::fabs(apart) > share * state_.limit_nm[j]) return true;
   }
   return false;

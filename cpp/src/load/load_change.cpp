@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "bundle/linear.hpp"
 #include "load/load_solve.hpp"
@@ -159,17 +160,7 @@ std::array<double, 10> ten_of(const LoadChange& change) noexcept {
 }
 
 Load changed(const Load& before, const LoadChange& change) noexcept {
-  Load load;
-  const double mass = before.mass + change[0];
-  if (!(mass > 0)) return load;
-  if (change[0] > 0) {
-    load = together(before, ball(change[0], com_of(change)));
-  } else {  // rest of a partly removed load: its centre is unknown, so the old one stays possible
-    load = before;
-    load.mass = mass;
-    for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;
-    for (double& value : load.inertia) value *= mass / before.mass;
-  }
+  Load load = changed(before, change, std::numeric_limits<double>::infinity());
   load.error_share = Load::kUsualError;
   return load;
 }

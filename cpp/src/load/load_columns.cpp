@@ -24,23 +24,23 @@ LoadColumns::LoadColumns(const Tree& tree, const PriorSettings& prior, const Loa
     : joints_(tree.size()),
       regressor_(tree, frame),
       shares_((prior.validate(tree.size()), load_friction_shares(prior, tree.size()))),
-      state_{std::vector(kFilters, MomentumObserver(tree.size(), gain_per_s, TorqueTiming::held)), {}, {}, {}, {}, {}} {
+      filters_(kFilters, MomentumObserver(tree.size(), gain_per_s, TorqueTiming::held)) {
   if (goes_by_corrected(prior)) corrected_.emplace(prior.corrected_links, tree.gravity());
 }
 
 void LoadColumns::reset() noexcept {
-  for (MomentumObserver& one : state_.filters) one.reset();
+  for (MomentumObserver& one : filters_) one.reset();
 }
 
 void LoadColumns::filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v,
                          JointVector& out) noexcept {
   constexpr JointVector zero{};
   const auto n = static_cast<std::size_t>(joints_);
-  state_.filters[which].step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+  filters_[which].step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
                              std::span(out).first(n));
   if (!settled_) return;
   out = v;
-  state_.filters[which].go_back(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+  filters_[which].go_back(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
                                 std::span(v).first(n));
 }
 
@@ -51,36 +51,17 @@ void LoadColumns::begin(std::int64_t t_ns, std::span<const double> q, std::span<
   settled_ = false;
 }
 
-std::size_t LoadColumns::state_bytes() const noexcept {
-  return state_.filters.size() * sizeof(MomentumObserver) + sizeof(state_.load) + 2 * sizeof(state_.frame_forces) +
-         2 * sizeof(JointVector);
-}
+std::size_t LoadColumns::state_bytes() const noexcept { return filter_bytes() + sizeof shown_; }
 
 void LoadColumns::save(std::span<std::byte> to) const noexcept {
-  static_assert(std::is_trivially_copyable_v<MomentumObserver>);
-  const auto put = [&to](const void* from, std::size_t size) noexcept {
-    std::memcpy(to.data(), from, size);
-    to = to.subspan(size);
-  };
-  put(state_.filters.data(), state_.filters.size() * sizeof(MomentumObserver));
-  put(&state_.load, sizeof state_.load);
-  put(&state_.frame_forces, sizeof state_.frame_forces);
-  put(&state_.base_forces, sizeof state_.base_forces);
-  put(&state_.offset, sizeof state_.offset);
-  put(&state_.coulomb, sizeof state_.coulomb);
+  static_assert(std::is_trivially_copyable_v<MomentumObserver> && std::is_trivially_copyable_v<Shown>);
+  std::memcpy(to.data(), filters_.data(), filter_bytes());
+  std::memcpy(to.data() + filter_bytes(), &shown_, sizeof shown_);
 }
 
 void LoadColumns::restore(std::span<const std::byte> from) noexcept {
-  const auto take = [&from](void* to, std::size_t size) noexcept {
-    std::memcpy(to, from.data(), size);
-    from = from.subspan(size);
-  };
-  take(static_cast<void*>(state_.filters.data()), state_.filters.size() * sizeof(MomentumObserver));
-  take(&state_.load, sizeof state_.load);
-  take(&state_.frame_forces, sizeof state_.frame_forces);
-  take(&state_.base_forces, sizeof state_.base_forces);
-  take(&state_.offset, sizeof state_.offset);
-  take(&state_.coulomb, sizeof state_.coulomb);
+  std::memcpy(static_cast<void*>(filters_.data()), from.data(), filter_bytes());
+  std::memcpy(&shown_, from.data() + filter_bytes(), sizeof shown_);
 }
 
 void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
@@ -107,36 +88,29 @@ void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<c
       p[j] = -regressor_.momentum()[k][j];
       v[j] = (rubbing[j] - 1) * regressor_.beta()[k][j];
     }
-    filter(k, t_ns, p, v, state_.load[k]);
+    filter(k, t_ns, p, v, shown_.load[k]);
   }
-  filter(kOffset, t_ns, zero, offset, state_.offset);
+  filter(kOffset, t_ns, zero, offset, shown_.offset);
   for (std::size_t k = 0; k < 3; ++k) {
-    filter(kFrame + k, t_ns, zero, regressor_.frame_forces()[k], state_.frame_forces[k]);
-    filter(kBase + k, t_ns, zero, regressor_.base_forces()[k], state_.base_forces[k]);
+    filter(kFrame + k, t_ns, zero, regressor_.frame_forces()[k], shown_.frame_forces[k]);
+    filter(kBase + k, t_ns, zero, regressor_.base_forces()[k], shown_.base_forces[k]);
   }
-  filter(kCoulomb, t_ns, zero, coulomb, state_.coulomb);
+  filter(kCoulomb, t_ns, zero, coulomb, shown_.coulomb);
 }
 
 LoadSums::Row LoadColumns::row(int joint, double tau_ext) const noexcept {
   const auto j = static_cast<std::size_t>(joint);
   LoadSums::Row row{};
-  for (std::size_t k = 0; k < kLoads; ++k) row[LoadSums::kLoad + k] = state_.load[k][j];
+  for (std::size_t k = 0; k < kLoads; ++k) row[LoadSums::kLoad + k] = shown_.load[k][j];
   row[LoadSums::kOffset] = 1.0;
-  row[LoadSums::kCoulomb] = state_.coulomb[j];
+  row[LoadSums::kCoulomb] = shown_.coulomb[j];
   for (std::size_t k = 0; k < 3; ++k) {
-    row[LoadSums::kBase + k] = state_.base_forces[k][j];
-    row[LoadSums::kFrame + k] = state_.frame_forces[k][j];
+    row[LoadSums::kBase + k] = shown_.base_forces[k][j];
+    row[LoadSums::kFrame + k] = shown_.frame_forces[k][j];
   }
-  row[LoadSums::kGear] = state_.offset[j];
+  row[LoadSums::kGear] = shown_.offset[j];
   row[LoadSums::kTauExt] = tau_ext;
   return row;
-}
-
-double LoadColumns::torque(int joint, std::span<const double> phi) const noexcept {
-  const auto j = static_cast<std::size_t>(joint);
-  double sum = state_.offset[j];
-  for (std::size_t k = 0; k < kLoads; ++k) sum += state_.load[k][j] * phi[k];
-  return sum;
 }
 
 LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
@@ -159,7 +133,7 @@ LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const
       columns.step(sample.t_ns, sample.q, sample.dq, motion.beta(), phi);
     if (samples[next] != k) continue;
     ++next;
-    const LoadColumns::State& s = columns.state();
+    const LoadColumns::Shown& s = columns.shown();
     for (std::size_t j = 0; j < n; ++j) {
       for (const JointVector& column : s.load) out.load.push_back(column[j]);
       for (const JointVector& column : s.frame_forces) out.frame_forces.push_back(column[j]);

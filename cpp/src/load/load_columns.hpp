@@ -31,8 +31,8 @@ class LoadColumns {
  public:
   static constexpr int kParameters = LoadRegressor::kParameters;
 
-  struct State {
-    std::vector<MomentumObserver> filters;
+  // Of the last sample.
+  struct Shown {
     LoadRegressor::Columns load{};
     LoadRegressor::Forces frame_forces{}, base_forces{};
     JointVector offset{}, coulomb{};
@@ -49,7 +49,7 @@ class LoadColumns {
   // First sample while r is already running: filters start in steady state.
   void begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
              std::span<const double> phi) noexcept;
-  bool started() const noexcept { return state_.filters.front().started(); }
+  bool started() const noexcept { return filters_.front().started(); }
   // The filters and what they showed last, as plain bytes.
   std::size_t state_bytes() const noexcept;
   void save(std::span<std::byte> to) const noexcept;
@@ -60,22 +60,21 @@ class LoadColumns {
     if (corrected_) corrected_->carry(link, what);
   }
 
-  const State& state() const noexcept { return state_; }
-  bool warm() const noexcept { return state_.filters.front().warm(); }  // the filters have forgotten how they began
+  const Shown& shown() const noexcept { return shown_; }
+  bool warm() const noexcept { return filters_.front().warm(); }  // the filters have forgotten how they began
   // A joint's row of LoadSums at the last sample.
   LoadSums::Row row(int joint, double tau_ext) const noexcept;
-  // What a load shows in tau_ext of a joint at the last sample, [N m]; phi: (kParameters), the one that was stepped with or
-  // near it.
-  double torque(int joint, std::span<const double> phi) const noexcept;
 
  private:
+  std::size_t filter_bytes() const noexcept { return filters_.size() * sizeof(MomentumObserver); }
   void filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v, JointVector& out) noexcept;
 
   int joints_;
   LoadRegressor regressor_;
   std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
   std::vector<double> shares_;
-  State state_;
+  std::vector<MomentumObserver> filters_;
+  Shown shown_;
   bool settled_ = false;  // filters are in steady state
 };
 

@@ -6,6 +6,8 @@
 #include <numbers>
 #include <utility>
 
+#include "bundle/bodies.hpp"
+
 namespace tauext {
 namespace {
 
@@ -58,17 +60,6 @@ void LoadSums::end_block() noexcept {
     add_square(joint.blocks, joint.open, 1.0);
     joint.open = {};
   }
-}
-
-void LoadSums::fade(double share) noexcept {
-  const double of_sums = std::sqrt(share);
-  for (Joint& joint : joints_) {
-    for (double& value : joint.whole) value *= share;
-    for (double& value : joint.blocks) value *= share;
-    for (double& value : joint.open) value *= of_sums;
-    joint.worth *= share;
-  }
-  rows_ *= share;
 }
 
 double LoadSums::product(int joint, std::size_t a, const Row& theta) const noexcept {
@@ -347,33 +338,10 @@ constexpr double kErrorsOfLoad = 2.0;    // standard errors of its torques: 95 %
 
 using Vec3 = std::array<double, 3>;
 
-double length(const Vec3& v) noexcept { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
-
-// xx, yy, zz, xy, xz, yz of m (c.c 1 - c c^T)
-std::array<double, 6> about_origin(double m, const Vec3& c) noexcept {
-  return {m * (c[1] * c[1] + c[2] * c[2]), m * (c[0] * c[0] + c[2] * c[2]), m * (c[0] * c[0] + c[1] * c[1]),
-          -m * c[0] * c[1],                -m * c[0] * c[2],                -m * c[1] * c[2]};
-}
-
 // Scaled towards the origin to satisfy the reach.
 Vec3 within(const Vec3& com, double reach_m) noexcept {
   const double share = std::min(1.0, reach_m / std::max(length(com), 1e-12));
   return {share * com[0], share * com[1], share * com[2]};
-}
-
-// The total carried load, if another load is set.
-Load corrected(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept {
-  const double mass = set.mass + found[0];
-  if (!(mass > 0)) return {};
-  Vec3 com, added{};
-  for (std::size_t i = 0; i < 3; ++i) com[i] = (set.mass * set.com[i] + found[1 + i]) / mass;
-  for (std::size_t i = 0; i < 3 && found[0] > 0; ++i) added[i] = found[1 + i] / found[0];
-  if (found[0] > 0 && length(added) <= reach_m) return together(set, ball(found[0], added));
-  Load whole = set;
-  whole.mass = mass;
-  whole.com = within(com, std::max(reach_m, length(set.com)));
-  for (double& moment : whole.inertia) moment *= mass / set.mass;
-  return whole;
 }
 
 // Whether a force in base axes points down (or, with a set load, up): without acceleration that is a load.
@@ -490,10 +458,24 @@ LoadBefore before_weighing(const WeighSettings& settings, double mass_kg) noexce
   return {settings.offset_nm, settings.coulomb_nm, std::max(mass_kg, kLeastMass) * settings.reach_m / 2};
 }
 
+Load changed(const Load& set, const std::array<double, 4>& found, double reach_m) noexcept {
+  const double mass = set.mass + found[0];
+  if (!(mass > 0)) return {};
+  Vec3 com, added{};
+  for (std::size_t i = 0; i < 3; ++i) com[i] = (set.mass * set.com[i] + found[1 + i]) / mass;
+  for (std::size_t i = 0; i < 3 && found[0] > 0; ++i) added[i] = found[1 + i] / found[0];
+  if (found[0] > 0 && length(added) <= reach_m) return together(set, ball(found[0], added));
+  Load whole = set;
+  whole.mass = mass;
+  whole.com = within(com, std::max(reach_m, length(set.com)));
+  for (double& moment : whole.inertia) moment *= mass / set.mass;
+  return whole;
+}
+
 LoadParameters beside(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept {
   LoadParameters phi{};
   if (set.mass > 0) {
-    const LoadParameters whole = parameters_of(corrected(found, set, reach_m)), before = parameters_of(set);
+    const LoadParameters whole = parameters_of(changed(set, found, reach_m)), before = parameters_of(set);
     for (std::size_t k = 0; k < phi.size(); ++k) phi[k] = whole[k] - before[k];
     return phi;
   }
@@ -538,7 +520,7 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
 }
 
 LoadParameters parameters_of(const Load& load) noexcept {
-  const std::array<double, 6> far = about_origin(load.mass, load.com);
+  const std::array<double, 6> far = point_inertia(load.mass, load.com);
   LoadParameters phi{load.mass, load.mass * load.com[0], load.mass * load.com[1], load.mass * load.com[2]};
   for (std::size_t k = 0; k < 6; ++k) phi[4 + k] = load.inertia[k] + far[k];
   return phi;
@@ -547,7 +529,7 @@ LoadParameters parameters_of(const Load& load) noexcept {
 Load load_of(const LoadParameters& phi, double error_share) noexcept {
   if (!(phi[0] > 0)) return {};
   Load load{phi[0], {phi[1] / phi[0], phi[2] / phi[0], phi[3] / phi[0]}, {}, error_share};
-  const std::array<double, 6> far = about_origin(load.mass, load.com);
+  const std::array<double, 6> far = point_inertia(load.mass, load.com);
   for (std::size_t k = 0; k < 6; ++k) load.inertia[k] = phi[4 + k] - far[k];
   return load;
 }

@@ -42,11 +42,9 @@ class LoadSums {
   void add(std::span<const Row> rows, std::span<const double> sigma, std::span<const double> worth) noexcept;
   // The next row does not follow the last one; starts a block.
   void end_block() noexcept;
-  // Scales all previous rows by this factor (0 to 1).
-  void fade(double share) noexcept;
 
   int joints() const noexcept { return static_cast<int>(joints_.size()); }
-  double rows() const noexcept { return rows_; }  // faded rows count partially
+  double rows() const noexcept { return rows_; }
   const Joint& joint(int j) const noexcept { return joints_[static_cast<std::size_t>(j)]; }
   // Sum over b of whole_ab theta_b.
   double product(int joint, std::size_t a, const Row& theta) const noexcept;
@@ -110,6 +108,8 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
 
 // Prior of (m, h) for a load of this mass: each component of h within m reach / 2 of 0.
 LoadBefore before_weighing(const WeighSettings& settings, double mass_kg) noexcept;
+// The whole load, given (m, h) found beside a set load. If both cannot be bodies within the reach, the set one is scaled.
+Load changed(const Load& set, const std::array<double, 4>& found, double reach_m) noexcept;
 // All parameters, given (m, h) found beside a set load. In total, the mass is at least 0 and the centre within reach.
 // The added part has the inertia of a ball about its centre; after a removal, the rest keeps its radii of gyration.
 LoadParameters beside(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept;

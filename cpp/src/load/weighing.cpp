@@ -58,17 +58,13 @@ void Weighing::start(double reach_m, const Load& set) noexcept {
   on_ = true;
   pending_ = timed_ = false;
   row_due_ = true;
-  forget();
+  sums_.clear();
+  unsolved_rows_ = 0;
 }
 
 void Weighing::reset() noexcept {
   start(kUsualReach_m, {});
   stop();
-}
-
-void Weighing::forget() noexcept {
-  sums_.clear();
-  unsolved_rows_ = 0;
 }
 
 void Weighing::take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
@@ -93,7 +89,7 @@ void Weighing::take(const Sample& sample, const Observed& observed, const Estima
 
 // How long each joint has stood for, up to this sample.
 void Weighing::stand(std::int64_t t_ns, std::uint32_t near_stiction) noexcept {
-  const double step_s = timed_ && t_ns > t_ns_ ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, t_ns_)) : 0.0;
+  const double step_s = timed_ && t_ns > t_ns_ ? elapsed_s(t_ns, t_ns_) : 0.0;
   timed_ = true;
   for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j)
     stood_s_[j] = near_stiction >> j & 1 ? stood_s_[j] + step_s : 0.0;

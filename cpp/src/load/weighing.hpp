@@ -34,8 +34,6 @@ class Weighing {
 
   // With the next sample, beside this load. reach_m: of the centre of mass, above 0.
   void start(double reach_m, const Load& set) noexcept;
-  // Restarts the sums at the next sample; the columns continue.
-  void forget() noexcept;
   void stop() noexcept { on_ = pending_ = false; }
   // Back to the state after construction.
   void reset() noexcept;
@@ -48,13 +46,7 @@ class Weighing {
 
   LoadFound found() const noexcept { return weigh(sums_, settings_, set_, phi_); }
 
-  const LoadColumns& columns() const noexcept { return columns_; }  // of the last sample
-  bool columns_warm() const noexcept { return columns_.warm(); }
-  LoadSums& sums() noexcept { return sums_; }
-  const LoadSums& sums() const noexcept { return sums_; }
   const WeighSettings& settings() const noexcept { return settings_; }
-  const LoadParameters& phi() const noexcept { return phi_; }  // beside what is set, as known so far
-  const Load& set() const noexcept { return set_; }
 
  private:
   void stand(std::int64_t t_ns, std::uint32_t near_stiction) noexcept;

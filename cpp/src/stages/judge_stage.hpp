@@ -70,7 +70,6 @@ class JudgeStage {
   // While true, the drift trackers learn nothing; the learned drift is still subtracted. Not part of the state.
   void hold_drift(bool hold) noexcept { drift_held_ = hold; }
   const Estimate& last() const noexcept { return estimate_; }  // of the last sample
-  const ErrorScale& error_scale() const noexcept { return scale_; }  // after the last sample
   // Back to the state after construction.
   void reset() noexcept;
 

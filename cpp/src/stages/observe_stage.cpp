@@ -231,7 +231,7 @@ void ObserveStage::watch(const Sample& s, Findings& findings) noexcept {
     p.saturated = true;
     p.saturated_ns = s.t_ns;
   }
-  const double since_s = 1e-9 * static_cast<double>(elapsed_ns(s.t_ns, p.saturated_ns));
+  const double since_s = elapsed_s(s.t_ns, p.saturated_ns);
   if (p.saturated && since_s * slowest_per_s_ >= 10.0) p.saturated = false;
 }
 

@@ -13,10 +13,6 @@ constexpr std::int64_t kBlock_ns = 10'000'000;
 constexpr auto kRecent_ns = static_cast<std::int64_t>(1e9 * TouchKind::kRecent_s);
 constexpr double kGap_s = 0.1;  // longest time without an estimate over which S and x stay valid
 
-double seconds(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
-  return 1e-9 * static_cast<double>(elapsed_ns(later_ns, earlier_ns));
-}
-
 // The load frame, or the frame of the link that most joints carry.
 LoadFrame frame_of(const Bundle& bundle) {
   if (bundle.load.link >= 0) return load_frame(bundle.load);
@@ -72,13 +68,13 @@ void TouchKind::step(const Seen& seen) noexcept {
   if (largest <= kBegins) s.lost = false;
   if (s.lost) return;
   if (largest > kBegins && strongest != s.strongest) {  // another joint's earlier deviation was an error
-    if (s.touching && !s.alarmed && seconds(seen.t_ns, s.begin_ns) > kRecent_s) s.touching = false;
+    if (s.touching && !s.alarmed && elapsed_s(seen.t_ns, s.begin_ns) > kRecent_s) s.touching = false;
     s.strongest = strongest;
   }
   if (largest > kBegins && !s.touching) begin(seen);
   if (!s.touching) return;
   if (largest > kBegins) s.over_ns = seen.t_ns;
-  if (largest <= kBegins && (!s.alarmed || seconds(seen.t_ns, s.over_ns) > kOver_s))
+  if (largest <= kBegins && (!s.alarmed || elapsed_s(seen.t_ns, s.over_ns) > kOver_s))
     s.touching = false;
   else
     update(seen);
@@ -90,7 +86,7 @@ bool TouchKind::follow(const Seen& seen) noexcept {
   for (std::size_t j = 0; j < joints_; ++j)
     if (!std::isfinite(seen.tau_ext[j]) || !(seen.limit_nm[j] > 0)) return false;
   const std::int64_t step_ns = s.timed ? seen.t_ns - s.t_ns : 0;
-  const double dt_s = s.timed ? seconds(seen.t_ns, s.t_ns) : 0;
+  const double dt_s = s.timed ? elapsed_s(seen.t_ns, s.t_ns) : 0;
   if (dt_s > kGap_s) restart();
   const double share = s.timed ? s.share.of(step_ns, -gain_per_s_ * dt_s) : 1;
   for (std::size_t j = 0; j < joints_; ++j) {
@@ -98,7 +94,7 @@ bool TouchKind::follow(const Seen& seen) noexcept {
     s.place[j] += s.speed[j] * dt_s;
   }
   if (!s.timed) s.past.fill(s.speed);
-  if (!s.timed || seconds(seen.t_ns, s.past_ns) >= kBefore_s / (kPast - 1)) {
+  if (!s.timed || elapsed_s(seen.t_ns, s.past_ns) >= kBefore_s / (kPast - 1)) {
     s.past[s.past_next] = s.speed;
     s.past_next = (s.past_next + 1) % kPast;
     s.past_ns = seen.t_ns;
@@ -153,7 +149,7 @@ void TouchKind::measure(const Seen& seen) noexcept {
   s.alarmed = true;
   s.alarm_ns = seen.t_ns;
   s.kind = Touch::unknown;
-  s.came = first ? power / s.size : s.way / seconds(seen.t_ns, s.begin_ns);
+  s.came = first ? power / s.size : s.way / elapsed_s(seen.t_ns, s.begin_ns);
 }
 
 // Updates the sums with this sample.
@@ -207,7 +203,7 @@ double TouchKind::against(const JointVector& speed, const Seen& seen) const noex
 TouchKind::Stretch TouchKind::recent_blocks() const noexcept {
   const State& s = state_;
   const Block& old = before(s.t_ns - kRecent_ns);
-  const double recent_s = seconds(s.t_ns, old.t_ns);
+  const double recent_s = elapsed_s(s.t_ns, old.t_ns);
   if (recent_s < 0.9 * kRecent_s) return {0, 0, 0};
   return {s.size - old.size, s.way - old.way, recent_s};
 }
@@ -235,7 +231,7 @@ bool TouchKind::fits_load() const noexcept {
   double left = 0, squares = 0, rows = 0;
   for (std::size_t k = 0; k < s.count; ++k) {
     const Block& block = s.blocks[(s.next + kBlocks - 1 - k) % kBlocks];
-    if (seconds(s.t_ns, block.t_ns) > kRecent_s) break;
+    if (elapsed_s(s.t_ns, block.t_ns) > kRecent_s) break;
     left += block.left;
     squares += block.size * block.size;
     rows += static_cast<double>(joints_);
@@ -247,14 +243,14 @@ bool TouchKind::fits_load() const noexcept {
 bool TouchKind::bounces(bool over) noexcept {
   State& s = state_;
   if (s.bounced) {
-    const bool stays = over && seconds(s.t_ns, s.peak_ns) > kBounce_s + 3 / gain_per_s_;
+    const bool stays = over && elapsed_s(s.t_ns, s.peak_ns) > kBounce_s + 3 / gain_per_s_;
     if (stays || s.size > std::max(1.0, kBack * s.peak)) {
       s.bounced = false;
       s.kind = Touch::unknown;
       s.candidate = Touch::none;
     }
-  } else if (s.size <= kFell * s.peak && seconds(s.peak_ns, s.begin_ns) <= kBounce_s + 1.5 / gain_per_s_ &&
-             seconds(s.t_ns, s.peak_ns) <= kBounce_s + 0.7 / gain_per_s_ + 0.01) {
+  } else if (s.size <= kFell * s.peak && elapsed_s(s.peak_ns, s.begin_ns) <= kBounce_s + 1.5 / gain_per_s_ &&
+             elapsed_s(s.t_ns, s.peak_ns) <= kBounce_s + 0.7 / gain_per_s_ + 0.01) {
     s.bounced = true;
     s.kind = Touch::impact;
   }
@@ -269,8 +265,8 @@ void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
     s.candidate = found;
     s.candidate_ns = s.t_ns;
   }
-  const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || seconds(s.t_ns, s.alarm_ns) <= kDecided_s;
-  const bool sure = found != Touch::none && seconds(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
+  const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || elapsed_s(s.t_ns, s.alarm_ns) <= kDecided_s;
+  const bool sure = found != Touch::none && elapsed_s(s.t_ns, s.candidate_ns) >= kSure_s - 1e-6;
   const bool lets_go = s.kind == Touch::clamp && found == Touch::push;  // an arm that slips off looks the same
   if (open && sure && found != s.kind && !lets_go) {
     s.kind = found;
@@ -292,7 +288,7 @@ void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
 Touch TouchKind::classify(const Stretch& recent, const Seen& seen) noexcept {
   State& s = state_;
   if (!(recent.s > 0)) return Touch::none;
-  const double since_s = seconds(s.t_ns, s.alarm_ns);
+  const double since_s = elapsed_s(s.t_ns, s.alarm_ns);
   const bool moved = moves(s.speed_at, seen), driven = moved && s.came > 0;
   const bool away = s.came < 0 && moves(s.speed_before, seen) && against(s.speed_before, seen) < 0;
   const bool doubtful = moved && !driven && against(s.speed_at, seen) > 0;  // contradicts the work
@@ -320,7 +316,7 @@ Touch TouchKind::driven_into(const Stretch& recent, double since_s) noexcept {
 // The contact moved the arm, or nothing moves: has the force stopped growing?
 Touch TouchKind::standing(const Stretch& recent, const Seen& seen, double since_s) const noexcept {
   const State& s = state_;
-  const double growth = recent.grown / recent.s, mean = (s.size - s.base) / seconds(s.t_ns, s.begin_ns);
+  const double growth = recent.grown / recent.s, mean = (s.size - s.base) / elapsed_s(s.t_ns, s.begin_ns);
   const double steady = growth > 0 && mean > 0 ? growth / mean * growth / s.fastest : 0;
   bool stuck = true;
   for (std::size_t j = 0; j < joints_; ++j) stuck = stuck && (std::fabs(s.place[j]) < kStuck_rad || !strong(seen, j));

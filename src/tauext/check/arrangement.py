@@ -25,7 +25,7 @@ from tauext.check.fit import (
     spread_of,
 )
 from tauext.check.motion import PADDED_ROWS, Stretch
-from tauext.robot.inertial import point_inertia, six_of, unit_loads, with_more_at_end
+from tauext.robot.inertial import point_inertia, six_of, with_more_at_end
 
 # --- The direction of gravity according to the arm's own torques.
 
@@ -116,7 +116,7 @@ def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> 
     Args:
         rows: rows of these stretches with this tree.
     """
-    with_units = (with_model(rows, stretches, loaded) for loaded in unit_loads(tree))
+    with_units = (with_model(rows, stretches, with_more_at_end(tree, unit)) for unit in np.eye(4))
     return np.stack([one.model - rows.model for one in with_units], axis=2)
 
 

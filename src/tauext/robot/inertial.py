@@ -49,8 +49,3 @@ def with_more_at_end(tree: Tree, more: np.ndarray) -> Tree:
     parameters[: len(more)] += more
     links[-1] = with_inertial_parameters(links[-1], parameters)
     return Tree(links, tree.gravity)
-
-
-def unit_loads(tree: Tree) -> list[Tree]:
-    """Return trees with 1 kg added to the last link, and with a first moment of 1 kg m along x, y and z."""
-    return [with_more_at_end(tree, unit) for unit in np.eye(4)]

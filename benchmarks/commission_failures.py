@@ -455,8 +455,8 @@ Each file of a folder, of numbered ones the first and the last, is damaged befor
 which then is started again. Every run is the whole command but for its child processes: one step of the training is
 done in its place. Columns are kinds of damage. `quiet`: nothing is printed, since the file is written again anyway or
 nothing uses it. `reported`: a line is printed. `older bundle`: the newest whole bundle monitors, and the reason is
-printed. `loss reported`: `journal: at least N confirmed lines are lost` in terminal and page, and nothing is trained. A file
-that is newer than the older copies stays as it is."""
+printed. `loss reported`: `journal: at least N confirmed lines are lost` in terminal and page, and nothing is trained. A
+file that is newer than the older copies stays as it is."""
 
 
 def damage(report: Report, work: Path) -> None:

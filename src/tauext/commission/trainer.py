@@ -434,10 +434,11 @@ def run_trainer(pipe: Connection, path: Path) -> None:
             try:
                 what = trainer.step()
                 failed.clear()
-            except TauextError as error:
-                folder.log(f"the training process failed: {error}")
+            except (TauextError, OSError) as error:  # a disk may be full: what failed is tried again
                 failed[str(error)] = failed.get(str(error), 0) + 1
-                folder.fall_back()  # the bundle in charge may be damaged
+                with suppress(OSError):
+                    folder.log(f"the training process failed: {error}")
+                    folder.fall_back()  # the bundle in charge may be damaged
             try:
                 if pipe.poll(POLL_S * min(60, 2 ** max(failed.values(), default=0)) if what == "nothing" else 0):
                     pipe.recv()

@@ -171,7 +171,11 @@ def arm_row(folder: Place) -> tuple[str, ...]:
         rate, promise = kept.promised_per_hour, "none"
         if rate is not None:
             promise = f"1 in {duration(1 / rate)}: {'kept' if kept.kept else 'BROKEN'}"
-    warnings = [str(one.get("words")) for one in read_findings(folder) if one.get("severity") in ("fault", "warning")]
+    warnings = [
+        f"{one['joint']}: {one.get('words')}" if one.get("joint") else str(one.get("words"))
+        for one in read_findings(folder)
+        if one.get("severity") in ("fault", "warning")
+    ]
     if lost := content["lost_lines"]:
         warnings.insert(0, lost_words(lost))
     return (

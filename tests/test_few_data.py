@@ -181,6 +181,9 @@ def test_limits_of_little_use_are_found():
 
     assert found() == [] and found(0.19) == []
     assert found(0.21) == [("limit-fine", "fault", "elbow")]
+    bundle.near_stiction_limit_nm = [3.3, 0.1]  # the lower one counts
+    assert found(0.11) == [("limit-fine", "fault", "elbow")]
+    bundle.near_stiction_limit_nm = [3.3, 0.3]
     bundle.largest_torque_nm = [9.8, 10.0]
     assert found() == [("limit-wide", "warning", "shoulder")]
     bundle.largest_torque_nm = [6.5, 10.0]

@@ -114,12 +114,11 @@ def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
 
 
 def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:
-    """Where each joint is least sure, and where it is surest."""
+    """Where each monitored joint is least sure, and where it is surest."""
     sentences = {}
-    monitored = next(iter(found.values()))["limit"]
-    for joint, unit in ((joint, unit) for joint, unit in units.items() if joint in monitored):
+    for joint in next(iter(found.values()))["limit"]:
         by_limit = sorted(found, key=lambda name: found[name]["limit"][joint])
-        words = [f"{name}: {certainty(found[name], joint, unit)}" for name in (by_limit[-1], by_limit[0])]
+        words = [f"{name}: {certainty(found[name], joint, units[joint])}" for name in (by_limit[-1], by_limit[0])]
         sentences[joint] = f"least sure {words[0]}; surest {words[1]}"
     return sentences
 

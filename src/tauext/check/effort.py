@@ -1,4 +1,4 @@
-"""The torque signal: sign, unit, delay, drift, and whether the motion excites it."""
+"""The torque signal: sign, unit, delay, drift, steps, and whether the motion excites it."""
 
 from __future__ import annotations
 

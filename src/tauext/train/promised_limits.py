@@ -448,8 +448,8 @@ def limit_findings(bundle: _core.Bundle, step_nm: Mapping[str, float]) -> list[F
                 "robot file, or train on more motion, in which the joint moves faster and carries more"
             )
             found.append(Finding("limit-wide", severity, name, evidence, advice))
-        if min(bundle.sliding_limit_nm[j], limit) < step:
-            evidence = f"{bundle.sliding_limit_nm[j]:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
+        if (finest := min(bundle.sliding_limit_nm[j], bundle.near_stiction_limit_nm[j])) < step:
+            evidence = f"{finest:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
             advice = "one step of the torque raises an alarm: train on motion in which the joint moves as in its work"
             found.append(Finding("limit-fine", "fault", name, evidence, advice))
     return found

@@ -11,6 +11,8 @@ GET := $(PIP) install --no-compile -c constraints.txt
 # library is compiled once.
 INSTALL := $(PIP) install --no-deps --no-build-isolation -C build-dir=$(BUILD)/cpp \
   -C cmake.define.TAUEXT_WERROR=ON -C 'build.targets=_core;_core_stub' -e .
+# Packages of their own beside the project, found by their entry points; what their tests need is in the extra dev.
+INTEGRATIONS := $(patsubst %/pyproject.toml,%,$(wildcard integrations/*/pyproject.toml))
 # $(call requirements,extras): what the project needs, without the project.
 requirements = $(VENV)/bin/python -c 'import sys, tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
   print(*p["dependencies"], *(r for e in sys.argv[1:] for r in p["optional-dependencies"][e]), sep="\n")' $(1)
@@ -33,11 +35,12 @@ CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(INTEGRATIONS:=/pyproject.toml)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
-	$(GET) pip scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
+	$(GET) pip setuptools scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
 	$(call requirements,dev) > $(VENV)/requirements.txt
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
+	$(GET) --no-deps --no-build-isolation $(addprefix -e ./,$(INTEGRATIONS))
 	# Under LC_ALL=C, Python 3.11 does not start where a .pth file holds a path that is not ASCII.
 	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth
 	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it

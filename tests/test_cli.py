@@ -16,7 +16,8 @@ import pytest
 from made_results import run_command, undrawn
 
 from tauext import _core
-from tauext.cli import COMMANDS, main
+from tauext.cli import main
+from tauext.cli.commands import OWN
 from tauext.cli.reproduce import SCALES
 from tauext.cli.train import alarm_settings, train_settings
 from tauext.config import AlarmConfig, DriftConfig, TrainConfig
@@ -157,7 +158,7 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run_command(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS])
+@pytest.mark.parametrize("command", ["", *OWN])
 def test_help_answers_for_every_command(capsys, command):
     code, out, _ = run_command(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out

@@ -202,7 +202,7 @@ def test_a_ros2_arm_in_another_process_is_described_and_its_effort_judged_within
     from made_ros2 import DOMAIN, own_space
 
     from tauext.commission import connect as connecting
-    from tauext.sources.open import SourceOptions, open_source
+    from tauext.sources.open import open_source
     from tauext.sources.ros2_settings import Ros2Settings
 
     monkeypatch.setattr(connecting, "LOOK_S", 10.0)
@@ -210,7 +210,7 @@ def test_a_ros2_arm_in_another_process_is_described_and_its_effort_judged_within
     arm = [sys.executable, str(Path(__file__).with_name("made_ros2_arm.py")), str(DOMAIN), settings.topic, str(factor)]
     process = subprocess.Popen(arm)
     try:
-        options = SourceOptions(ros2=settings)
+        options = {"ros2": settings}
         connected = connect(lambda: open_source("ros2", options)[0], robot, wait_s=30.0)
     finally:
         process.kill()

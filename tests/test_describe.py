@@ -22,7 +22,7 @@ from tauext.sources import lasting
 from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
 from tauext.sources.franka import FrankaSource
 from tauext.sources.lasting import LastingSource
-from tauext.sources.open import SourceOptions, open_source
+from tauext.sources.open import open_source
 from tauext.sources.replay import ReplaySource
 from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.ur import JOINTS as UR_JOINTS
@@ -140,7 +140,7 @@ def servo_source(bus: MadeServoBus, kind: str, joints: list[ServoJoint], monkeyp
     from tauext.sources import open as opening
 
     monkeypatch.setattr("tauext.sources.servo_bus_file.load_servo_bus", lambda path: bus_file(*joints))
-    source, _ = opening.open_source(f"{kind}:{bus.port}", SourceOptions(bus=bus_file().path))
+    source, _ = opening.open_source(f"{kind}:{bus.port}", {"bus": bus_file().path})
     return patient(source)
 
 
@@ -240,7 +240,7 @@ def test_ros2_joints_rate_and_publisher_are_found_out(request, tmp_path):
     settings = Ros2Settings(topic=own_space(request) + "/joint_states", domain=DOMAIN)
 
     def described(wait_s: float, robot=None, **changed) -> SourceFacts:
-        source, _ = open_source("ros2", SourceOptions(ros2=replace(settings, **changed)))
+        source, _ = open_source("ros2", {"ros2": replace(settings, **changed)})
         return source.describe(wait_s, robot)
 
     with pytest.raises(ConfigError, match="no publisher of sensor_msgs/JointState in domain"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parent.parent / "src" / "tauext"
-OPEN = {"errors", "config", "recipes", "progress", "files", "_core"}
+OPEN = {"errors", "config", "recipes", "progress", "plugins", "files", "_core"}
 """What every package may import."""
 ORDER = {
     "files": {"pyarrow"},
@@ -47,7 +47,7 @@ ALSO = {
     "fleet/ray_workers": {"ray"},
 }
 """Libraries that one file of a package imports, and no other."""
-ROOT = {"errors", "config", "recipes", "progress"}
+ROOT = {"errors", "config", "recipes", "progress", "plugins"}
 STANDARD = set(__import__("sys").stdlib_module_names)
 
 

@@ -328,7 +328,7 @@ def test_every_command_of_the_page_is_accepted(monkeypatch):
 @pytest.mark.parametrize("text", [Page(PAGE).text, (INTEGRATIONS / "lerobot_robot_tauext" / "README.md").read_text()])
 def test_options_of_the_wrapped_robot_exist(text):
     """By its settings' source: lerobot need not be installed."""
-    path = INTEGRATIONS / "lerobot_robot_tauext" / "src" / "lerobot_robot_tauext" / "config_tauext.py"
+    path = INTEGRATIONS / "lerobot_robot_tauext" / "lerobot_robot_tauext" / "config_tauext.py"
     (config,) = (node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef))
     settings = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
     printed = set(re.findall(r"--robot\.(\w+)", text))

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 lerobot = pytest.importorskip("lerobot", reason="needs lerobot of version 0.4 or later")
 if sys.version_info < (3, 12):
     pytest.skip("lerobot of these versions needs Python 3.12", allow_module_level=True)
-sys.path.insert(0, str(Path(__file__).parent.parent / "integrations" / "lerobot_teleoperator_tauext" / "src"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "integrations" / "lerobot_teleoperator_tauext"))
 
 from lerobot.robots import Robot, RobotConfig  # noqa: E402
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config  # noqa: E402

@@ -10,7 +10,7 @@ from typing import Any
 
 from made_pages import prose, write_page
 
-from tauext.cli import COMMANDS, FLEET
+from tauext.cli.commands import all_commands
 
 BORDER = "─━-"
 HELP_INDENT = 6
@@ -26,8 +26,12 @@ def help_text(*verb: str, option: str = "--help") -> str:
 
 
 def verbs() -> list[str]:
-    """The commands in the order in which the help names them; those of fleet with its name before them."""
-    return [verb for name in COMMANDS for verb in ([f"fleet {one}" for one in FLEET] if name == "fleet" else [name])]
+    """The commands in the order in which the help names them; those of a group with its name before them."""
+    return [
+        f"{name} {one}".strip()
+        for name, command in all_commands().items()
+        for one in (command.commands or {"": command})
+    ]
 
 
 def boxes(text: str) -> tuple[str, list[tuple[str, list[str]]]]:

@@ -12,11 +12,11 @@ import numpy as np
 
 from hostile.damage import damage
 from hostile.values import PLACES, hostile_value, hostile_words, keys_of, options_of
-from tauext.cli import COMMANDS, command_of
-from tauext.cli import FLEET as FLEET_COMMANDS
+from tauext.cli import command_of
+from tauext.cli.commands import OWN
 from tauext.config import TrainConfig
 
-VERBS = [[name] for name in COMMANDS if name != "fleet"] + [["fleet", name] for name in FLEET_COMMANDS]
+VERBS = [[name, *within] for name, command in OWN.items() for within in [[one] for one in command.commands] or [[]]]
 OPTIONS = {" ".join(verb): options_of(command_of(verb)[1]) for verb in VERBS}
 KEYS = keys_of(TrainConfig)
 # What works and is soon done; {} takes a file where a reader is tried.

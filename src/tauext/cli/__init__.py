@@ -5,7 +5,6 @@ from __future__ import annotations
 import _thread
 import difflib
 import functools
-import importlib
 import os
 import re
 import sys
@@ -20,47 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # MuJoCo draws nothing here. Its import would search for a window system in a subprocess, and lose a Ctrl-C.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
+from tauext.cli.commands import Command, all_commands, command_named, groups
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 
-GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
-    "Recordings": {
-        "import": ("recordings.import_data", "make a dataset from recordings of a real arm; --new writes arm.toml"),
-        "simulate": ("recordings.simulate", "make a dataset of the paper's two-axis rig"),
-        "check": ("recordings.check", "find wrong units, signs, joint order and timing"),
-        "label": ("recordings.label", "add contact and collision labels to a LeRobot dataset"),
-    },
-    "Bundles": {
-        "train": ("train.train", "train a bundle on a dataset's free motion"),
-        "calibrate": ("train.calibrate", "set other limits in a trained bundle"),
-        "refit": ("train.refit", "update a bundle's friction with a minute of today's motion"),
-        "show": ("show.show", "print a bundle, a recording, a fleet prior or a commissioned arm"),
-    },
-    "Monitor": {
-        "commission": (
-            "commission.commission",
-            "learn a live arm while it works, and monitor it",
-        ),
-        "run": ("run.run", "run the monitor on recordings"),
-        "monitor": ("monitor.monitor", "run the monitor on a live arm"),
-        "load": ("load.load", "weigh a payload, or find torque constants from a known weight"),
-    },
-    "Results": {
-        "evaluate": ("results.evaluate", "measure errors, false alarms and delays of bundles on a dataset"),
-        "report": ("results.report", "draw an HTML page of results, one flight or commissioned arms"),
-        "reproduce": ("reproduce.reproduce", "repeat the paper's experiment: simulate, train, evaluate and report"),
-    },
-    "Many arms": {
-        "fleet": ("fleet", "run all stages for many arms; fleet priors"),
-    },
-}
-"""Commands: module and function in this package, and a line of help."""
-COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
-FLEET = {
-    "run": "import, check, train, calibrate and evaluate every arm",
-    "example": "print an example of FLEET.toml",
-    "prior": "fit a prior for the next arm of a type from several arms",
-}
-"""Functions of the module fleet, and a line of help."""
 SUMMARY = "External joint torque and collision detection for robot arms, from encoders and motor torque alone."
 NOTES = """\
 Order of work: import (or simulate), check, train, then run or monitor; evaluate and report show how good a bundle is.
@@ -80,11 +41,6 @@ LONGEST_ERROR = 1500
 """Letters of an error: what a hostile file holds is quoted no further."""
 
 
-def spelled_out(argv: list[str]) -> list[str]:
-    """`--ros2` is `--source ros2`: no option of its own, since --ros2.topic and others stand for a group."""
-    return [word for arg in argv for word in (("--source", "ros2") if arg == "--ros2" else (arg,))]
-
-
 def version_text() -> str:
     """Versions of the package, of its core and of the compiler that made it, its kernels; which bundles both read and
     write."""
@@ -102,39 +58,39 @@ def command_of(argv: Sequence[str]) -> tuple[str, Callable[..., Any]]:
     """The command that the arguments name, as it is typed, and its function, whose module is imported now.
 
     Raises:
-        ConfigError: there is no such command.
+        ConfigError: there is no such command, or a plug-in that adds it cannot be loaded.
     """
-    name = named(argv[:1], COMMANDS, "tauext")
-    module, _, function = COMMANDS[name][0].partition(".")
-    if name == "fleet":
-        function = named(argv[1:2], FLEET, "tauext fleet")
-        name = f"fleet {function}"
-    return f"tauext {name}", getattr(importlib.import_module(f"tauext.cli.{module}"), function)
+    prog = "tauext"
+    within: Mapping[str, Command] | None = None
+    for word in argv:
+        found = command_named(word) if within is None else within.get(word)
+        if found is None:
+            raise ConfigError(unknown(word, all_commands() if within is None else within, prog))
+        prog, within = f"{prog} {word}", found.commands
+        if not within:
+            return prog, found.load()
+    raise ConfigError(f"a command is missing: {', '.join(within or all_commands())}; see `{prog} --help`")
 
 
-def named(words: Sequence[str], commands: Collection[str], prog: str) -> str:
-    """The word, if it is one of these commands."""
-    for word in words:
-        if word in commands:
-            return word
-        near = difflib.get_close_matches(word, commands, 1)
-        meant = f"; did you mean '{near[0]}'?" if near else ""
-        raise ConfigError(f"there is no command '{word}'{meant}; see `{prog} --help`")
-    raise ConfigError(f"a command is missing: {', '.join(commands)}; see `{prog} --help`")
+def unknown(word: str, commands: Collection[str], prog: str) -> str:
+    """The message about a word that is no command."""
+    near = difflib.get_close_matches(word, commands, 1)
+    meant = f"; did you mean '{near[0]}'?" if near else ""
+    return f"there is no command '{word}'{meant}; see `{prog} --help`"
 
 
 def overview(argv: Sequence[str]) -> str | None:
-    """Help of all commands, of the fleet commands or of --config; None: the arguments request none of these."""
+    """Help of all commands, of a group of commands or of --config; None: the arguments request none of these."""
     help_options = ("-h", "--help")
     if argv[:1] and argv[0] in help_options:
-        lists = {title: listed({name: row[1] for name, row in group.items()}) for title, group in GROUPS.items()}
-        groups = "\n\n".join(f"{title}:\n{commands}" for title, commands in lists.items())
+        lists = "\n\n".join(f"{title}:\n{listed(commands)}" for title, commands in groups().items())
         return (
             "usage: tauext COMMAND [OPTIONS]\n       tauext COMMAND --help\n       tauext --version\n\n"
-            f"{SUMMARY}\n\n{groups}\n\n{NOTES}"
+            f"{SUMMARY}\n\n{lists}\n\n{NOTES}"
         )
-    if argv[:1] == ["fleet"] and argv[1:2] and argv[1] in help_options:
-        return f"usage: tauext fleet COMMAND [OPTIONS]\n\nMany arms on many cores.\n\n{listed(FLEET)}"
+    if argv[1:2] and argv[1] in help_options and (group := command_named(argv[0])) and group.commands:
+        name, summary = argv[0], f"{group.help[:1].upper()}{group.help[1:]}."
+        return f"usage: tauext {name} COMMAND [OPTIONS]\n\n{summary}\n\n{listed(group.commands)}"
     if argv[:1] == ["train"] and "--help-config" in argv:
         from tauext.config import TrainConfig
         from tauext.files.toml_file import settings_text
@@ -143,8 +99,8 @@ def overview(argv: Sequence[str]) -> str | None:
     return None
 
 
-def listed(commands: Mapping[str, str]) -> str:
-    return "\n".join(f"  {name:<11}{words}" for name, words in commands.items())
+def listed(commands: Mapping[str, Command]) -> str:
+    return "\n".join(f"  {name:<11}{command.help}" for name, command in commands.items())
 
 
 def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str]) -> Callable[[], Any]:
@@ -198,7 +154,7 @@ def main(argv: list[str] | None = None) -> int:
             flush()
             return 0
         prog, command = command_of(argv)
-        call = understood(command, prog, spelled_out(argv[len(prog.split()) - 1 :]))
+        call = understood(command, prog, argv[len(prog.split()) - 1 :])
         if argv[0] in READING:
             from tauext.files.preflight import within_memory
 

@@ -14,9 +14,9 @@ import tyro
 
 from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.progress import in_plain_letters
+from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.sources.ros2_settings import Ros2Settings
 
 if TYPE_CHECKING:
     from tauext.commission.answers import Steering
@@ -29,12 +29,13 @@ MOST_CORES = 1024
 
 
 def commission(
-    source: str | None = None,
+    source: Annotated[
+        str | None,
+        tyro.conf.arg(help=f"source of the samples: {SOURCES}, or a simulated arm: sim:rig, sim:seven or sim:so101."),
+    ] = None,
     out: LocalArg | None = None,
     robot: LocalArg | None = None,
-    torque_constants: PlaceArg | None = None,
-    bus: PlaceArg | None = None,
-    ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
+    options: SourceOptionsArg = SourceOptions(),  # noqa: B008
     reactions: PlaceArg | None = None,
     no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
     host: str = "127.0.0.1",
@@ -49,14 +50,9 @@ def commission(
     Ctrl-C ends it; the same command continues. Guide: docs/commission.md.
 
     Args:
-        source: source of the samples: ur:HOST, franka:HOST, ros2, feetech:PORT, dynamixel:PORT, damiao:CAN, replay:FILE
-            or a simulated arm: sim:rig, sim:seven or sim:so101.
         out: folder of this arm. It holds description, recordings, labels, bundles, events and log.
         robot: URDF or MJCF of the arm. None: no model; the page shows bars.
-        torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
-            current.
-        bus: TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint.
-        ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
+        options: options of some sources.
         reactions: TOML file of reactions to a collision, contact or fault; docs/running.md.
         no_page: serve no page.
         host: address on which the page listens. 127.0.0.1: this computer only; 0.0.0.0: the network, with a token in
@@ -89,7 +85,6 @@ def commission(
     from tauext.monitor.reaction_file import load_reactions
     from tauext.page import serve
     from tauext.page.door import LOOPBACK, free_port
-    from tauext.sources.open import SourceOptions
 
     token, found, address = "", port, ""
     if not no_page:
@@ -100,10 +95,9 @@ def commission(
         address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  (the page, {reach})"
         if found != port:  # printed with the address, once the folder is known to be free
             address = f"port {port} is in use; the page is on port {found}\n{address}"
-    chosen = SourceOptions(None, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
-    options = Options(
+    chosen = Options(
         robot=robot,
-        source=chosen,
+        source=given(options),
         reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
         page=None if no_page else serve,
         address=address,
@@ -117,7 +111,7 @@ def commission(
     from tauext.cli.monitor import quiet_library
 
     with quiet_library(source), keys() as listening:
-        run(out, source, options, say, listening)
+        run(out, source, chosen, say, listening)
 
 
 def say(text: str) -> None:

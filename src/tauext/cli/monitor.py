@@ -6,16 +6,16 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from tauext.cli.place_argument import LocalArg, PlaceArg
+from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.sources.open import SourceOptions, open_source
-from tauext.sources.ros2_settings import Ros2Settings
+from tauext.sources.open import open_source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,11 +43,8 @@ class Extras:
 
 def monitor(
     bundle: Annotated[PlaceArg | None, tyro.conf.Positional] = None,
-    source: str | None = None,
-    speed: float | None = None,
-    torque_constants: PlaceArg | None = None,
-    bus: PlaceArg | None = None,
-    ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
+    source: Annotated[str | None, tyro.conf.arg(help=f"source of the samples: {SOURCES}.")] = None,
+    options: SourceOptionsArg = SourceOptions(),  # noqa: B008
     reactions: PlaceArg | None = None,
     profiles: PlaceArg | None = None,
     control: Path | None = None,
@@ -73,14 +70,7 @@ def monitor(
 
     Args:
         bundle: bundle (*.tauext) to run.
-        source: source of the samples: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN or
-            ros2.
-        speed: factor on the recorded speed of a replay, at least 1. None: 1.
-        torque_constants: with --source ur, a file with the torque constant of each joint, Nm per ampere of motor
-            current.
-        bus: TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint.
-            LeRobot's calibration file (*.json) also works for serial servos.
-        ros2: topics and quality of service of --source ros2; docs/quickstarts/ros2.md.
+        options: options of some sources.
         reactions: TOML file of reactions to a collision, contact or fault, and to its end.
         profiles: TOML file of named factors on the limits, switched while the monitor runs.
         control: socket that accepts the lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
@@ -107,8 +97,7 @@ def monitor(
     if bundle is None or source is None:
         missing = "--source" if bundle is not None else "the bundle"
         raise ConfigError(f"{missing} is missing: tauext monitor ARM.tauext --source replay:FILE")
-    require_positive(speed=speed, missing_after_ms=missing_after_ms)
-    require_positive(acknowledge_after_s=acknowledge_after_s, duration_s=duration_s)
+    require_positive(missing_after_ms=missing_after_ms, acknowledge_after_s=acknowledge_after_s, duration_s=duration_s)
     require(1 <= segment_s <= 3600, "segment_s", segment_s, "1 to 3600")
     require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
@@ -123,10 +112,9 @@ def monitor(
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
     extras = Extras(reactions, profiles, kept, record, segment_s, control)
-    options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     with quiet_library(source):
         output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
-        watch(bundle, source, options, settings, extras, output)
+        watch(bundle, source, given(options), settings, extras, output)
 
 
 def quiet_library(source: str) -> AbstractContextManager[None]:
@@ -149,7 +137,7 @@ def require_positive(**values: float | None) -> None:
 
 
 def watch(
-    path: Place, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: Output
+    path: Place, text: str, options: dict[str, Any], settings: LoopSettings, extras: Extras, output: Output
 ) -> None:
     """Connect everything, run the loop, print the summary.
 

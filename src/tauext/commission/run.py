@@ -13,9 +13,9 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -57,7 +57,7 @@ from tauext.monitor.stop_signals import stopped_by_signals
 from tauext.robot.load import movable_joints
 from tauext.robot.write import is_placeholder
 from tauext.sources.lasting import LastingSource
-from tauext.sources.open import KINDS, SourceOptions, open_source
+from tauext.sources.open import open_source
 
 Echo = Callable[[str], None]
 
@@ -82,7 +82,8 @@ class Options:
     """Options of the command beside source and folder."""
 
     robot: Path | None = None
-    source: SourceOptions = SourceOptions()
+    source: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the source that were given, by name."""
     reactions: Callable[[tuple[str, ...] | None], list[Reaction]] = lambda joints: []
     """Reads the rules of a reactions file for these joints; None: they are not known yet."""
     page: Callable[..., None] | None = None
@@ -151,19 +152,16 @@ def repaired_folder(path: Path) -> list[str]:
 # --- Sources, and sockets beside the folder's files.
 
 
-def open_arm(text: str, options: SourceOptions) -> tuple[Source, tuple[Sink, ...]]:
+def open_arm(text: str, options: Mapping[str, Any]) -> tuple[Source, tuple[Sink, ...]]:
     """As open_source(), with simulated arms."""
     kind, _, target = text.partition(":")
-    if kind == "sim":
-        from tauext.sim.source import SimSource
+    if kind != "sim":
+        return open_source(text, options, also="sim:ARM")
+    from tauext.sim.source import SimSource
 
-        if options != SourceOptions():
-            raise ConfigError(f"{text}: a simulated arm takes no --bus, --torque-constants or --ros2")
-        return SimSource(target), ()
-    if kind not in KINDS:
-        choices = [*(f"{name}:{one.target}".rstrip(":") for name, one in KINDS.items()), "sim:ARM"]
-        raise ConfigError(f"--source {text!r} must be one of {', '.join(choices)}")
-    return open_source(text, options)
+    if options:
+        raise ConfigError(f"{text}: a simulated arm takes no --{next(iter(options)).replace('_', '-')}")
+    return SimSource(target), ()
 
 
 def socket_folder(folder: Path, stack: ExitStack) -> Path:

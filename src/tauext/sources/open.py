@@ -1,10 +1,12 @@
-"""Sources by text, KIND:TARGET."""
+"""Kinds of sources, and a source by its text, KIND:TARGET."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from tauext import plugins
 from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
 from tauext.sources.ros2_settings import Ros2Settings
@@ -14,94 +16,185 @@ if TYPE_CHECKING:
     from tauext.monitor.sink import Sink
     from tauext.monitor.source import Source
 
-# --- The kinds of sources; a new one is registered here.
+
+@dataclass(frozen=True)
+class Option:
+    """An option of the commands `monitor` and `commission` for one kind of source, or for several."""
+
+    name: str
+    """`torque_constants` is given as --torque-constants."""
+    type: Any
+    """Type of the value, also `X | None`. A frozen dataclass is a group of options: --ros2.topic."""
+    help: str
+    default: Any = None
+    """Value when the option is not given; the source is then opened without it."""
 
 
 @dataclass(frozen=True)
-class SourceOptions:
-    """Options of the command that only some sources take; None: not given."""
+class SourceKind:
+    """A kind of source. Packages of their own add kinds as entry points of the group tauext.sources."""
 
-    speed: float | None = None
-    torque_constants: Place | None = None
-    ros2: Ros2Settings | None = None
-    bus: Place | None = None
+    open: Callable[..., Source | tuple[Source, tuple[Sink, ...]]]
+    """open(target, bundle, **options) returns the source, not connected yet, alone or with the sinks that belong to it,
+    such as a publisher. `bundle` is None where none exists yet; `options` are those that were given. Drivers are
+    imported here. Raises ConfigError where an option is missing or does not fit."""
+    target: str = ""
+    """Name of the target after the colon, such as HOST; empty: the kind has no target."""
+    options: tuple[Option, ...] = ()
+    """Options that the kind takes."""
 
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of source."""
-
-    target: str
-    """Name of the target after the colon; empty: the kind has no target."""
-    takes: tuple[str, ...] = ()
-    """Fields of SourceOptions that the kind accepts."""
+    def typed(self, name: str) -> str:
+        """How a user names the kind: `ur:HOST`."""
+        return f"{name}:{self.target}" if self.target else name
 
 
-KINDS = {
-    "replay": Kind("FILE", ("speed",)),
-    "ur": Kind("HOST", ("torque_constants",)),
-    "franka": Kind("HOST"),
-    "feetech": Kind("PORT", ("bus",)),
-    "dynamixel": Kind("PORT", ("bus",)),
-    "damiao": Kind("CAN", ("bus",)),
-    "ros2": Kind("", ("ros2",)),
+# --- The kinds of this package. Modules of drivers are imported when a source is opened.
+
+SPEED = Option("speed", float | None, "factor on the recorded speed of a replay, at least 1. None: 1.")
+TORQUE_CONSTANTS = Option(
+    "torque_constants",
+    Place | None,
+    "with --source ur, a file with the torque constant of each joint, Nm per ampere of motor current.",
+)
+BUS = Option(
+    "bus",
+    Place | None,
+    "TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint. LeRobot's"
+    " calibration file (*.json) also works for serial servos.",
+)
+ROS2 = Option(
+    "ros2",
+    Ros2Settings,
+    "topics and quality of service of --source ros2; docs/quickstarts/ros2.md.",
+    Ros2Settings(),
+)
+
+
+def open_replay(target: str, bundle: Bundle | None, speed: float = 1.0) -> Source:
+    from tauext.sources.replay import ReplaySource
+
+    if speed < 1:  # by the clock, every sample would be missing
+        raise ConfigError(
+            f"speed = {speed:g} must be >= 1: at a lower speed a live loop counts late samples as missing"
+        )
+    return ReplaySource(place_of(target), speed)
+
+
+def open_ur(target: str, bundle: Bundle | None, torque_constants: Place | None = None) -> Source:
+    from tauext.sources.ur import UrSource
+
+    return UrSource(target, torque_constants)
+
+
+def open_franka(target: str, bundle: Bundle | None) -> Source:
+    from tauext.sources.franka import FrankaSource
+
+    return FrankaSource(target)
+
+
+def expect_bus(text: str, bus: Place | None) -> Place:
+    """Raises ConfigError without a bus file."""
+    if bus is None:
+        raise ConfigError(f"--source {text} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
+    return bus
+
+
+def open_feetech(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext.sources.servo import ServoSource
+    from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import FEETECH
+
+    return ServoSource(FEETECH, target, load_servo_bus(expect_bus("feetech:PORT", bus)))
+
+
+def open_dynamixel(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext.sources.servo import ServoSource
+    from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import DYNAMIXEL
+
+    return ServoSource(DYNAMIXEL, target, load_servo_bus(expect_bus("dynamixel:PORT", bus)))
+
+
+def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext.sources.damiao import DamiaoSource, load_can_bus
+
+    return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))
+
+
+def open_ros2(target: str, bundle: Bundle | None, ros2: Ros2Settings | None = None) -> tuple[Source, tuple[Sink, ...]]:
+    from tauext.sources.ros2 import connect
+
+    source, publisher = connect(ros2 or Ros2Settings(), bundle)
+    return source, (publisher,)
+
+
+KINDS: Mapping[str, SourceKind] = {
+    "replay": SourceKind(open_replay, "FILE", (SPEED,)),
+    "ur": SourceKind(open_ur, "HOST", (TORQUE_CONSTANTS,)),
+    "franka": SourceKind(open_franka, "HOST"),
+    "feetech": SourceKind(open_feetech, "PORT", (BUS,)),
+    "dynamixel": SourceKind(open_dynamixel, "PORT", (BUS,)),
+    "damiao": SourceKind(open_damiao, "CAN", (BUS,)),
+    "ros2": SourceKind(open_ros2, options=(ROS2,)),
 }
 
 
-def open_source(text: str, options: SourceOptions, bundle: Bundle | None = None) -> tuple[Source, tuple[Sink, ...]]:
-    """The source of this text, KIND:TARGET, not open yet, and the publishers that belong to it.
+# --- All kinds, and a source by its text.
+
+
+def kinds() -> dict[str, SourceKind]:
+    """Kinds of this package, then those of plug-ins; a plug-in that cannot be loaded is left out."""
+    found = dict(KINDS)
+    for name, entry in plugins.installed(plugins.SOURCES, KINDS).items():
+        try:
+            found[name] = plugins.load(entry, SourceKind)
+        except ConfigError:  # reported by kind_of(), to those who want it
+            continue
+    return found
+
+
+def kind_of(name: str) -> SourceKind | None:
+    """The kind of this name; None: there is none.
+
+    Raises:
+        ConfigError: a plug-in adds it and cannot be loaded.
+    """
+    if name in KINDS:
+        return KINDS[name]
+    entry = plugins.installed(plugins.SOURCES, KINDS).get(name)
+    return None if entry is None else plugins.load(entry, SourceKind)
+
+
+def options_of(kinds: Mapping[str, SourceKind]) -> dict[str, Option]:
+    """Options of these kinds by name; of two with one name, the first."""
+    found: dict[str, Option] = {}
+    for kind in kinds.values():
+        for option in kind.options:
+            found.setdefault(option.name, option)
+    return found
+
+
+def open_source(
+    text: str, options: Mapping[str, Any], bundle: Bundle | None = None, also: str = ""
+) -> tuple[Source, tuple[Sink, ...]]:
+    """The source of this text, KIND:TARGET, not connected yet, and the sinks that belong to it.
 
     Args:
-        bundle: basis of the forces that publishers send.
+        options: values of the options that were given, by name.
+        bundle: what the samples are for; sinks of the source take frames and units from it.
+        also: further choices that the caller accepts, for the message.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
     """
-    kind, colon, target = text.partition(":")
-    choices = ", ".join(f"{name}:{one.target}" if one.target else name for name, one in KINDS.items())
-    chosen = KINDS.get(kind)
-    if chosen is None or bool(target) != bool(chosen.target) or (colon and not target):
+    name, colon, target = text.partition(":")
+    kind = kind_of(name)
+    if kind is None or bool(target) != bool(kind.target) or (colon and not target):
+        choices = ", ".join([*(one.typed(other) for other, one in kinds().items()), *([also] if also else ())])
         raise ConfigError(f"--source {text!r} must be one of {choices}")
-    for name in SourceOptions.__dataclass_fields__:
-        if getattr(options, name) is not None and name not in chosen.takes:
-            those = ", ".join(other for other, one in KINDS.items() if name in one.takes)
-            raise ConfigError(f"--{name.replace('_', '-')} is for source {those}, not for {kind}")
-    if kind == "ros2":
-        from tauext.sources import ros2
-
-        source, publisher = ros2.connect(options.ros2 or Ros2Settings(), bundle)
-        return source, (publisher,)
-    return source_of(kind, target, options), ()
-
-
-def source_of(kind: str, target: str, options: SourceOptions) -> Source:
-    """A source without publishers of its own; only the modules of this kind are imported."""
-    if kind == "replay":
-        from tauext.sources.replay import ReplaySource
-
-        speed = options.speed or 1.0
-        if speed < 1:  # by the clock, every sample would be missing
-            raise ConfigError(
-                f"speed = {speed:g} must be >= 1: at a lower speed a live loop counts late samples as missing"
-            )
-        return ReplaySource(place_of(target), speed)
-    if kind == "ur":
-        from tauext.sources.ur import UrSource
-
-        return UrSource(target, options.torque_constants)
-    if kind == "franka":
-        from tauext.sources.franka import FrankaSource
-
-        return FrankaSource(target)
-    if options.bus is None:
-        named = f"{kind}:{KINDS[kind].target}"
-        raise ConfigError(f"--source {named} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
-    if kind == "damiao":
-        from tauext.sources.damiao import DamiaoSource, load_can_bus
-
-        return DamiaoSource(target, load_can_bus(options.bus))
-    from tauext.sources.servo import ServoSource
-    from tauext.sources.servo_bus_file import load_servo_bus
-    from tauext.sources.servo_series import DYNAMIXEL, FEETECH
-
-    return ServoSource(FEETECH if kind == "feetech" else DYNAMIXEL, target, load_servo_bus(options.bus))
+    for option in options:
+        if option not in {one.name for one in kind.options}:
+            those = ", ".join(other for other, one in kinds().items() if option in {each.name for each in one.options})
+            raise ConfigError(f"--{option.replace('_', '-')} is for source {those}, not for {name}")
+    opened = kind.open(target, bundle, **options)
+    return opened if isinstance(opened, tuple) else (opened, ())

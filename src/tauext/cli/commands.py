@@ -1,0 +1,102 @@
+"""Commands by name: those of tauext, and those of plug-ins."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tauext import plugins
+from tauext.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, or a group of commands. Packages add their own as entry points of the group tauext.commands."""
+
+    help: str
+    """A line of the overview."""
+    function: str = ""
+    """`module:function`, imported when the command is called. Its parameters and its docstring are the options and
+    their help; it returns the exit status, None for 0."""
+    commands: Mapping[str, Command] = field(default_factory=dict)
+    """Commands of a group, which has no function."""
+
+    def load(self) -> Callable[..., Any]:
+        """Import the function."""
+        module, _, function = self.function.partition(":")
+        return getattr(importlib.import_module(module), function)
+
+
+GROUPS: Mapping[str, Mapping[str, Command]] = {
+    "Recordings": {
+        "import": Command(
+            "make a dataset from recordings of a real arm; --new writes arm.toml", "tauext.cli.recordings:import_data"
+        ),
+        "simulate": Command("make a dataset of the paper's two-axis rig", "tauext.cli.recordings:simulate"),
+        "check": Command("find wrong units, signs, joint order and timing", "tauext.cli.recordings:check"),
+        "label": Command("add contact and collision labels to a LeRobot dataset", "tauext.cli.recordings:label"),
+    },
+    "Bundles": {
+        "train": Command("train a bundle on a dataset's free motion", "tauext.cli.train:train"),
+        "calibrate": Command("set other limits in a trained bundle", "tauext.cli.train:calibrate"),
+        "refit": Command("update a bundle's friction with a minute of today's motion", "tauext.cli.train:refit"),
+        "show": Command("print a bundle, a recording, a fleet prior or a commissioned arm", "tauext.cli.show:show"),
+    },
+    "Monitor": {
+        "commission": Command("learn a live arm while it works, and monitor it", "tauext.cli.commission:commission"),
+        "run": Command("run the monitor on recordings", "tauext.cli.run:run"),
+        "monitor": Command("run the monitor on a live arm", "tauext.cli.monitor:monitor"),
+        "load": Command("weigh a payload, or find torque constants from a known weight", "tauext.cli.load:load"),
+    },
+    "Results": {
+        "evaluate": Command(
+            "measure errors, false alarms and delays of bundles on a dataset", "tauext.cli.results:evaluate"
+        ),
+        "report": Command("draw an HTML page of results, one flight or commissioned arms", "tauext.cli.results:report"),
+        "reproduce": Command(
+            "repeat the paper's experiment: simulate, train, evaluate and report", "tauext.cli.reproduce:reproduce"
+        ),
+    },
+    "Many arms": {
+        "fleet": Command(
+            "run all stages for many arms; fleet priors",
+            commands={
+                "run": Command("import, check, train, calibrate and evaluate every arm", "tauext.cli.fleet:run"),
+                "example": Command("print an example of FLEET.toml", "tauext.cli.fleet:example"),
+                "prior": Command("fit a prior for the next arm of a type from several arms", "tauext.cli.fleet:prior"),
+            },
+        ),
+    },
+}
+"""The commands of this package, in the groups of the overview."""
+OWN = {name: command for group in GROUPS.values() for name, command in group.items()}
+
+
+def groups() -> dict[str, dict[str, Command]]:
+    """The commands of this package in groups, then those of plug-ins; a plug-in that cannot be loaded shows why."""
+    added = {}
+    for name, entry in plugins.installed(plugins.COMMANDS, OWN).items():
+        try:
+            added[name] = plugins.load(entry, Command)
+        except ConfigError as error:
+            added[name] = Command(str(error))
+    return {title: dict(group) for title, group in GROUPS.items()} | ({"Plug-ins": added} if added else {})
+
+
+def all_commands() -> dict[str, Command]:
+    """Every command by name."""
+    return {name: command for group in groups().values() for name, command in group.items()}
+
+
+def command_named(name: str) -> Command | None:
+    """The command of this name; None: there is none. Plug-ins are searched only for names that tauext lacks.
+
+    Raises:
+        ConfigError: a plug-in adds it and cannot be loaded.
+    """
+    if name in OWN:
+        return OWN[name]
+    entry = plugins.installed(plugins.COMMANDS, OWN).get(name)
+    return None if entry is None else plugins.load(entry, Command)

@@ -1,0 +1,47 @@
+"""Plug-ins: sources and commands that packages of their own add, found by their entry points.
+
+A package adds a robot or a command in its pyproject.toml:
+
+    [project.entry-points."tauext.sources"]
+    myarm = "my_package:KIND"        # a tauext.sources.open.SourceKind
+    [project.entry-points."tauext.commands"]
+    mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
+
+`examples/plugin` holds one of each. The names of tauext itself cannot be replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from tauext.errors import ConfigError
+
+SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
+"""Groups of entry points."""
+
+
+def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
+    """Entry points of the group by name, in the order of names, without the names that are taken.
+
+    Of two packages that add the same name, the one whose value comes last in the alphabet is used.
+    """
+    found = sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
+    return {one.name: one for one in found if one.name not in taken}
+
+
+def load(entry: EntryPoint, kind: type) -> Any:
+    """The object of this entry point.
+
+    Raises:
+        ConfigError: its package cannot be imported, holds no such object, or one of another type.
+    """
+    of = f"plug-in {entry.name} ({entry.dist.name if entry.dist else 'unknown package'}, {entry.value})"
+    try:
+        loaded = entry.load()
+    except Exception as error:  # a package of others may raise anything
+        raise ConfigError(f"{of}: cannot be loaded: {type(error).__name__}: {error}") from None
+    if not isinstance(loaded, kind):
+        raise ConfigError(f"{of}: must be a {kind.__module__}.{kind.__name__}, not a {type(loaded).__name__}")
+    return loaded

@@ -1,0 +1,92 @@
+"""Plug-ins: the example package, found by its entry points alone, and packages that are broken."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from made_bundles import watching_bundle
+
+ROOT = Path(__file__).parent.parent
+EXAMPLE = ROOT / "examples" / "04_plugin"
+
+
+def install(site: Path, name: str, groups: dict[str, dict[str, str]]) -> None:
+    """What a package's installer writes about its entry points."""
+    info = site / f"{name}-0.1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
+    lines = [
+        line for group, names in groups.items() for line in (f"[{group}]", *(f"{k} = {v}" for k, v in names.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Packages beside tauext: the example, one that cannot be imported, one that holds something else."""
+    site = tmp_path_factory.mktemp("site")
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    install(site, project["name"], project["entry-points"])
+    (site / "my_arm.py").write_text((EXAMPLE / "my_arm.py").read_text())
+    install(
+        site, "broken", {"tauext.sources": {"broken": "no_such:KIND"}, "tauext.commands": {"broken": "no_such:RUN"}}
+    )
+    install(site, "other", {"tauext.sources": {"other": "json:dumps", "ur": "json:dumps"}})
+    watching_bundle().save(str(site / "watching.tauext"))
+    return site
+
+
+def tauext(site: Path, *words: str) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr of a command with these packages installed."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path]), "COLUMNS": "200"}
+    command = [sys.executable, "-m", "tauext", *words]
+    done = subprocess.run(command, env=environment, cwd=site, capture_output=True, text=True, timeout=60)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_the_robot_of_the_example_is_a_source_of_the_monitor(site):
+    words = ("monitor", "watching.tauext", "--source", "my-arm:cell7", "--amplitude-rad", "0.3", "--duration-s", "1.3")
+    code, out, err = tauext(site, *words)
+    assert code == 0 and "my arm cell7" in out, err
+    code, _, err = tauext(site, *words[:-3], "0.3", "--speed", "2")
+    assert code == 2 and "--speed is for source replay, not for my-arm" in err
+
+
+def test_an_option_of_a_plug_in_is_checked_by_it_and_shown_in_the_help(site):
+    code, _, err = tauext(site, "monitor", "watching.tauext", "--source", "my-arm:cell7", "--amplitude-rad", "2")
+    assert code == 2 and err == "tauext: error: --amplitude-rad = 2.0 must be > 0, at most 1\n"
+    _, out, _ = tauext(site, "commission", "--help")
+    assert "--amplitude-rad" in out and "my-arm:HOST" in out
+
+
+def test_the_command_of_the_example_stands_beside_ours(site):
+    code, out, err = tauext(site, "my-arm", "watching.tauext", "--seconds", "1.3")
+    assert code == 0 and "HealthChange" in out and "samples" in out, err
+    code, out, _ = tauext(site, "--help")
+    assert code == 0 and "my-arm     run a bundle on my arm" in out
+    assert "broken     plug-in broken (broken, no_such:RUN): cannot be loaded: ModuleNotFoundError" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("monitor", "watching.tauext", "--source", "broken:x"),
+            "plug-in broken (broken, no_such:KIND): cannot be loaded",
+        ),
+        (
+            ("monitor", "watching.tauext", "--source", "other"),
+            "plug-in other (other, json:dumps): must be a tauext.sources.open.SourceKind, not a function",
+        ),
+        (("broken", "--help"), "plug-in broken (broken, no_such:RUN): cannot be loaded"),
+        (("monitor", "watching.tauext", "--source", "ur"), "ur:HOST"),  # ours cannot be replaced
+    ],
+)
+def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message):
+    code, _, err = tauext(site, *words)
+    assert code == 2 and message in err and err.count("\n") == 1

@@ -93,7 +93,7 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
         calls.append([r.name for r in recordings])
         return SimpleNamespace(findings=[])
 
-    monkeypatch.setattr("tauext.check.preflight.examine", nothing_found)
+    monkeypatch.setattr("tauext.check.before_training.examine", nothing_found)
     return calls
 
 

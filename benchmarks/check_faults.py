@@ -37,7 +37,7 @@ from made_recordings import made_motion
 
 from tauext.check.examine import Diagnosis, examine
 from tauext.data.recording_file import load_recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
 from tauext.sim.rig import arm_xml

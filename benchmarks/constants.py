@@ -38,7 +38,7 @@ from tauext.fit.torque_constants import GUESS, fit_torque_constants
 from tauext.monitor import known_load
 from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 

@@ -27,7 +27,7 @@ from tauext.fit.bundle_writing import build_setup
 from tauext.fit.coverage import CoverageFit, fit_coverage
 from tauext.fit.prior import fit_prior
 from tauext.fit.training_set import Setup, with_presliding
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 SLOW, BEYOND = 0.6, 1.15
 LEAST_SAMPLES = 3

@@ -27,7 +27,7 @@ from common import arguments
 
 import tauext
 from tauext.files.provenance import machine
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 HERE = Path(__file__).parent
 ARM = HERE / "seven_axis.urdf"

@@ -21,7 +21,7 @@ from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.evaluate.collisions import find_collisions, judge_latched
-from tauext.evaluate.injected import Event, Injection, estimate_recording
+from tauext.evaluate.injected import InjectedForce, Injection, estimate_recording
 
 EDGES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 1e9)
 """Peaks over the sliding limit."""
@@ -67,7 +67,7 @@ def inject(
             events, at = [], round(2.0 * recording.rate_hz)
             while waiting and at + len(waiting[-1]) + recording.rate_hz < recording.samples:
                 torque = waiting.pop()
-                events.append(Event(at, "contact", 0, peak_over(torque, limit_nm), torque))
+                events.append(InjectedForce(at, "contact", 0, peak_over(torque, limit_nm), torque))
                 at += len(torque) + round(rng.uniform(2.0, 3.0) * recording.rate_hz)
             found += detected(bundle, recording, events)
         if len(waiting) == left:
@@ -75,7 +75,9 @@ def inject(
     return found
 
 
-def detected(bundle: _core.Bundle, recording: Recording, events: list[Event]) -> list[tuple[float, bool, float | None]]:
+def detected(
+    bundle: _core.Bundle, recording: Recording, events: list[InjectedForce]
+) -> list[tuple[float, bool, float | None]]:
     injection = Injection({"": bundle}, 0, 0)
     injection.add("", recording, [events], 0)
     return [(peak, latched, delay_s) for _, _, peak, latched, _, delay_s in injection.seen[""]]

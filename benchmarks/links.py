@@ -26,7 +26,7 @@ from tauext import _core
 from tauext.monitor.places import STATED, PlaceChange, PlaceFinder, run_of
 from tauext.monitor.replay import replay
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.torque_constants import TorqueConstants
 from tauext.monitor.weighing import identify, load_frame, mass_error, see
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 UR3_NM_PER_AMPERE = np.array([12.925, 13.088, 9.358, 4.572, 4.572, 4.548])
 UR3_CUT_S = 33.5

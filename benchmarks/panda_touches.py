@@ -24,7 +24,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.places import STATED, run_of
 from tauext.robot.capsules import body_capsules, link_capsules
-from tauext.robot.load import load_tree, placed_bodies
+from tauext.robot.read import load_tree, placed_bodies
 
 TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 2}
 """Link that people touched in each recording, from 1."""

@@ -10,7 +10,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 ARM = Path(__file__).parent / "seven_axis.urdf"
 JOINTS = tuple(f"joint{j}" for j in range(1, 8))

@@ -22,7 +22,7 @@ from unseen.recordings import DRIVE_VELOCITY_RAD_S, readings, told_constants
 from unseen.simulation import RATE_HZ, Contact, Run, draw_motion, simulate, touched_point
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.rig import velocity
 
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")

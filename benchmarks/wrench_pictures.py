@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy.spatial import ConvexHull
 
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import frame_of_joint, load_tree
+from tauext.robot.read import frame_of_joint, load_tree
 from tauext.sim.arms import seven_axis_arm
 
 BASE, TOOL = np.array([0.0, 0.0]), np.array([1.62, 0.78])

@@ -17,7 +17,7 @@ from tauext.check.examine import Diagnosis
 from tauext.check.finding import Finding
 from tauext.check.motion import low_pass
 from tauext.data.recording import FLAGS, SIGNALS, Recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 UP, ACROSS = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
 

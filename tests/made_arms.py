@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 IDENTITY = [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
 ROTOR_INERTIA = (0.6, 0.3)

@@ -14,7 +14,7 @@ from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.torque_constants import with_constants
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 SEVEN_AXIS = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 

@@ -35,7 +35,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import FaultyDataError, TauextError
 from tauext.recipes import RECIPES
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 RATE_HZ = 50.0
 LEAST_HEALTHY = 0.98

@@ -12,7 +12,7 @@ import pytest
 from tauext import _core
 from tauext.errors import RobotError
 from tauext.robot.capsules import body_capsules, link_capsules, write_shapes
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.robot.write import write_robot
 
 INERTIAL = '<inertial pos="0 0 0.1" mass="2" diaginertia="0.02 0.02 0.01"/>'

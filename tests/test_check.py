@@ -15,14 +15,14 @@ from made_recordings import made_motion
 from tauext.check.arrangement import fit_load, with_load
 from tauext.check.examine import examine
 from tauext.check.finding import CODES
-from tauext.check.fit import fit_joint, presliding, rows_of
+from tauext.check.joint_fit import fit_joint, presliding, rows_of
 from tauext.check.motion import compare, pose_findings, stretches
 from tauext.cli import main
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
 from tauext.errors import ConfigError, RobotError
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
 from tauext.sim.rig import arm_xml

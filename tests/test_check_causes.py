@@ -12,7 +12,7 @@ from made_recordings import made_motion
 from tauext.check.causes import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import CODES, Finding
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 
 def codes(recordings, robot) -> set[str]:

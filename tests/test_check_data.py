@@ -14,8 +14,8 @@ from made_recordings import made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
+from tauext.check.before_training import MOST_MOVING_S, CheckResult, folder, refuse_faults, shares
 from tauext.check.finding import CODES, Finding
-from tauext.check.preflight import MOST_MOVING_S, CheckResult, folder, refuse_faults, shares
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
 from tauext.data.dataset import Split, load_dataset, save_split
@@ -24,7 +24,7 @@ from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.servo import FROM_AMPERES
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.progress import Silent, WallTimes
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.calibrate import recalibrate
 from tauext.train.stage import train_bundle
 
@@ -206,8 +206,8 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
 
 def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
-    monkeypatch.setattr("tauext.check.preflight.MOST_MOVING_S", 20.0)
-    monkeypatch.setattr("tauext.check.preflight.LEAST_MOVING_S", 8.0)
+    monkeypatch.setattr("tauext.check.before_training.MOST_MOVING_S", 20.0)
+    monkeypatch.setattr("tauext.check.before_training.LEAST_MOVING_S", 8.0)
     whole = load_recording(data / "one.parquet")
     push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
     tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]

@@ -17,7 +17,7 @@ from tauext.check.finding import Finding
 from tauext.data.drive_signal import Play
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 J, ODD = 1, 2
 EXAMINATION = import_module("tauext.check.examine")
@@ -175,7 +175,7 @@ def test_what_all_recordings_have_wrong_makes_none_odd(arm):
 
 
 def test_robot_file_that_changed_is_a_warning_that_names_recordings(arm):
-    from tauext.robot.load import robot_sha256
+    from tauext.robot.read import robot_sha256
 
     path, _, good = arm
     known = [replace(cut(r, slice(0, 600)), robot_sha256=robot_sha256(path)) for r in good]

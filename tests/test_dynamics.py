@@ -12,8 +12,8 @@ import pytest
 from made_arms import ARMS, branched, planar_rig, random_states, six_axis, urdf
 
 from tauext import _core
-from tauext.robot.load import load_tree
 from tauext.robot.model_case import empty, perturbed
+from tauext.robot.read import load_tree
 
 MODELS = Path(os.environ.get("TAUEXT_DATA", "")) / "models"
 FILE_ARMS = {

@@ -20,8 +20,8 @@ from tauext.train.error_scale import (
     BLUNT,
     FEATURES,
     SHARP,
+    ErrorRows,
     Judged,
-    Rows,
     add_friction,
     collect_rows,
     errors,
@@ -255,11 +255,11 @@ def test_rows_that_were_thinned_out_tell_the_same_hours(tmp_path, monkeypatch):
     assert thin.hours == pytest.approx(whole.hours, rel=1e-3)
 
 
-def rows_of(error_nm: np.ndarray, near: np.ndarray) -> Rows:
+def rows_of(error_nm: np.ndarray, near: np.ndarray) -> ErrorRows:
     count, joints = error_nm.shape
     features = np.ones((count, joints, 1))
     t_ns = np.arange(count, dtype=np.int64) * 10_000_000
-    return Rows(error_nm, near, features, 0.01, t_ns, np.zeros(count, dtype=int), ("made",))
+    return ErrorRows(error_nm, near, features, 0.01, t_ns, np.zeros(count, dtype=int), ("made",))
 
 
 def bundle_of(recipe: str = "observer") -> _core.Bundle:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from made_results import make_results
 
-from tauext.check.preflight import RejectedTime
+from tauext.check.before_training import RejectedTime
 from tauext.evaluate.results import (
     CurvePoint,
     EvaluatedBundle,

@@ -21,7 +21,7 @@ from tauext.data.importing import RawFacts, plan
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree, movable_joints
+from tauext.robot.read import load_tree, movable_joints
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
 ARM = PLANAR_RIG + "{robot}\n" + JOINT_STATES + "{rest}\n"

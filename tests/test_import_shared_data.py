@@ -16,7 +16,7 @@ from tauext.data.assemble import assemble
 from tauext.data.description import parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.errors import RecordingError
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")

@@ -6,7 +6,7 @@ from made_arms import ARMS, random_states, urdf
 
 from tauext import _core
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 ZERO = np.zeros(len(PARAMETERS))
 

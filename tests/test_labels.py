@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tauext.check.preflight import check_calibration
+from tauext.check.before_training import check_calibration
 from tauext.data.free_motion import free_pieces, free_samples
 from tauext.data.labels import KIND, Label, labels_key, overlay, read_labels
 from tauext.data.recording import Recording
@@ -153,7 +153,9 @@ def test_a_new_label_changes_the_keys_of_cached_results(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / journal.NAME).touch()
     path, seen = segment(tmp_path, 0, 30), []
-    monkeypatch.setattr("tauext.check.preflight.quick_checks", lambda one, limits: seen.append(one.contact.max()) or [])
+    monkeypatch.setattr(
+        "tauext.check.before_training.quick_checks", lambda one, limits: seen.append(one.contact.max()) or []
+    )
     keys = [labels_key(tmp_path)]
     for _ in range(2):
         check_calibration([path], None, 1, SILENT)

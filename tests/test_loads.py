@@ -27,7 +27,7 @@ from tauext.monitor.profiles import load_profiles
 from tauext.report.flight import facts
 from tauext.report.flight_file import load_flight
 from tauext.robot.frames import load_frame
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 
@@ -413,7 +413,7 @@ def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_
     from test_kinematics import arm as arm_of_four
 
     from tauext.fit.find_kinematics import Kinematics
-    from tauext.train.load import load_disagreement
+    from tauext.train.load_frame import load_disagreement
 
     tree = arm_of_four()
     origins = np.array([[0, 0, 0], [0, 0, 0.2], [0, 0, 0.2 + UPPER_M], [0.1, 0, 0.2 + UPPER_M + LOWER_M]])
@@ -430,7 +430,7 @@ def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
     from made_recordings import made_motion
     from test_kinematics import arm as arm_of_four
 
-    from tauext.train.load import last_axis_shows
+    from tauext.train.load_frame import last_axis_shows
 
     tree = arm_of_four()
     made = made_motion(tree, 0.2, pieces=1).recordings

@@ -13,7 +13,6 @@ from test_capsules import URDF, stl, tube
 
 from tauext.errors import ConfigError
 from tauext.robot.capsules import body_capsules, link_capsules, write_shapes
-from tauext.robot.load import load_tree
 from tauext.robot.mesh_files import (
     MOST_FOLDERS,
     MeshFinder,
@@ -22,6 +21,7 @@ from tauext.robot.mesh_files import (
     mesh_folders,
     packages_below,
 )
+from tauext.robot.read import load_tree
 
 MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
 NAME = "package://some_arm/meshes/visual/tube.stl"

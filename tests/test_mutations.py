@@ -21,7 +21,7 @@ from tauext.check.finding import CODES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 JOINTS = ("a", "b", "c")
 FACTS = Facts({"dq": np.array([1.0, 2.0, 3.0]), "tau": np.array([10.0, 20.0, 30.0])}, np.array([10.0, 8.0, 5.0]))

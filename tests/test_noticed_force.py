@@ -31,7 +31,7 @@ from tauext.evaluate.noticed_force import (
 from tauext.evaluate.results import NoticedForce, OverPoses, to_json
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.robot.frames import wrench_frames
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.hits import even_ways, points
 from tauext.train.wrench import POSES, poses
 

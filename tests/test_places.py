@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 SIGMA = np.array([0.3, 0.4, 0.25, 0.3, 0.15, 0.1, 0.08])

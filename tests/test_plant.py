@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made_bundles import SEVEN_AXIS
 
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.arms import ARMS
 from tauext.sim.config import RigConfig
 from tauext.sim.contacts import force_torque

@@ -16,7 +16,7 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.network_training import TrainedNetwork, apply_gate
 from tauext.fit.tail import FalseAlarmBudget
 from tauext.fit.training_set import find_scaling
-from tauext.train.error_scale import FEATURES, Rows
+from tauext.train.error_scale import FEATURES, ErrorRows
 from tauext.train.held_peaks import cluster_peaks
 from tauext.train.promised_limits import apply_promised, most_seen, other_motion, promised_limits
 
@@ -176,7 +176,7 @@ def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
     bundle.from_bytes(bundle.to_bytes())
 
 
-def rows_of(recordings: int, seconds: float, peaks: dict[int, int], seed: int = 0) -> Rows:
+def rows_of(recordings: int, seconds: float, peaks: dict[int, int], seed: int = 0) -> ErrorRows:
     """One joint's errors, 100 rows a second of a filtered noise, in recordings of one kind; but in some of them so many
     peaks of eight times the largest error of the others, 2 s apart."""
     rng = np.random.default_rng(seed)
@@ -190,10 +190,10 @@ def rows_of(recordings: int, seconds: float, peaks: dict[int, int], seed: int = 
     t_ns = np.tile(np.arange(count, dtype=np.int64) * 10_000_000, recordings)
     near = np.zeros((recordings * count, 1), dtype=bool)
     names = tuple(f"made-{k}" for k in range(recordings))
-    return Rows(error.reshape(-1, 1), near, features, 0.01, t_ns, np.repeat(np.arange(recordings), count), names)
+    return ErrorRows(error.reshape(-1, 1), near, features, 0.01, t_ns, np.repeat(np.arange(recordings), count), names)
 
 
-def judged_in_turn(rows: Rows, reserve=None):
+def judged_in_turn(rows: ErrorRows, reserve=None):
     budget = FalseAlarmBudget(1.0, rows.hours / 3)
     promised = replace(promised_limits(observer(), lambda: [noisy(1)], BUDGET, 1), budget=budget, hold_s=0.0)
     return other_motion(rows, ["slide"], promised, 0.5, 1.2, reserve)

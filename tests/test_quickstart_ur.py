@@ -26,7 +26,7 @@ from tauext.data.description_template import time_unit
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sources.ur import VARIABLES, UrSource
 from tauext.sources.ur_dashboard import PORT
 

@@ -11,8 +11,8 @@ from made_arms import branched, planar_rig, random_states, six_axis, urdf
 
 from tauext import _core
 from tauext.errors import RobotError
-from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.model_case import empty, perturbed
+from tauext.robot.read import load_tree, robot_sha256
 
 INERTIAL = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.01 0.002"/>'
 

@@ -16,7 +16,7 @@ from tauext.check.robot_file import open_robot
 from tauext.cli import main
 from tauext.errors import RobotError
 from tauext.robot.capsules import write_shapes
-from tauext.robot.load import load_tree, movable_joints
+from tauext.robot.read import load_tree, movable_joints
 from tauext.robot.torque_limits import torque_limits
 from tauext.robot.write import Payload, is_placeholder, write_robot
 

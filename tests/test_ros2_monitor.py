@@ -24,7 +24,7 @@ from tauext import _core
 from tauext.cli import main
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sources.ros2 import connect
 from tauext.sources.ros2_messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
 from tauext.sources.ros2_node import Node

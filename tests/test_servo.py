@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tauext import _core
-from tauext.bundle.fit import expect_fit
+from tauext.bundle.match import expect_fit
 from tauext.check.examine import of_servos
 from tauext.check.finding import Finding
 from tauext.check.sensors import normal_ranges, spikes_of

@@ -21,7 +21,7 @@ from unseen.servos import Touch, servo_arm, simulate_servos, so101
 from tauext import _core
 from tauext.data.description import parse_arm
 from tauext.data.recording import Recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.rig import encoder
 from tauext.sim.servo_arm import (
     COMMAND_TICKS,

@@ -11,7 +11,7 @@ from tauext.cli import main
 from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError
-from tauext.robot.load import load_tree, robot_sha256
+from tauext.robot.read import load_tree, robot_sha256
 from tauext.sim import collect
 from tauext.sim.collect import simulate_dataset, simulate_motion
 from tauext.sim.config import RigConfig, changed_rig

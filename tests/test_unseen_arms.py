@@ -27,7 +27,7 @@ from unseen.simulation import (
 from unseen.surfaces import SURFACES, capsules_of, with_surfaces
 
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 SEVEN = makers(Path())["seven_axis"]
 FRESH = list(fresh_makers().values())

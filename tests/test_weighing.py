@@ -36,7 +36,7 @@ from tauext.monitor.weighing import (
     weighing_joints,
 )
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.preparation import known_constants
 
 MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])

@@ -16,7 +16,7 @@ from tauext import _core
 from tauext.evaluate.noticed_force import noticed_force
 from tauext.fit.torque_constants import with_constants
 from tauext.robot.frames import wrench_frames
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.train.hits import points
 from tauext.train.wrench import correlation, factor
 

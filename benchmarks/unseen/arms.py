@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 HERE = Path(__file__).parent
 RIPPLES_A_TURN = (100, 200, 202)

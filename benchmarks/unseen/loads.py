@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from unseen.arms import Maker, TrueArm, add_ball, direction, true_arm
 from unseen.recordings import Take, motor_temperature, peak_nm, write_csv
 from unseen.simulation import RATE_HZ, Contact, draw_contacts, draw_motion, simulate

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from unseen.arms import Maker, TrueArm, direction, link_with_ball, true_arm
 from unseen.recordings import peak_nm, write_csv
 from unseen.simulation import (

@@ -12,7 +12,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.robot.frames import wrench_frames
-from tauext.robot.load import load_tree, placed_bodies
+from tauext.robot.read import load_tree, placed_bodies
 
 
 class Part(Protocol):

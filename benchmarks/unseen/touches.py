@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.contacts import log_uniform
 from unseen.arms import Maker, TrueArm, true_arm
 from unseen.picks import Gripper, Pick, Way, raised

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.monitor.source import Sample, ServoStage, SourceFacts, SourceSettings
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.arms import rig_arm
 from tauext.sim.collect import SETTLE_S, measure, simulate_motion
 from tauext.sim.collect import draw_motion as rig_motion

@@ -40,7 +40,7 @@ _WHERE = {
     ),
     "bundle.bundle_file": "load_bundle",
     "bundle.estimates": "Estimates",
-    "bundle.fit": "expect_fit",
+    "bundle.match": "expect_fit",
     "config": (
         "AlarmConfig DriftConfig EventsConfig FilterConfig FreeMotionConfig ObserverConfig PriorConfig TrainConfig"
     ),

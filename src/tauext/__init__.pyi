@@ -20,7 +20,7 @@ from tauext._core import __version__ as __version__
 from tauext._core import cause_names as cause_names
 from tauext.bundle.bundle_file import load_bundle as load_bundle
 from tauext.bundle.estimates import Estimates as Estimates
-from tauext.bundle.fit import expect_fit as expect_fit
+from tauext.bundle.match import expect_fit as expect_fit
 from tauext.config import AlarmConfig as AlarmConfig
 from tauext.config import DriftConfig as DriftConfig
 from tauext.config import EventsConfig as EventsConfig

@@ -30,7 +30,7 @@ from mutations.good import GoodSet
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 
 DEGREES, RPM = 180 / math.pi, 30 / math.pi
 SPIKE_SIZES = {"tau": (2.0, 20.0, 1e4), "dq": (2.0, 20.0, 1e4), "q": (0.05, 1.0, 100.0)}

@@ -15,7 +15,7 @@ from tauext.evaluate.events import EventMeasures, Labels, event_time
 from tauext.evaluate.injected import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
-from tauext.train.preflight import check_results
+from tauext.train.data_check import check_results
 from tauext.train.preparation import Given
 from tauext.train.stage import train_bundle
 

@@ -34,8 +34,8 @@ class ComparisonResidual {
             std::span<const double> momentum, std::span<const double> beta, std::span<const double> tau_m,
             std::span<double> residual) noexcept;
 
-  // The tree has changed since the last sample, whose p and beta by it these are: r goes on from where it is, and so does
-  // the velocity observer's D.
+  // Continues with another tree. `momentum` and `beta` are the last sample's, computed by the new tree. r keeps its value,
+  // and so does the velocity observer's D.
   void carry_on(const Tree& tree, std::span<const double> q, std::span<const double> dq,
                 std::span<const double> momentum, std::span<const double> beta) noexcept;
 

@@ -12,11 +12,11 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from tauext import _core
 from tauext.check.finding import Finding
-from tauext.check.fit import (
+from tauext.check.joint_fit import (
     BLOCKS,
     CONSTANT,
     FRICTION,
-    Rows,
+    FitRows,
     columns_of,
     model_of,
     robust_solve,
@@ -37,7 +37,7 @@ GAIN = 1.0
 HALVED = 0.6
 
 
-def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> tuple[list[Finding], _core.Tree]:
+def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows) -> tuple[list[Finding], _core.Tree]:
     """Find a direction of gravity that fits far better; returns findings and the tree with that direction.
 
     Gravity torque is linear in the vector of free fall: three columns common to all joints, beside each joint's own
@@ -110,7 +110,7 @@ def with_load(tree: _core.Tree, by: np.ndarray) -> _core.Tree:
     return with_more_at_end(tree, np.r_[by, six_of(point_inertia(by[0], com))])
 
 
-def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
+def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows) -> np.ndarray:
     """Torque of 1 kg, and of 1 kg m of first moment, at the last link: (rows, joints, 4).
 
     Args:
@@ -120,7 +120,7 @@ def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> 
     return np.stack([one.model - rows.model for one in with_units], axis=2)
 
 
-def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
+def fit_load(stretches: Sequence, tree: _core.Tree, rows: FitRows) -> Load:
     r"""Fit a load by least squares of all joints together.
 
     .. math:: \tau_i - \hat\tau_i = Z_i(m, m c) + J_i \ddot q_i + friction_i
@@ -204,7 +204,7 @@ class Offset:
         return f"{self.by_rad:+.2f} rad ({math.degrees(self.by_rad):+.0f} degrees)"
 
 
-def best_offset(rows: Rows, tree: _core.Tree) -> Offset | None:
+def best_offset(rows: FitRows, tree: _core.Tree) -> Offset | None:
     """Find the shift of one joint with the best fit of gravity, with one factor a joint on torque.
 
     Gravity is evaluated at the rows' own positions; inertia is unchanged, since a shift changes it little compared with
@@ -230,7 +230,7 @@ def best_offset(rows: Rows, tree: _core.Tree) -> Offset | None:
     return best
 
 
-def _rest(rows: Rows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]:
+def _rest(rows: FitRows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]:
     """For each joint a basis without gravity and the torque orthogonal to it; and the torque's sign, 0: unknown."""
     parts, signs, resists = [], [], slice(CONSTANT, CONSTANT + FRICTION - 1)  # after the constant; gravity left out
     for j in range(rows.joints):
@@ -266,7 +266,7 @@ def _log_errors(gravity: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarr
 SEARCH_S = 60.0
 """Motion used, spread evenly, [s]: the search fits dozens of arrangements."""
 SEARCH_ROWS = 5000
-"""Rows used for all pairs of joints, spread evenly."""
+"""FitRows used for all pairs of joints, spread evenly."""
 WORSE = 1.15
 """... and none rises by more than this."""
 LEAST_EXPLAINED = 0.5
@@ -294,7 +294,7 @@ class Change:
         """Return the changed stretch."""
         return stretch.changed(lambda x: np.ascontiguousarray(self.sign * x[:, self.order]))
 
-    def of_rows(self, rows: Rows) -> Rows:
+    def of_rows(self, rows: FitRows) -> FitRows:
         """Return the changed rows without the model's torques; all other columns are odd in the motion or constant."""
         friction = rows.friction[:, self.order].copy()
         friction[:, :, 1:] *= self.sign[:, None]
@@ -315,7 +315,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
     return enough or [max(stretches, key=lambda s: s.seconds)]
 
 
-def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
+def exchanged_efforts(rows: FitRows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
     """Find torques that fit another joint's motion; also returns for each joint the column of its torque."""
     n, every = rows.joints, max(1, len(rows.time_s) // SEARCH_ROWS)
     rows = rows.taken(slice(None, None, every))
@@ -402,19 +402,19 @@ def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: fl
     return Finding("position-offset", "fault", joints[shift.joint], evidence, advice)
 
 
-def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows, now: np.ndarray) -> float:
+def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows, now: np.ndarray) -> float:
     """Gain of a missing load or another direction of gravity."""
     trees = (loaded(tree, fit_load(stretches, tree, rows)), gravity_finding(stretches, tree, rows)[1])
     return max(-float(np.log(_errors(with_model(rows, stretches, other)) / now).sum()) for other in trees)
 
 
-def with_model(rows: Rows, stretches: Sequence[Stretch], tree: _core.Tree) -> Rows:
+def with_model(rows: FitRows, stretches: Sequence[Stretch], tree: _core.Tree) -> FitRows:
     """The rows with the model's torques of this motion."""
     gravity, inertial = model_of(stretches, tree)
     return replace(rows, gravity=gravity, inertial=inertial)
 
 
-def _errors(rows: Rows) -> np.ndarray:
+def _errors(rows: FitRows) -> np.ndarray:
     """Robust error of each joint [N m], with one factor for the whole model: an arrangement must fit as a whole."""
     errors = np.empty(rows.joints)
     for j in range(rows.joints):

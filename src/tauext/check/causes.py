@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext.check.finding import SEVERITIES, Finding, Severity
-from tauext.check.fit import JointFit, Rows
+from tauext.check.joint_fit import FitRows, JointFit
 
 # --- Findings that another one explains are not printed beside it: one remedy at a time, the first to do.
 
@@ -61,7 +61,7 @@ RIDGE = 1e-3
 
 
 def other_robot_findings(
-    rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], found: Sequence[Finding], limits_rad: np.ndarray
+    rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], found: Sequence[Finding], limits_rad: np.ndarray
 ) -> list[Finding]:
     """Finding of a robot file of another arm.
 
@@ -98,7 +98,7 @@ def other_robot_findings(
     return [Finding("robot-file-other", severity, None, "; ".join(parts), advice)]
 
 
-def pose_share(rows: Rows, joint: int) -> float:
+def pose_share(rows: FitRows, joint: int) -> float:
     """Share of a joint's torque that the pose explains on left-out motion beyond friction, inertia and model.
 
     The pose enters by sines and cosines of the angles, of sums and differences of two, and of sums of three neighbours:

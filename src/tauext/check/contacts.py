@@ -9,12 +9,12 @@ import numpy as np
 
 from tauext import _core
 from tauext.check.finding import Finding
-from tauext.check.fit import (
+from tauext.check.joint_fit import (
     CONSTANT,
     FRICTION,
     LEAST_ROWS,
     PRESLIDING_RAD,
-    Rows,
+    FitRows,
     columns_of,
     picked,
     robust_solve,
@@ -145,8 +145,8 @@ def spoils_contacts(findings: Collection[Finding]) -> bool:
     return any(finding.code in SPOILING for finding in findings)
 
 
-def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
-    """Rows (rows,) bool that training leaves out because a labelled contact is near."""
+def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:
+    """FitRows (rows,) bool that training leaves out because a labelled contact is near."""
     margins, start_s = FreeMotionConfig(), 0.0
     near = np.zeros(len(rows.time_s), dtype=bool)
     for r in recordings:
@@ -157,7 +157,7 @@ def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
     return near
 
 
-def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _error(rows: FitRows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Error of one joint's torque after a fit of gravity, inertia and friction to free rows, and the friction; (rows,),
     [N m]."""
     columns, torque = columns_of(rows, j), rows.tau[:, j]
@@ -168,7 +168,7 @@ def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _described(
-    rows: Rows,
+    rows: FitRows,
     errors: np.ndarray,
     at: np.ndarray,
     joint: int,

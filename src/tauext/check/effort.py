@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext.check.finding import NEGATE_EFFORT, Finding
-from tauext.check.fit import (
+from tauext.check.joint_fit import (
     CONSTANT,
     FRICTION,
     SIGN,
+    FitRows,
     JointFit,
-    Rows,
     columns_of,
     robust_solve,
     solve,
@@ -51,7 +51,7 @@ class SignVote:
         return self.motion + self.gravity
 
 
-def sign_vote(rows: Rows, joint: int, fit: JointFit) -> SignVote:
+def sign_vote(rows: FitRows, joint: int, fit: JointFit) -> SignVote:
     dq, acceleration = rows.dq[:, joint], rows.acceleration[:, joint]
     columns = np.column_stack([rows.inertial[:, joint], acceleration])
     by_speed = (rows.friction[:, joint] * dq[:, None]).mean(axis=0) / max(float((dq**2).mean()), 1e-12)
@@ -130,7 +130,7 @@ def sign_findings(
     return found
 
 
-def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
+def strong_joints(rows: FitRows, fits: Sequence[JointFit]) -> list[int]:
     """Joints whose gravity, of the model or as fitted, is large enough to judge its factor."""
     return [
         j
@@ -141,7 +141,7 @@ def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
     ]
 
 
-def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def far_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
     """Findings of efforts far larger than the model's torque."""
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
@@ -181,7 +181,7 @@ def unit_findings(joints: Sequence[str], fits: Sequence[JointFit], unit: str) ->
 
 
 def kind_findings(
-    rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], strong: Sequence[int]
+    rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], strong: Sequence[int]
 ) -> tuple[list[Finding], list[int]]:
     """Findings of efforts without gravity or before the gear, and the strong joints without such a finding."""
     found, left = [], []
@@ -243,7 +243,7 @@ FALL = 0.95
 EXPLAINED = 0.7
 
 
-def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, float, float]]:
+def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float, float, float]]:
     """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there.
 
     Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1.
@@ -315,7 +315,7 @@ SHARE = 0.15
 """Friction below this share of the torque's spread is not followed."""
 
 
-def friction_by_time(rows: Rows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
+def friction_by_time(rows: FitRows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each window [s], and its friction relative to all data."""
     columns = slice(CONSTANT + 1, CONSTANT + FRICTION)
     friction = columns_of(rows, joint)[:, columns] @ fit.weights[columns]
@@ -332,7 +332,7 @@ def friction_by_time(rows: Rows, joint: int, fit: JointFit) -> tuple[np.ndarray,
 
 
 def drift_findings(
-    rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], recordings: Sequence[Recording]
+    rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], recordings: Sequence[Recording]
 ) -> list[Finding]:
     found = []
     for j, fit in enumerate(fits):
@@ -385,7 +385,7 @@ STEP_SHARE = 0.5
 """Least size of a step, relative to the spread of the torque that the motion explains."""
 
 
-def largest_errors(rows: Rows, error: np.ndarray) -> np.ndarray:
+def largest_errors(rows: FitRows, error: np.ndarray) -> np.ndarray:
     """Largest |error| of each ERROR_S in which the arm moves, (times,)."""
     starts = np.r_[0, 1 + np.flatnonzero(np.diff((rows.time_s // ERROR_S).astype(int)))]
     moves = np.maximum.reduceat((np.abs(rows.dq) > MOVING_RAD_S).any(axis=1), starts)
@@ -393,7 +393,7 @@ def largest_errors(rows: Rows, error: np.ndarray) -> np.ndarray:
     return largest
 
 
-def growth_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def growth_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
     """Findings of torques with an offset that grows steadily within the recordings.
 
     The fit of motion and friction gets a term in time. Each recording has an offset of its own, so that motion which
@@ -433,7 +433,7 @@ def growth_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit],
     return found
 
 
-def closest_fit(rows: Rows, joint: int, predicted: np.ndarray) -> np.ndarray:
+def closest_fit(rows: FitRows, joint: int, predicted: np.ndarray) -> np.ndarray:
     """Torque of a fit to the CLOSEST rows of this one, (rows,)."""
     columns, torque = columns_of(rows, joint), rows.tau[:, joint]
     for _ in range(ROUNDS):
@@ -443,7 +443,7 @@ def closest_fit(rows: Rows, joint: int, predicted: np.ndarray) -> np.ndarray:
     return predicted
 
 
-def step_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def step_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
     """Findings of torques that are off in some of the time by far more than in the rest of it."""
     found = []
     for j, fit in enumerate(fits):

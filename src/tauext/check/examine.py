@@ -21,6 +21,17 @@ from tauext.check.arrangement import (
 from tauext.check.causes import causes_only, other_robot_findings
 from tauext.check.clock import clock_findings, degree_findings, time_findings, wrap_findings
 from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
+from tauext.check.drive import (
+    Effort,
+    Rest,
+    efforts_of,
+    is_drive,
+    play_findings,
+    rests_of,
+    servo_findings,
+    with_sign,
+    without_scale,
+)
 from tauext.check.effort import (
     SEARCH_S,
     delay_findings,
@@ -40,7 +51,7 @@ from tauext.check.effort import (
     unit_findings,
 )
 from tauext.check.finding import SEVERITIES, Finding
-from tauext.check.fit import LEAST_ROWS, JointFit, Rows, fit_joint, rows_of, torque_rows
+from tauext.check.joint_fit import LEAST_ROWS, FitRows, JointFit, fit_joint, rows_of, torque_rows
 from tauext.check.motion import DEGREES, Stretch, VelocityFit, pose_findings, stretches, velocity_findings
 from tauext.check.odd_motion import odd_motions, odd_rates
 from tauext.check.odd_torque import odd_torques
@@ -55,17 +66,6 @@ from tauext.check.sensors import (
     steps_of,
     torque_step_nm,
     without_spikes,
-)
-from tauext.check.servo import (
-    Effort,
-    Rest,
-    efforts_of,
-    is_drive,
-    play_findings,
-    rests_of,
-    servo_findings,
-    with_sign,
-    without_scale,
 )
 from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.drive_signal import Play, play_of
@@ -92,7 +92,7 @@ def facts_of(
     efforts: Sequence[Effort],
     plays: Sequence[Play],
     velocities: Sequence[VelocityFit | None],
-    rows: Rows | None,
+    rows: FitRows | None,
     fits: Sequence[JointFit],
     lags: Sequence[tuple[float, float, float]],
 ) -> list[Facts]:
@@ -181,7 +181,7 @@ class Diagnosis:
     findings: list[Finding]
     facts: list[Facts]
     """Measured quantities of each joint, by names that contain their units."""
-    rows: Rows | None = None
+    rows: FitRows | None = None
     """Corrected data of the last fit; None: nothing moves."""
     fits: list[JointFit] = field(default_factory=list)
     tree: _core.Tree | None = None
@@ -355,7 +355,7 @@ def _in_radians(
 
 
 def _torque(
-    rows: Rows,
+    rows: FitRows,
     motion: list[Stretch],
     tree: _core.Tree | None,
     joints: Sequence[str],
@@ -363,7 +363,7 @@ def _torque(
     signal_findings: Sequence[Finding],
     measured: bool,
     begin: Callable[[str], None],
-) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
+) -> tuple[list[Finding], FitRows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
     """Check order, axes, zeros, sign, gravity, delay, kind and payload, drift and contacts, each on the corrected data
     of the step before. Returns findings, the last rows and fits, the lags, the corrected model and the torque's lag.
 
@@ -448,7 +448,7 @@ def _of_currents(found: Sequence[Finding], unknown: bool) -> list[Finding]:
 def _scale(
     motion: list[Stretch],
     tree: _core.Tree,
-    rows: Rows,
+    rows: FitRows,
     fits: Sequence[JointFit],
     joints: Sequence[str],
     unit: str,

@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.check.arrangement import GRID_RAD, HALVED, LEAST_KG, LEAST_RAD, WORSE, load_columns, search_stretches
 from tauext.check.effort import inverted, sign_vote
 from tauext.check.finding import Finding, Severity
-from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
+from tauext.check.joint_fit import LEAST_ROWS, SEEN, FitRows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
 from tauext.check.motion import FIT_ROWS_HZ, SIGNALS, Stretch
 
 # --- Possible corrections of one recording's torques or positions, each with its remaining error.
@@ -30,7 +30,7 @@ OF_UNITS = 8.0
 """A larger factor means another unit. A smaller factor is certain only with a model: without one, other poses may have
 another gravity."""
 
-Errors = Callable[[Rows], np.ndarray]
+Errors = Callable[[FitRows], np.ndarray]
 """Function from rows to the robust error of each joint, [N m], with the fit of the other recordings."""
 
 
@@ -58,7 +58,7 @@ def spread_about_zero(error: np.ndarray) -> np.ndarray:
 
 
 def torque_corrections(
-    rows: Rows,
+    rows: FitRows,
     predicted: np.ndarray,
     stretches: Sequence[Stretch],
     tree: _core.Tree | None,
@@ -80,7 +80,7 @@ def torque_corrections(
 
 
 def motion_corrections(
-    rows: Rows,
+    rows: FitRows,
     stretches: Sequence[Stretch],
     tree: _core.Tree | None,
     errors: Errors,
@@ -111,7 +111,7 @@ def motion_corrections(
 
 
 def _of_torque(
-    rows: Rows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], unit: str, certain: bool
+    rows: FitRows, predicted: np.ndarray, suspects: np.ndarray, joints: Sequence[str], unit: str, certain: bool
 ) -> Iterator[Correction]:
     now = spread_about_zero(rows.tau - predicted)
     off = np.flatnonzero(suspects).tolist()
@@ -170,7 +170,7 @@ def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
     return factor
 
 
-def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[Correction]:
+def _of_zero(whole: FitRows, tree: _core.Tree | None, errors: Errors) -> Iterator[Correction]:
     """The best position offset of each joint; inertia is left unchanged."""
     stride = max(1, len(whole.time_s) // ZERO_ROWS)
     rows = whole.taken(slice(None, None, stride))
@@ -195,7 +195,7 @@ def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[C
 
 
 def _of_load(
-    rows: Rows, predicted: np.ndarray, stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
+    rows: FitRows, predicted: np.ndarray, stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
 ) -> Iterator[Correction]:
     """Correction of the load's mass at the last link against the others'."""
     shared, error = load_columns(stretches, tree, rows), rows.tau - predicted
@@ -271,7 +271,7 @@ class Odd:
 
 
 def odd_shifts(
-    parts: dict[int, Rows],
+    parts: dict[int, FitRows],
     errors_nm: dict[int, np.ndarray],
     usual_nm: np.ndarray,
     motion: Sequence[Stretch],
@@ -319,7 +319,7 @@ def _odd(number: Number, values: dict[int, Estimate], k: int, left: Collection[i
 
 
 def _numbers(
-    parts: dict[int, Rows],
+    parts: dict[int, FitRows],
     errors_nm: dict[int, np.ndarray],
     motion: Sequence[Stretch],
     tree: _core.Tree,
@@ -336,7 +336,7 @@ def _numbers(
     yield Number(f"its load at '{joints[-1]}' differs", "kg", 1, None, LOADED_KG, FURTHEST_KG, loaded)
 
 
-def _late(part: Rows, predicted: np.ndarray) -> np.ndarray:
+def _late(part: FitRows, predicted: np.ndarray) -> np.ndarray:
     """Torque per second of delay; NaN where rows are not consecutive."""
     steps = np.gradient(part.time_s)
     slope = -np.gradient(predicted, axis=0) / steps[:, None]
@@ -344,7 +344,7 @@ def _late(part: Rows, predicted: np.ndarray) -> np.ndarray:
     return slope[:, :, None]
 
 
-def _turned(part: Rows, tree: _core.Tree, j: int) -> np.ndarray:
+def _turned(part: FitRows, tree: _core.Tree, j: int) -> np.ndarray:
     """Torque per radian of position offset, from gravity alone."""
     q = part.q.copy()
     still = np.zeros_like(q)
@@ -374,7 +374,7 @@ def _estimate(columns: np.ndarray, error_nm: np.ndarray, usual_nm: np.ndarray) -
 
 
 FIT_ROWS = 4000
-"""Rows of each fit, evenly spaced, since errors of neighbouring rows are correlated."""
+"""FitRows of each fit, evenly spaced, since errors of neighbouring rows are correlated."""
 CORRECTION_S = 30.0
 """Time of a suspect recording on which corrections are tried, [s]."""
 ROUNDS = 3
@@ -415,13 +415,13 @@ class Pool:
     whiten: list[np.ndarray]
     reach: list[float]
 
-    def predicted(self, rows: Rows) -> np.ndarray:
+    def predicted(self, rows: FitRows) -> np.ndarray:
         return np.column_stack([columns_of(rows, j) @ w for j, w in enumerate(self.weights)])
 
-    def errors(self, rows: Rows) -> np.ndarray:
+    def errors(self, rows: FitRows) -> np.ndarray:
         return spread_about_zero(rows.tau - self.predicted(rows))
 
-    def comparable(self, rows: Rows, joints: np.ndarray) -> float:
+    def comparable(self, rows: FitRows, joints: np.ndarray) -> float:
         """Share of the rows within the motion that these joints (n,) bool were fitted on."""
         known = np.ones(len(rows.time_s), dtype=bool)
         for j in np.flatnonzero(joints).tolist():
@@ -430,7 +430,7 @@ class Pool:
 
 
 def odd_torques(
-    rows: Rows,
+    rows: FitRows,
     motion: Sequence[Stretch],
     tree: _core.Tree | None,
     joints: Sequence[str],
@@ -477,7 +477,7 @@ def odd_torques(
     return found if 2 * len(found) <= len(parts) else []
 
 
-def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
+def _driven(parts: dict[int, FitRows], joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
     """Findings of inverted torques from friction, which resists motion in every recording. Unusual poses or long rests
     may hide the sign from the other checks."""
     inverse: dict[int, list[int]] = {}
@@ -499,7 +499,7 @@ def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str])
     return found
 
 
-def _consensus(parts: dict[int, Rows]) -> tuple[list[int], Pool]:
+def _consensus(parts: dict[int, FitRows]) -> tuple[list[int], Pool]:
     """Recordings that agree, and the fit on them. Of two recordings, the one whose torque does work, else the longer
     one."""
     members = list(parts)
@@ -519,10 +519,10 @@ def _consensus(parts: dict[int, Rows]) -> tuple[list[int], Pool]:
     return members, _pool([parts[k] for k in members])
 
 
-def _pool(parts: Sequence[Rows]) -> Pool:
+def _pool(parts: Sequence[FitRows]) -> Pool:
     count = sum(len(part.time_s) for part in parts)
     stride = max(1, count // FIT_ROWS)
-    rows = Rows.joined([part.taken(slice(None, None, stride)) for part in parts])
+    rows = FitRows.joined([part.taken(slice(None, None, stride)) for part in parts])
     weights, whiten, reach = [], [], []
     for j in range(rows.joints):
         x = columns_of(rows, j)
@@ -537,12 +537,12 @@ def _pool(parts: Sequence[Rows]) -> Pool:
     return Pool(weights, usual, pool.spread_nm, whiten, reach)
 
 
-def _score(pool: Pool, part: Rows) -> float:
+def _score(pool: Pool, part: FitRows) -> float:
     return float((pool.errors(part) / np.maximum(pool.usual_nm, MATTERS * pool.spread_nm)).max())
 
 
 def _best_correction(
-    part: Rows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], unit: str
+    part: FitRows, pool: Pool, stretches: Sequence[Stretch], tree: _core.Tree | None, joints: Sequence[str], unit: str
 ) -> tuple[Correction | None, np.ndarray]:
     """The best sufficient correction or None, and the errors before it, [N m]."""
     few = search_stretches(stretches, CORRECTION_S)
@@ -577,7 +577,7 @@ def _best_correction(
     return correction, before
 
 
-def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str, unit: str) -> Finding | None:
+def _unlike(part: FitRows, pool: Pool, joints: Sequence[str], name: str, unit: str) -> Finding | None:
     """Finding of a recording that no correction repairs, although its motion is comparable to the others'."""
     error, usual = pool.errors(part), np.maximum(pool.usual_nm, 1e-9)
     off = (error > UNLIKE * usual) & (error > UNLIKE_MATTERS * pool.spread_nm)

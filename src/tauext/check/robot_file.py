@@ -16,7 +16,7 @@ from tauext.data.recording import Recording
 from tauext.data.servo import torque_unit
 from tauext.errors import RobotError
 from tauext.robot.compile import LEAST
-from tauext.robot.load import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256
+from tauext.robot.read import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256
 from tauext.robot.torque_limits import torque_limits
 from tauext.robot.xml_file import read_xml
 

@@ -87,7 +87,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     from tauext.data.importers.open_raw import open_raw
     from tauext.files.toml_file import parse_toml
     from tauext.files.toml_file import write_template as write_text
-    from tauext.robot.load import movable_joints
+    from tauext.robot.read import movable_joints
 
     if path.exists():
         raise ConfigError(f"{path}: already exists; choose another name or remove it")
@@ -131,7 +131,7 @@ def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Pat
     from tauext.check.joint_table import cells, joint_motions
     from tauext.data.servo import torque_unit
     from tauext.report.joint_picture import draw_joints
-    from tauext.robot.load import load_tree
+    from tauext.robot.read import load_tree
     from tauext.robot.write import is_placeholder
 
     robot, unit = dataset.robot_file(None), torque_unit(recordings)
@@ -142,10 +142,10 @@ def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Pat
 
 def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
-    from tauext.check.preflight import by_code, entries, finding_lines, sentence
+    from tauext.check.before_training import by_code, entries, finding_lines, sentence
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.robot.model_case import chosen_case
-    from tauext.train.preflight import check_results
+    from tauext.train.data_check import check_results
     from tauext.train.preparation import Given
 
     out, terminal = dataset.folder, Terminal()

@@ -95,7 +95,7 @@ def reproduce_paper(
     from tauext.report.page import write_report
     from tauext.sim.collect import simulate_dataset
     from tauext.sim.config import RigConfig
-    from tauext.train.preflight import check_data
+    from tauext.train.data_check import check_data
     from tauext.train.preparation import Given, finished
     from tauext.train.stage import train_on_recordings
 

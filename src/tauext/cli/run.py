@@ -146,7 +146,7 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
         BundleError: no such bundle; joints, rate or torque timing of a recording are not the bundle's.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.fit import expect_fit
+    from tauext.bundle.match import expect_fit
     from tauext.data.recording_file import describe
 
     if not recordings:

@@ -31,7 +31,8 @@ MOST_LEFT = 0.5
 at most 0.18 of them; the best load left at least 0.97 of those of another friction. On a simulated SO-101, 60 g left
 0.18 to 0.30, more in the cold; the best load left at least 0.83 where nothing had changed."""
 ERRORS, SHARE = 2.0, 0.05
-"""A mass is named with so many standard errors, at least this share of it; and if it exceeds twice as many."""
+"""A mass is reported within ERRORS standard errors of it, or within this share of it if that is more. It is reported
+only if it exceeds 2 * ERRORS of them."""
 USUAL, ODD = 2.0, 5.0
 """Error of a joint, divided by that of training: up to the first the joint is as before; from the second it is not."""
 ONE_SIGMA = 0.683

@@ -33,7 +33,7 @@ from tauext.monitor.monitored_time import PARTLY, Monitored, MonitoredTime, perc
 from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
 from tauext.monitor.turns import Turns
 from tauext.robot.capsules import SHAPES_FILE, write_shapes
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.robot.write import is_placeholder, write_placeholder, write_robot
 from tauext.robot.xml_file import read_xml
 from tauext.sources.describing import why_another

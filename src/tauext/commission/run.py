@@ -54,7 +54,7 @@ from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
 from tauext.monitor.source import Describes, Source, SourceFacts
 from tauext.monitor.stop_signals import stopped_by_signals
-from tauext.robot.load import movable_joints
+from tauext.robot.read import movable_joints
 from tauext.robot.write import is_placeholder
 from tauext.sources.lasting import LastingSource
 from tauext.sources.open import open_source

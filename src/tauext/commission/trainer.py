@@ -18,8 +18,8 @@ import numpy as np
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
 from tauext.bundle.history_file import read_findings
+from tauext.check.before_training import WORTH_A_WARNING
 from tauext.check.finding import Finding
-from tauext.check.preflight import WORTH_A_WARNING
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
 from tauext.commission.connect import (
     HELD,
@@ -51,7 +51,7 @@ from tauext.files.provenance import provenance, write_json
 from tauext.files.synced_file import write_synced
 from tauext.progress import SILENT, Show, Silent
 from tauext.robot.model_case import chosen_case
-from tauext.train.preflight import check_data
+from tauext.train.data_check import check_data
 from tauext.train.preparation import Given
 from tauext.train.promised_limits import limit_findings
 from tauext.train.stage import accepted_settings, train_on_recordings
@@ -62,7 +62,7 @@ RIPPLES_FROM_MIN = 8
 MOST_ALARMED = 0.02
 """Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
 MOST_HITS_LOST = 0.05
-"""A bundle that detects a smaller share of the hits by so much replaces none, unless it has fewer false alarms."""
+"""A new bundle replaces the old one only if it detects at most this share of the hits less, or has fewer false alarms."""
 LEAST_HITS_KEPT = 0.6
 """One that promises rarer false alarms, or repairs a broken promise, may detect this share of the hits of the other."""
 BYTES_A_VALUE = 8 * 12

@@ -28,8 +28,8 @@ from tauext.files.plain_file import read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import provenance, write_json
 from tauext.robot.capsules import write_shapes
-from tauext.robot.load import load_tree, movable_joints, robot_sha256
 from tauext.robot.mesh_files import MeshFolders, expect_meshes
+from tauext.robot.read import load_tree, movable_joints, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
 
 # --- Sets of the stretches of a raw recording: listed in the description, or by a reported rule.

@@ -11,6 +11,7 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
 from tauext.evaluate.results import (
+    CollisionVerdict,
     FoundBin,
     LabelledCollision,
     Latched,
@@ -21,7 +22,6 @@ from tauext.evaluate.results import (
     StrengthBin,
     Touches,
     TouchEstimate,
-    Verdict,
 )
 from tauext.monitor.places import FOLLOWED_S, newtons, strongest_place
 
@@ -92,7 +92,7 @@ def find_collisions(recording: Recording) -> list[Collision]:
     ]
 
 
-def judge(collision: Collision, recording: Recording, estimates: Estimates) -> Verdict:
+def judge(collision: Collision, recording: Recording, estimates: Estimates) -> CollisionVerdict:
     """Whether it was found, by which joint, and the delays after its onset and after the sensor at the same limit.
 
     The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it. Delays
@@ -121,7 +121,7 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> V
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit_nm[window][found]
         joint = recording.joints[int(np.argmax(margin))]
-    return Verdict(
+    return CollisionVerdict(
         id=collision.id,
         found=found is not None,
         joint=joint,
@@ -164,7 +164,7 @@ def choose_ten(
     return [strong[k] for k in sorted(np.random.default_rng([seed, 10]).choice(len(strong), 10, replace=False))]
 
 
-def found_curve(verdicts: Sequence[Verdict]) -> tuple[FoundBin, ...]:
+def found_curve(verdicts: Sequence[CollisionVerdict]) -> tuple[FoundBin, ...]:
     """Found collisions over `peak_over_limit`; those without a sensor are left out."""
     sensed = [(verdict.peak_over_limit, verdict.found) for verdict in verdicts if verdict.peak_over_limit]
     curve = []

@@ -15,7 +15,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import changed_since_training
 from tauext.bundle.estimates import STALE, Estimates, save_estimates
 from tauext.bundle.loss_history import LossHistory
-from tauext.check.preflight import Rejected
+from tauext.check.before_training import Rejected
 from tauext.config import EventsConfig
 from tauext.data.dataset import ahead
 from tauext.data.free_motion import free_samples
@@ -47,7 +47,7 @@ from tauext.evaluate.free_motion import (
 )
 from tauext.evaluate.injected import EVENTS, Injection, estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve
-from tauext.evaluate.results import EvaluatedBundle, Injected, Limits, NoticedForce, Results, Verdict
+from tauext.evaluate.results import CollisionVerdict, EvaluatedBundle, Injected, Limits, NoticedForce, Results
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.plain_file import FORMAT
 
@@ -77,7 +77,7 @@ class BundleMeasures:
         self._rejected = Rejected()
         self._events = EventMeasures(events)
         self._touches = touches or TouchMeasures(bundle)
-        self._verdicts: list[Verdict] = []
+        self._verdicts: list[CollisionVerdict] = []
         self._latched: list[LatchVerdict] = []
 
     def add_events(self, labels: Labels, estimates: Estimates) -> None:

@@ -24,7 +24,7 @@ MOVING_OVER_S = 0.25
 
 
 @dataclass(frozen=True)
-class Event:
+class LabelledTouch:
     """One labelled stretch; times count from its recording's first sample, [s]."""
 
     id: str
@@ -34,7 +34,9 @@ class Event:
     moving: bool
 
 
-def labelled_events(recording: Recording, config: EventsConfig, near_stiction_rad_s: float) -> tuple[list[Event], int]:
+def labelled_events(
+    recording: Recording, config: EventsConfig, near_stiction_rad_s: float
+) -> tuple[list[LabelledTouch], int]:
     """The events of a recording that last shortest_event_s or longer, and the number of shorter ones."""
     at = np.flatnonzero(recording.contact == 1) if recording.contact is not None else np.zeros(0, dtype=int)
     if len(at) == 0:
@@ -43,7 +45,7 @@ def labelled_events(recording: Recording, config: EventsConfig, near_stiction_ra
     breaks = np.flatnonzero(np.diff(time_s[at]) > JOINED_S)
     firsts, lasts = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
     events = [
-        Event(f"{recording.name}:{k}", recording.name, float(time_s[a]), float(time_s[b]), bool(moving[a]))
+        LabelledTouch(f"{recording.name}:{k}", recording.name, float(time_s[a]), float(time_s[b]), bool(moving[a]))
         for k, (a, b) in enumerate(zip(firsts, lasts, strict=True))
     ]
     period_s = 1 / recording.rate_hz

@@ -13,7 +13,7 @@ from scipy.optimize import isotonic_regression
 
 from tauext import _core
 from tauext.bundle.estimates import Estimates, lacking
-from tauext.bundle.fit import expect_fit
+from tauext.bundle.match import expect_fit
 from tauext.bundle.units import left_out, of_all
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
@@ -73,7 +73,7 @@ POSES = 24
 
 
 @dataclass(frozen=True)
-class Event:
+class InjectedForce:
     """One force: where and when it acts, and its joint torques, (samples of the event, joints), [N m]."""
 
     begin: int
@@ -106,7 +106,7 @@ class Injection:
         self.places = [] if self.refused else points(self.reference)
         self.seen = {name: [] for name in self.bundles}
 
-    def draw(self, number: int, recording: Recording) -> list[list[Event]]:
+    def draw(self, number: int, recording: Recording) -> list[list[InjectedForce]]:
         """Events of each copy of a recording; number: in the order of all, so that the draw is its own."""
         rng = np.random.default_rng([self.seed, number, 35])
         free = free_samples(recording)
@@ -125,7 +125,7 @@ class Injection:
             [self._event(recording, at + rng.uniform(0, spare), scale, rng) for at in starts] for _ in range(copies)
         ]
 
-    def add(self, name: str, recording: Recording, copies: Sequence[Sequence[Event]], threads: int) -> None:
+    def add(self, name: str, recording: Recording, copies: Sequence[Sequence[InjectedForce]], threads: int) -> None:
         """One bundle's detections of the events."""
         bundle = self.bundles[name]
         nm_per_unit = np.array(self.reference.observer.nm_per_unit or 1.0)
@@ -192,7 +192,9 @@ class Injection:
         median_n = {place: entry.every_way.median_n for place, entry in enumerate(entries)}
         return {place: force_n for place, force_n in median_n.items() if force_n is not None}
 
-    def _event(self, recording: Recording, at_s: float, scale: Mapping[int, float], rng: np.random.Generator) -> Event:
+    def _event(
+        self, recording: Recording, at_s: float, scale: Mapping[int, float], rng: np.random.Generator
+    ) -> InjectedForce:
         bundle, places = self.reference, list(scale)
         begin = int(np.searchsorted(recording.time_s, at_s))
         shape = list(SHAPES)[rng.integers(len(SHAPES))]
@@ -205,13 +207,13 @@ class Injection:
         if self.refused:
             lever = np.zeros(bundle.joints)
             lever[place] = np.sign(way[0])
-            return Event(begin, shape, place, peak, force[:, None] * lever)
+            return InjectedForce(begin, shape, place, peak, force[:, None] * lever)
         model, point = _core.WrenchModel(bundle), self.places[place]
         poses, there = recording.q[begin : begin + len(force)].tolist(), list(point.point_m)
         levers = np.array([way @ model.columns(point.frame, pose, there)[:3] for pose in poses])
         # Unknown: how much such a joint would show in its own unit.
         levers[:, ~np.array(bundle.in_newtons)] = 0
-        return Event(begin, shape, place, peak, force[:, None] * levers)
+        return InjectedForce(begin, shape, place, peak, force[:, None] * levers)
 
 
 def profile(shape: str, rate_hz: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from tauext.bundle.units import of_all, short
-from tauext.check.preflight import RejectedTime
+from tauext.check.before_training import RejectedTime
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_text
@@ -162,7 +162,7 @@ class LabelledCollision:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CollisionVerdict:
     """Whether one bundle found one collision; None if a time does not exist."""
 
     id: str
@@ -563,7 +563,7 @@ class EvaluatedBundle:
     batch: int | None
     free_motion: FreeMotion
     limits: Limits
-    collisions: tuple[Verdict, ...]
+    collisions: tuple[CollisionVerdict, ...]
     ten_found: int | None
     found_curve: tuple[FoundBin, ...]
     rejected: RejectedTime
@@ -593,7 +593,7 @@ class EvaluatedBundle:
         return bundle_label(self.name, self.recipe)
 
     @property
-    def verdicts(self) -> dict[str, Verdict]:
+    def verdicts(self) -> dict[str, CollisionVerdict]:
         """Verdicts by collision id."""
         return {one.id: one for one in self.collisions}
 

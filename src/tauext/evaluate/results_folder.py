@@ -14,7 +14,7 @@ from typing import Any
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.preflight import WORTH_A_WARNING
+from tauext.check.before_training import WORTH_A_WARNING
 from tauext.config import EventsConfig
 from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key

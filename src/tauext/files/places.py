@@ -215,7 +215,7 @@ SCHEMES = ("s3", "gs", "abfs", "abfss")
 
 @dataclass(frozen=True, order=True)
 class StoredPlace:
-    """A URL. Folders are what the store's keys have in common: they need not be made, and an empty one is none.
+    """A URL. A folder is a common beginning of the store's keys: it needs no mkdir, and an empty folder does not exist.
 
     As text it is the URL without its query, so that messages and provenance hold no more than where something lies.
     """

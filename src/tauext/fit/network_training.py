@@ -66,14 +66,14 @@ class PaperSchedule:
     validation_windows = 20_000
 
     def __post_init__(self) -> None:
-        batch = number(self.config.batch)
+        batch = resolved(self.config.batch)
         self.length = self.setup.window_steps
         self.steps_an_epoch = self.training.windows // batch
         if self.steps_an_epoch == 0:
             raise TrainingError(
                 f"{self.training.windows} training windows are fewer than a batch of {batch}; record more"
             )
-        self.steps = min(number(self.config.epochs) * self.steps_an_epoch, self.config.max_steps or 1 << 62)
+        self.steps = min(resolved(self.config.epochs) * self.steps_an_epoch, self.config.max_steps or 1 << 62)
         self._order_of = -1
 
     def ends(self, step: int) -> np.ndarray:
@@ -81,11 +81,11 @@ class PaperSchedule:
         if self._order_of != epoch:
             self._order_of = epoch
             self._order = np.random.default_rng([self.config.seed, epoch]).permutation(self.training.windows)
-        batch = number(self.config.batch)
+        batch = resolved(self.config.batch)
         return self.training.ends[self._order[index * batch : (index + 1) * batch]]
 
     def learning_rate(self, step: int) -> float:
-        return number(self.config.learning_rate)
+        return resolved(self.config.learning_rate)
 
     def score(self, step: int, validation_loss: float) -> float:
         return validation_loss
@@ -119,10 +119,10 @@ class DenseSchedule:
     def __post_init__(self) -> None:
         row, drawing = self.config.row, self.config.row.drawing
         self.largest_gradient, self.square_decay = drawing.largest_gradient, drawing.square_decay
-        self.targets = number(self.config.targets) if row.network == "sequences" else 1
+        self.targets = resolved(self.config.targets) if row.network == "sequences" else 1
         early = min(round(drawing.early_targets * self.setup.window_steps), self.targets - 1)
         self.length = self.setup.window_steps - 1 + self.targets - early
-        self.steps = number(self.config.max_steps)
+        self.steps = resolved(self.config.max_steps)
         self.report_every = max(500, self.steps // 25)
         reach = self.setup.reach - self.setup.window_steps + self.length  # with the lag of the inputs
         ends = self.training.ends
@@ -141,9 +141,9 @@ class DenseSchedule:
     def learning_rate(self, step: int) -> float:
         done = step / self.steps
         if done < self.warm_up:
-            return number(self.config.learning_rate) * (step + 1) / (self.warm_up * self.steps + 1)
+            return resolved(self.config.learning_rate) * (step + 1) / (self.warm_up * self.steps + 1)
         falling = 1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up))
-        return 0.5 * number(self.config.learning_rate) * falling
+        return 0.5 * resolved(self.config.learning_rate) * falling
 
     def score(self, step: int, validation_loss: float) -> float:
         """At a high learning rate the validation loss jumps, and its lowest value is luck: weights from then must be
@@ -164,7 +164,7 @@ def make_schedule(setup: Setup, training: WindowSet, config: TrainConfig) -> Sch
     return PaperSchedule(setup, training, config)
 
 
-def number(value: Number | None) -> Number:
+def resolved(value: Number | None) -> Number:
     """A setting that a resolved config has."""
     assert value is not None
     return value

@@ -191,9 +191,9 @@ BEYOND_TORQUE = 10.0
 """Multiple of a joint's training torque if its drive is unknown: a wrist in gentle motion needs a tenth of its drive's
 torque, and a collision demands all of it."""
 BEYOND_SPEED = 5.0
-"""Times the speed of training ..."""
+"""Multiple of a joint's training speed from which a velocity counts as impossible."""
 USUAL_SPEED_RAD_S = 2.0
-"""... and of so much at least: 10 rad/s, which hardly a joint of an arm reaches, and which no collision adds."""
+"""Least training speed for this, [rad/s]: joints hardly reach the bound of 10 rad/s, and no collision adds it."""
 MOST_ROWS = 2_000_000
 
 

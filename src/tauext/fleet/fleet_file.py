@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, get_args
 
-from tauext.check.preflight import expect_codes
+from tauext.check.before_training import expect_codes
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
 from tauext.data.description import load_arm

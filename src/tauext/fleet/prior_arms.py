@@ -17,9 +17,9 @@ from tauext.files.places import Place, place_of
 from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
+from tauext.train.data_check import check_data
 from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
 from tauext.train.network import choose_gain
-from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, prepare
 
 LEAST_ARMS = 3

@@ -27,7 +27,7 @@ from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, sol
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import with_presliding
 from tauext.fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
-from tauext.train.error_scale import Judged, Rows, collect_rows, scale_of
+from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import EVEN_ODDS, FORGOTTEN, LEAST_SIZE, scale_settings, sizes, unseen_motion
@@ -266,9 +266,9 @@ class NewArm:
 
     own: OwnTerms
     bundle: _core.Bundle
-    minute: Rows
+    minute: ErrorRows
     """Its first minute, left out of the fit in turn."""
-    rest: Rows
+    rest: ErrorRows
 
 
 def new_arm(own: OwnTerms, config: TrainConfig, like: FleetPrior) -> NewArm:
@@ -385,10 +385,10 @@ def with_limits(errors: FleetErrors, found: PromisedLimits, factor: float) -> Fl
     )
 
 
-def pooled(rows: Sequence[Rows], size: np.ndarray) -> Rows:
-    """Rows of all arms, each arm's errors by its size, (arms, n)."""
+def pooled(rows: Sequence[ErrorRows], size: np.ndarray) -> ErrorRows:
+    """ErrorRows of all arms, each arm's errors by its size, (arms, n)."""
     before = np.cumsum([0, *(len(one.recordings) for one in rows[:-1])])
-    return Rows(
+    return ErrorRows(
         np.concatenate([one.error_nm / own for one, own in zip(rows, size, strict=True)]),
         np.concatenate([one.near_stiction for one in rows]),
         np.concatenate([one.features for one in rows]),

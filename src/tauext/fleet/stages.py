@@ -30,8 +30,8 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
+    from tauext.check.before_training import by_code, is_accepted
     from tauext.check.examine import as_files, examine, gather
-    from tauext.check.preflight import by_code, is_accepted
     from tauext.files.provenance import write_json
 
     recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))

@@ -11,7 +11,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.bundle.fit import expect_fit
+from tauext.bundle.match import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 from tauext.monitor.loads import NOTHING

@@ -21,7 +21,7 @@ def arm_facts(robot: Path | None, joints: tuple[str, ...]) -> dict[str, Any]:
         robot: URDF or MJCF; None: there is none.
     """
     from tauext.robot.capsules import link_capsules
-    from tauext.robot.load import load_tree
+    from tauext.robot.read import load_tree
     from tauext.robot.write import is_placeholder
 
     nothing: dict[str, Any] = {"joints": list(joints), "links": [], "shapes": [], "notes": []}

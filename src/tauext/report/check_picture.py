@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tauext.check.drive import Rest
 from tauext.check.examine import Diagnosis
-from tauext.check.fit import Rows
-from tauext.check.servo import Rest
+from tauext.check.joint_fit import FitRows
 from tauext.data.drive_signal import RestLaw
 from tauext.progress import SILENT, Reporter
 from tauext.report.style import LIMIT, RC, WIDTH_IN, label_joint, save_png
@@ -45,7 +45,7 @@ def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[
     return paths
 
 
-def _rows(diagnosis: Diagnosis) -> Rows:
+def _rows(diagnosis: Diagnosis) -> FitRows:
     assert diagnosis.rows is not None  # checked by draw()
     return diagnosis.rows
 

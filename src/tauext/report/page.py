@@ -12,7 +12,7 @@ from pathlib import Path
 
 import matplotlib
 
-from tauext.check.preflight import WORTH_A_WARNING
+from tauext.check.before_training import WORTH_A_WARNING
 from tauext.errors import ConfigError
 from tauext.evaluate.results import EvaluatedBundle, FreeMotion, Numbers, Results, load_results
 from tauext.files.atomic_write import atomic_folder
@@ -47,7 +47,7 @@ from tauext.report.force_figures import (
 )
 from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import RC, Drawing, bundle_colours, save_png
-from tauext.report.tables import method_errors, methods, milliseconds, number, plural, render_template
+from tauext.report.tables import decimals, method_errors, methods, milliseconds, plural, render_template
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 
@@ -276,9 +276,9 @@ def joint_list(results: Results, values: Numbers) -> str:
         return ""
     if len(known) > MOST_JOINTS:
         several = [value for value in values if value is not None]
-        return f"{number(min(several), 1)} to {number(max(several), 1)} {results.unit}"
+        return f"{decimals(min(several), 1)} to {decimals(max(several), 1)} {results.unit}"
     apart = "\N{NO-BREAK SPACE}"  # of a number and its name or unit
-    return ", ".join(f"{name}{apart}{number(values[k], 1)}" for name, k in known) + f"{apart}{results.unit}"
+    return ", ".join(f"{name}{apart}{decimals(values[k], 1)}" for name, k in known) + f"{apart}{results.unit}"
 
 
 def plain(value: float) -> str:
@@ -445,7 +445,7 @@ def short_list(values: Numbers, unit: str = "Nm") -> str:
     if not known:
         return "not available"
     if len(values) <= 3:
-        return " / ".join(tables.number(value, 2) for value in values) + f" {unit}"
+        return " / ".join(tables.decimals(value, 2) for value in values) + f" {unit}"
     return f"{min(known):.2f} to {max(known):.2f} {unit}"
 
 

@@ -12,6 +12,7 @@ from urllib.parse import quote
 from jinja2 import Environment, StrictUndefined
 
 from tauext.evaluate.results import (
+    CollisionVerdict,
     EvaluatedBundle,
     EventCounts,
     Events,
@@ -22,7 +23,6 @@ from tauext.evaluate.results import (
     SanityRow,
     Touches,
     TouchEstimate,
-    Verdict,
 )
 from tauext.fit.tail import duration
 from tauext.report import paper
@@ -74,7 +74,7 @@ def plural(count: int, word: str) -> str:
     return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def decimals(value: float | None, digits: int = 3) -> str:
     """A number with so many decimals, a dash where there is none."""
     return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
 
@@ -135,10 +135,10 @@ def by_joint(
         found = [results.joints[joint]]
         for measure, known in zip(measures, published, strict=True):
             ours = measure.ours(bundle)[joint]
-            found.append(number(None if ours is None else measure.factor * ours, measure.digits))
+            found.append(decimals(None if ours is None else measure.factor * ours, measure.digits))
             if known is not None:
                 found.append(
-                    number(
+                    decimals(
                         known[bundle.model][joint] if bundle.model and bundle.model in known else None, measure.digits
                     )
                 )
@@ -242,7 +242,7 @@ def alarms(results: Results) -> Table:
         cells += [
             duration_or_dash(bundle.free_motion.hours),
             whole(bundle.free_motion.false_alarms),
-            number(bundle.free_motion.false_alarms_per_hour, 1),
+            decimals(bundle.free_motion.false_alarms_per_hour, 1),
         ]
         cells += [bundle.recipe or NONE, whole(bundle.epochs), whole(bundle.batch), whole(bundle.steps)]
         rows.append(Row(tuple(cells), bundle.name, opens=True))
@@ -269,7 +269,7 @@ def collisions(results: Results, chosen: Iterable[LabelledCollision], traced: Co
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
         numbered = str(results.ten_collisions.index(collision.id) + 1) if collision.id in results.ten_collisions else ""
         cells = [numbered, collision.recording, collision.kind, f"link of {link}" if link != NONE else NONE]
-        cells += [number(collision.start_s, 2), *(number(peak, 1) for peak in collision.sensor_peak_nm)]
+        cells += [decimals(collision.start_s, 2), *(decimals(peak, 1) for peak in collision.sensor_peak_nm)]
         cells += [verdict_text(bundle.verdicts.get(collision.id)) for bundle in results.bundles]
         window = f"t={collision.start_s - 1:.3f},{collision.start_s + 1:.3f}"
         link = f"#recording={quote(collision.recording)}&{window}" if collision.recording in traced else ""
@@ -282,7 +282,7 @@ def in_lines(label: str) -> str:
     return label.replace(", ", ",\n").replace(" + ", " +\n").replace(" recipe", "\nrecipe")
 
 
-def verdict_text(verdict: Verdict | None) -> str:
+def verdict_text(verdict: CollisionVerdict | None) -> str:
     if verdict is None:
         return NONE
     if not verdict.found:
@@ -331,13 +331,13 @@ def error_cells(bundle: EvaluatedBundle, apart: bool) -> tuple[str, ...]:
         (bundle.limits.sliding_nm, 2),
         (bundle.limits.near_stiction_nm, 2),
     ):
-        cells += [number(value, digits) for value in values] if apart else [number_range(values, digits)]
+        cells += [decimals(value, digits) for value in values] if apart else [number_range(values, digits)]
     return tuple(cells)
 
 
 def number_range(values: Numbers, digits: int) -> str:
     known = [value for value in values if value is not None]
-    return f"{number(min(known), digits)} to {number(max(known), digits)}" if known else NONE
+    return f"{decimals(min(known), digits)} to {decimals(max(known), digits)}" if known else NONE
 
 
 def method_cells(bundle: EvaluatedBundle) -> tuple[str, ...]:
@@ -421,7 +421,7 @@ def event_cells(counts: EventCounts) -> tuple[str, ...]:
         *(milliseconds(delay) for delay in delays),
         f"{counts.false_alarms:,}",
         duration_or_dash(counts.free_hours),
-        number(counts.false_alarms_per_hour, 1),
+        decimals(counts.false_alarms_per_hour, 1),
     )
 
 
@@ -486,7 +486,7 @@ def touch_estimates_table(results: Results) -> Table | None:
     rows = []
     for collision in results.collisions:
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
-        cells = [collision.recording, number(collision.start_s, 2), collision.kind, link]
+        cells = [collision.recording, decimals(collision.start_s, 2), collision.kind, link]
         rows.append(Row((*cells, *(touch_estimate_words(one.get(collision.id)) for one in estimates))))
     columns = ("recording", "onset, s", "kind", "link of", *(bundle.label for bundle, _ in touches))
     groups = (("", 2), ("labelled", 2), ("estimated: link, newtons, kind", len(touches)))

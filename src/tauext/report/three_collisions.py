@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
-from tauext.evaluate.results import EvaluatedBundle, LabelledCollision, Results, Verdict
+from tauext.evaluate.results import CollisionVerdict, EvaluatedBundle, LabelledCollision, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
     CONTACT,
@@ -41,7 +41,7 @@ class Scene:
     collision: LabelledCollision
     recording: Recording
     estimates: dict[str, Estimates]
-    verdicts: dict[str, Verdict]
+    verdicts: dict[str, CollisionVerdict]
     joint: int
 
     def rows(self, begin_s: float, end_s: float) -> np.ndarray:
@@ -243,7 +243,7 @@ def draw_delays(
     axes.set_xlabel("time since contact, ms")
 
 
-def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
+def delay_text(verdict: CollisionVerdict | None, joint: str, sensed: bool) -> str:
     """Text of a lane; names the joint if another one found the collision.
 
     Without a sensor the delay is counted from the onset of contact as labelled.

@@ -18,8 +18,8 @@ from tauext.errors import RobotError
 from tauext.files.places import SHAPES_FILE
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
-from tauext.robot.load import compiled, placed_bodies
 from tauext.robot.mesh_files import MeshFinder, MeshFolders, MissingMeshError
+from tauext.robot.read import compiled, placed_bodies
 from tauext.robot.write import PAYLOAD
 from tauext.robot.xml_file import XmlFile, read_xml
 

@@ -10,7 +10,7 @@ import mujoco
 
 from tauext._core import Tree, WrenchFrame
 from tauext.errors import RobotError
-from tauext.robot.load import PlacedBody, placed_bodies
+from tauext.robot.read import PlacedBody, placed_bodies
 from tauext.robot.write import PAYLOAD
 
 # --- Frames at which forces can be reported: every link or body that a joint in use moves.

@@ -9,7 +9,7 @@ from pathlib import Path
 from tauext._core import Link, Tree
 from tauext.config import CaseName, ModelCase
 from tauext.errors import ConfigError, RobotError
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.robot.write import is_placeholder
 
 # --- Deliberately wrong models: the cases of the paper.

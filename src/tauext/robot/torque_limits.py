@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from tauext.errors import RobotError
-from tauext.robot.load import compiled
+from tauext.robot.read import compiled
 from tauext.robot.xml_file import XmlFile, read_xml
 
 
@@ -21,7 +21,7 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
     `forcerange` of its motor times the gear.
 
     Args:
-        path: a file that `tauext.robot.load.load_tree` reads.
+        path: a file that `tauext.robot.read.load_tree` reads.
         joints: names of moving joints, in the order of the recordings' columns.
 
     Raises:

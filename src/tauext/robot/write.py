@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from tauext.errors import RobotError
 from tauext.files.atomic_write import atomic_write
 from tauext.robot.compile import xml_as_given
-from tauext.robot.load import read_robot
+from tauext.robot.read import read_robot
 from tauext.robot.xml_file import read_xml
 
 NO_MODEL = "no_model"

@@ -20,7 +20,7 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 @dataclass(frozen=True)
-class Sample:
+class PlantSample:
     """Measured and true values of one sample; arrays (joints,)."""
 
     t_ns: int
@@ -83,7 +83,7 @@ class Plant:
         force_n: np.ndarray | None = None,
         point_m: np.ndarray | None = None,
         joint: int = 0,
-    ) -> Sample:
+    ) -> PlantSample:
         """One sample period under these setpoints, (joints,), [rad], [rad/s].
 
         Args:
@@ -109,7 +109,7 @@ class Plant:
         tau = data.sensordata[: 3 * self._n : 3] + self._rng.standard_normal(self._n) * arm.sensors.torque_noise_nm
         t_ns = round(self._tick * 1e9 / arm.rate_hz)
         self._tick += 1
-        return Sample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
+        return PlantSample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
 
     def _follow_load(self, dq_before: np.ndarray) -> None:
         """After a step: friction that depends on the load follows its mean, as in tauext.sim.rig.roll_out."""

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.robot.load import load_tree
+from tauext.robot.read import load_tree
 from tauext.sim.rig import encoder, quintic
 
 # --- Hobby servos.

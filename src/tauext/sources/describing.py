@@ -10,7 +10,7 @@ from tauext.data.joint_names import GRIPPER, match_joints
 from tauext.data.servo import servo_facts
 from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import SourceFacts
-from tauext.robot.load import movable_joints
+from tauext.robot.read import movable_joints
 
 NOMINAL_HZ = (2000, 1000, 500, 400, 250, 240, 200, 125, 120, 100, 60, 50, 40, 30, 25, 20, 15, 10)
 NEAR = 0.01

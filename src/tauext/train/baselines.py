@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from tauext.check.preflight import expect_codes
+from tauext.check.before_training import expect_codes
 from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
@@ -13,7 +13,7 @@ from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import chosen_case
-from tauext.train.preflight import check_data
+from tauext.train.data_check import check_data
 from tauext.train.preparation import Given, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.bundle.fit import expect_fit
 from tauext.bundle.history_file import expect_journal
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
+from tauext.bundle.match import expect_fit
+from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds

@@ -292,7 +292,7 @@ ONE_SIGMA = 0.6827
 
 
 @dataclass(frozen=True)
-class Rows:
+class ErrorRows:
     """Free motion at the network's rate, or thinned out."""
 
     error_nm: np.ndarray  # (rows, joints)
@@ -314,12 +314,12 @@ class Rows:
         """p of the limits' scale."""
         return SHARP if self.hours >= SHARP_HOURS else BLUNT
 
-    def of_joints(self, chosen: np.ndarray) -> Rows:
+    def of_joints(self, chosen: np.ndarray) -> ErrorRows:
         """The rows of these joints alone, (chosen,) indices."""
         error, near, features = (one[:, chosen] for one in (self.error_nm, self.near_stiction, self.features))
         return replace(self, error_nm=error, near_stiction=near, features=features)
 
-    def only(self, inside: np.ndarray) -> Rows:
+    def only(self, inside: np.ndarray) -> ErrorRows:
         """Select rows, by (rows,) bool or indices."""
         return replace(
             self,
@@ -333,7 +333,7 @@ class Rows:
 
 def fit_error_scale(
     bundle: _core.Bundle,
-    rows: Rows,
+    rows: ErrorRows,
     drift: DriftConfig = DriftConfig(),  # noqa: B008
 ) -> dict:
     """Set a bundle's error scale and the floor of its drift tracker's freeze; returns facts for provenance.
@@ -350,7 +350,7 @@ def fit_error_scale(
     return {"hours": rows.hours, "power": rows.power}
 
 
-def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
+def put_constant_error(bundle: _core.Bundle, rows: ErrorRows) -> None:
     """Set the standard errors of a bundle with constant limits from these rows, sliding and near stiction."""
     scale = _core.ErrorScaleSettings()
     scale.features = [_core.MotionFeature.constant]
@@ -366,7 +366,7 @@ def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
     blind_sigma(bundle)
 
 
-def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
+def scale_of(rows: ErrorRows) -> _core.ErrorScaleSettings:
     """Fit an error scale to these rows."""
     joints = rows.error_nm.shape[1]
     weights = np.array([limit_weights(rows, j) for j in range(joints)])
@@ -452,7 +452,7 @@ def collect_rows(
     judged: Iterable[Recording | Judged],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-) -> Rows:
+) -> ErrorRows:
     """Collect errors and features of free motion, one row a network period, thinned to at most MOST_ROWS.
 
     Raises:
@@ -479,10 +479,10 @@ def collect_rows(
         raise no_free_motion(bundle, margins)
     error, near, features, t_ns, number = (np.concatenate(column) for column in zip(*found, strict=True))
     period_s = 1e-9 * bundle.observer.sample_period_ns * stride
-    return Rows(error, near, features, period_s, t_ns, number, tuple(numbers))
+    return ErrorRows(error, near, features, period_s, t_ns, number, tuple(numbers))
 
 
-def limit_weights(rows: Rows, joint: int) -> np.ndarray:
+def limit_weights(rows: ErrorRows, joint: int) -> np.ndarray:
     """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below LEAST_CONSTANT."""
     features = rows.features[:, joint]
     weights = fit_weights(features, rows.error_nm[:, joint], rows.power)

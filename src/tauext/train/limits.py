@@ -23,9 +23,9 @@ from tauext.fit.training_set import Setup
 from tauext.train.calibrate import NO_CALIBRATION, calibrate_bundle
 from tauext.train.error_scale import (
     FEATURES,
+    ErrorRows,
     Judged,
     LevelLimits,
-    Rows,
     add_friction,
     blind_sigma,
     collect_rows,
@@ -75,7 +75,7 @@ def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
     return like.errors if same and total_s(job.motion.uncut) < ENOUGH_S else None
 
 
-def sizes(rows: Rows, scale: _core.ErrorScaleSettings) -> np.ndarray:
+def sizes(rows: ErrorRows, scale: _core.ErrorScaleSettings) -> np.ndarray:
     """Ratio of each joint's errors to the scale's prediction for the same motion, (n,)."""
     used = [FEATURES.index(kind) for kind in scale.features]
     F, n = rows.features[:, :, used], rows.error_nm.shape[1]
@@ -271,7 +271,7 @@ def set_supported_limits(
     config: TrainConfig,
     threads: int,
     fit: PriorFit | None,
-    rows: Rows | None = None,
+    rows: ErrorRows | None = None,
     poses: Sequence[Sequence[float]] = (),
     suspects: int = 0,
 ) -> tuple[str, dict]:

@@ -27,7 +27,7 @@ from tauext.fit.tail import (
     upper_rate,
 )
 from tauext.fit.ties import simplest
-from tauext.train.error_scale import FEATURES, Judged, LevelLimits, Rows, limit_weights
+from tauext.train.error_scale import FEATURES, ErrorRows, Judged, LevelLimits, limit_weights
 from tauext.train.held_peaks import (
     REGIONS,
     Moment,
@@ -339,7 +339,7 @@ class OtherMotion:
 
 
 def other_motion(
-    rows: Rows,
+    rows: ErrorRows,
     joints: Sequence[str],
     promised: PromisedLimits,
     level_confidence: float,
@@ -391,7 +391,7 @@ def other_motion(
 
 
 def _limits(
-    others: Rows, own: Rows, joints: Sequence[str], promised: PromisedLimits, level_confidence: float
+    others: ErrorRows, own: ErrorRows, joints: Sequence[str], promised: PromisedLimits, level_confidence: float
 ) -> np.ndarray:
     """Collision limits on these rows that follow from other rows, (own rows, joints), [N m].
 

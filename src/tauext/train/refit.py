@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -15,9 +14,10 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.bundle.fit import expect_fit
+from tauext.bundle.estimates import number
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.preflight import Rejected, check_for_bundle, expect_codes
+from tauext.bundle.match import expect_fit
+from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
 from tauext.config import FreeMotionConfig
 from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
@@ -301,11 +301,6 @@ class Refitted:
         ]
         widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
         return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
-
-
-def number(value: float) -> float | None:
-    """Convert NaN to None for JSON."""
-    return value if math.isfinite(value) else None
 
 
 # --- A new bundle from an old one and today's motion: check, cut, fit, report changes, write.

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import expect_journal
-from tauext.check.preflight import Rejected, expect_codes
+from tauext.check.before_training import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.labels import Label, read_labels
@@ -27,6 +27,7 @@ from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.robot.mesh_files import MeshFolders, expect_meshes
 from tauext.robot.model_case import chosen_case
+from tauext.train.data_check import check_data
 from tauext.train.error_scale import collect_rows, scale_of
 from tauext.train.fitting import (
     expect_like,
@@ -40,9 +41,8 @@ from tauext.train.fitting import (
     with_fit,
 )
 from tauext.train.limits import limits_kind, put_limits
-from tauext.train.load import put_load
+from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network, network_settings
-from tauext.train.preflight import check_data
 from tauext.train.preparation import Given, Job, prepare
 from tauext.train.servo_signals import (
     LEAST_RECORDINGS,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tauext.check.preflight import CheckResult, check_calibration, check_training, expect_codes, refuse_faults
+from tauext.check.before_training import CheckResult, check_calibration, check_training, expect_codes, refuse_faults
 from tauext.config import TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.servo import in_amperes

@@ -40,7 +40,7 @@ def choose_joints(
     """Resolve names to joints; None takes every joint that is not locked.
 
     Raises:
-        RobotError: see `tauext.robot.load.load_tree`; the message names `where`, the joint, and the joints that exist.
+        RobotError: see `tauext.robot.read.load_tree`; the message names `where`, the joint, and the joints that exist.
     """
     index = {model.joint(j).name: j for j in range(model.njnt) if model.joint(j).name}
     for name in [*(joints or ()), *locked]:

@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.check.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 
-# --- Rows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
+# --- FitRows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
 
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
@@ -25,7 +25,7 @@ FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, visc
 
 
 @dataclass(frozen=True)
-class Rows:
+class FitRows:
     """Regressors and torque at FIT_ROWS_HZ; arrays (rows, joints) [N m] unless stated."""
 
     time_s: np.ndarray  # (rows,)
@@ -50,14 +50,14 @@ class Rows:
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
 
-    def taken(self, at: np.ndarray | slice) -> Rows:
+    def taken(self, at: np.ndarray | slice) -> FitRows:
         """Select rows."""
-        return Rows(*(getattr(self, field.name)[at] for field in fields(self)))
+        return FitRows(*(getattr(self, field.name)[at] for field in fields(self)))
 
     @staticmethod
-    def joined(parts: Sequence[Rows]) -> Rows:
+    def joined(parts: Sequence[FitRows]) -> FitRows:
         """Concatenate rows."""
-        return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
+        return FitRows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FitRows)))
 
 
 def rows_of(
@@ -67,7 +67,7 @@ def rows_of(
     cutoff_hz: float = FIT_CUTOFF_HZ,
     rows_hz: float = FIT_ROWS_HZ,
     end_s: float = END_S,
-) -> Rows:
+) -> FitRows:
     r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
 
     With p = M dq and beta = g - C^T dq of the sweep, dp/dt + beta is the model's torque: no acceleration is needed, and
@@ -85,7 +85,7 @@ def rows_of(
     gravity = inertial = np.zeros_like(q)
     if tree is not None:
         gravity, inertial = model_of(stretches, tree, cutoff_hz, rows_hz, end_s)
-    return Rows(time_s, recording, q, dq, tau, gravity, inertial, acceleration, friction)
+    return FitRows(time_s, recording, q, dq, tau, gravity, inertial, acceleration, friction)
 
 
 def model_of(
@@ -172,7 +172,7 @@ BLOCKS = 10
 SEEN = 0.02
 """A model torque is ignored if its spread is a smaller share of the measured torque's spread."""
 HUBER = 2.0
-"""Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
+"""FitRows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
 LEAST_ROWS = 100
 """Four seconds: fewer rows than that cannot be fitted."""
 LEAST_SINGULAR = 3e-3
@@ -217,7 +217,7 @@ def spread_of(values: np.ndarray) -> float:
     return float(np.sqrt((BLOCKS - 1) / BLOCKS * ((values - values.mean()) ** 2).sum()))
 
 
-def columns_of(rows: Rows, joint: int) -> np.ndarray:
+def columns_of(rows: FitRows, joint: int) -> np.ndarray:
     """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
     own = (rows.gravity[:, joint], rows.inertial[:, joint], rows.acceleration[:, joint])
     columns = np.column_stack([*own, rows.friction[:, joint]])
@@ -256,7 +256,7 @@ def robust_solve(columns: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, n
     return weights, trust
 
 
-def fit_joint(rows: Rows, joint: int) -> JointFit:
+def fit_joint(rows: FitRows, joint: int) -> JointFit:
     """Robust fit of one joint; at least LEAST_ROWS rows."""
     columns, torque = columns_of(rows, joint), rows.tau[:, joint]
     weights, trust = robust_solve(columns, torque)

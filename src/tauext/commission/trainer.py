@@ -62,7 +62,7 @@ RIPPLES_FROM_MIN = 8
 MOST_ALARMED = 0.02
 """Largest share of free motion with collisions: a lasting one counts as one false alarm only."""
 MOST_HITS_LOST = 0.05
-"""A new bundle replaces the old one only if it detects at most this share of the hits less, or has fewer false alarms."""
+"""A new bundle replaces the old one only if it loses at most this share of the hits, or has fewer false alarms."""
 LEAST_HITS_KEPT = 0.6
 """One that promises rarer false alarms, or repairs a broken promise, may detect this share of the hits of the other."""
 BYTES_A_VALUE = 8 * 12

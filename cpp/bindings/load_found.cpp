@@ -79,6 +79,15 @@ void bind_sums(nb::module_& m) {
       {"BASE", LoadSums::kBase}, {"FRAME", LoadSums::kFrame},   {"GEAR", LoadSums::kGear},
       {"TAU_EXT", LoadSums::kTauExt}, {"COLUMNS", kSize}, {"BLOCK_ROWS", static_cast<std::size_t>(LoadSums::kBlockRows)}};
   for (const auto& [name, value] : numbers) sums.attr(name) = static_cast<int>(value);
+  sums.attr("LEAST_ROWS") = kLeastLoadRows;
+  sums.attr("ROUNDS") = kLoadRounds;
+  sums.attr("LEAST_NOISE_SCALE") = kLeastNoiseScale;
+  sums.attr("LEAST_CORRELATION") = kLeastCorrelation;
+  sums.attr("LEAST_MASS_KG") = kLeastMass_kg;
+  sums.attr("MASS_SHOWS") = kMassShows;
+  sums.attr("SIGMA_OF_LIMIT") = kSigmaOfLimit;
+  sums.attr("STAND_S") = Weighing::kStand_s;
+  sums.attr("USUAL_REACH_M") = kUsualReach_m;
 }
 
 void bind_fit(nb::module_& m) {

@@ -318,9 +318,7 @@ namespace {
 
 // Aluminium: a load's inertia about its own centre is approximated by a ball, small beside m c^2.
 constexpr double kDensity = 2700.0;      // [kg/m^3]
-constexpr double kLeastMass = 0.1;       // [kg]: least mass for the first moment
 constexpr double kUsualMass = 2;         // [kg]: usual payload of arms of this size
-constexpr double kShows = 3.0;           // standard errors between a mass and 0
 // Another explanation must be cheaper by these. The difference: odds of 90 to 1, for independent errors. The ratio:
 // model errors are correlated and affect each explanation differently.
 constexpr double kBetter = 9.0, kByHowMuch = 1.3;
@@ -362,9 +360,9 @@ LoadVerdict verdict(const LoadFound& found, double mass_kg, const Load& set, con
   if (!along(base, gravity, set.mass > 0)) other = std::min(other, base.cost);
   if (nothing.cost - std::min(load.cost, other) < kBetter) return LoadVerdict::nothing;
   if (kByHowMuch * other + kBetter < load.cost) return LoadVerdict::contact;
-  if (mass_kg + set.mass < -kShows * found.mass_error_kg) return LoadVerdict::lifts;
+  if (mass_kg + set.mass < -kMassShows * found.mass_error_kg) return LoadVerdict::lifts;
   if (load.misfit > kPoor && nothing.cost - load.cost < kExplains * nothing.cost) return LoadVerdict::unclear;
-  const bool shows = std::fabs(mass_kg) > kShows * found.mass_error_kg || nothing.cost - load.cost >= kBetter;
+  const bool shows = std::fabs(mass_kg) > kMassShows * found.mass_error_kg || nothing.cost - load.cost >= kBetter;
   return shows ? LoadVerdict::load : LoadVerdict::nothing;
 }
 
@@ -455,7 +453,7 @@ const char* name(LoadVerdict verdict) noexcept {
 }
 
 LoadBefore before_weighing(const WeighSettings& settings, double mass_kg) noexcept {
-  return {settings.offset_nm, settings.coulomb_nm, std::max(mass_kg, kLeastMass) * settings.reach_m / 2};
+  return {settings.offset_nm, settings.coulomb_nm, std::max(mass_kg, kLeastMass_kg) * settings.reach_m / 2};
 }
 
 Load changed(const Load& set, const std::array<double, 4>& found, double reach_m) noexcept {

@@ -97,6 +97,8 @@ struct WeighSettings {
   double reach_m = kUsualReach_m;            // largest distance of the centre of mass from the frame's origin
 };
 
+inline constexpr double kLeastMass_kg = 0.1;   // least mass for the prior of the first moment
+inline constexpr double kMassShows = 3.0;      // standard errors between a mass and 0
 inline constexpr double kSigmaOfLimit = 0.2;  // without an error scale; limits are about five of its sigmas
 
 // Iterates; each round uses the inertia of the load found before.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from tauext._core import LoadSums
 from tauext.cli.place_argument import BundleArg, JsonArg, PlaceArg, RecordingsArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
@@ -109,7 +110,7 @@ def load(
     from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     frame: str | None = None,
-    reach_m: float = 0.3,
+    reach_m: float = LoadSums.USUAL_REACH_M,
     known_kg: float | None = None,
     known_com_m: tuple[float, float, float] | None = None,
     out: PlaceArg | None = None,

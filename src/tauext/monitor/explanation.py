@@ -17,7 +17,7 @@ from tauext.monitor.changes import with_article
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words, strongest_place
-from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame, mass_error, mass_words
+from tauext.monitor.weighing import SUMS, Seen, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.
 
@@ -336,7 +336,7 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     if len(gaps):
         usable[: gaps[-1] + 1] = False
     samples = np.flatnonzero(usable)[:: observer.network_stride]
-    sigma = flight["sigma_nm"] if source.has_error_scale else SIGMA_SHARE * flight["limit_nm"]
+    sigma = flight["sigma_nm"] if source.has_error_scale else SUMS.SIGMA_OF_LIMIT * flight["limit_nm"]
     learned = flight["drift"] - flight["drift"][row]
     near = flight["near_stiction"][kept].astype(bool)
     return Seen.of(recording, samples, (flight["tau_ext"] + learned)[kept], sigma[kept], near)

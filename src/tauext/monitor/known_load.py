@@ -12,7 +12,7 @@ from tauext import _core
 from tauext.bundle.units import own_shares
 from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
-from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, load_sentences, sums_about, weighing_joints
+from tauext.monitor.weighing import NamedFrame, Seen, identify, load_sentences, sums_about, weighing_joints
 
 # --- Error factor of the torque constants from a known weight.
 
@@ -32,10 +32,6 @@ MOST_FACTOR = 5.0
 MOST_RATIO = 1e6
 """Largest error factor in any unit: a smaller estimated mass is no weight."""
 STEPS = 6
-LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
-"""Values of load_solve.hpp."""
-LEAST_MASS_KG = 0.1
-"""Least mass whose first moment is used, as in load_solve.hpp."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ def weigh_constants(
     parts: Sequence[Seen],
     mass_kg: float,
     com_m: Sequence[float] | None = None,
-    reach_m: float = 0.3,
+    reach_m: float = _core.LoadSums.USUAL_REACH_M,
 ) -> KnownWeight:
     """Estimate torque constants from a load of known mass: tau_ext_j = a_j X_j(m, h) + offset_j + Coulomb_j, factor 1 /
     a_j.
@@ -109,7 +105,7 @@ def weigh_constants(
     phi = _core.load_parameters([mass_kg, *h], reach_m)
     covariance, sizes = np.zeros((3 + bundle.joints,) * 2), _core.weigh_sizes(bundle)
     spread = np.maximum(own_shares(bundle), LEAST_SPREAD)
-    for _ in range(ROUNDS):
+    for _ in range(_core.LoadSums.ROUNDS):
         sums, target = sums_about(bundle, frame.frame, parts, phi), targets(a, phi)
         a, h, covariance = solve_known(sums, target, sizes, spread, mass_kg, com_m, reach_m, a, h)
         phi = _core.load_parameters([mass_kg, *h], reach_m)
@@ -140,7 +136,7 @@ def solve_known(
     start = float(a.mean())
     before = np.diag((spread * start) ** 2) + (ANY * start) ** 2 * np.ones((n, n))
     about_a, centre = np.linalg.inv(before), np.zeros(3)
-    prior_h = np.eye(3) / (max(mass_kg, LEAST_MASS_KG) * reach_m / 2) ** 2
+    prior_h = np.eye(3) / (max(mass_kg, sums.LEAST_MASS_KG) * reach_m / 2) ** 2
     if com_m is not None:
         prior_h, centre = np.eye(3) / (mass_kg * COM_KNOWN_M) ** 2, mass_kg * np.array(com_m)
     for _ in range(STEPS):
@@ -185,9 +181,9 @@ def known_noise(
     theta[:, sums.LOAD : sums.LOAD + 4] -= a[:, None] * np.r_[mass_kg, h]
     theta[:, sums.OFFSET], theta[:, sums.COULOMB] = -own[:, 0], -own[:, 1]
     single, blocks = (np.einsum("ja,jab,jb->j", theta, squares, theta) for squares in (sums.whole, sums.blocks))
-    scale = np.sqrt(np.maximum(single / np.maximum(sums.worth, 1e-9), LEAST_SCALE**2))
+    scale = np.sqrt(np.maximum(single / np.maximum(sums.worth, 1e-9), sums.LEAST_NOISE_SCALE**2))
     correlation = np.sum(blocks / scale**2) / max(np.sum(single / scale**2), 1e-300)
-    return Noise(scale, float(np.clip(correlation, LEAST_CORRELATION, sums.BLOCK_ROWS)))
+    return Noise(scale, float(np.clip(correlation, sums.LEAST_CORRELATION, sums.BLOCK_ROWS)))
 
 
 def known_weight(

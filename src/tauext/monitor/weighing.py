@@ -16,6 +16,9 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 from tauext.monitor.loads import NOTHING
 
+SUMS = _core.LoadSums
+"""Its attributes are the constants of the core's weighing (cpp/src/load)."""
+
 # --- The frame to which a load is fixed.
 
 
@@ -95,10 +98,6 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
 
 ROW_S = 0.01
 """Period of the rows, equal to the network period: r changes little in less."""
-STAND_S = 0.5
-"""Information of a rest of any length, as time of sliding: friction of a resting joint does not change."""
-SIGMA_SHARE = 0.2
-"""Standard error over the limit, for bundles without an error scale: their limits are about five standard errors."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
     stride = max(1, round(ROW_S * recording.rate_hz))
     samples = np.arange(0, recording.samples, stride)
     samples = samples[(estimates["health"] == OK)[samples]]
-    sigma = estimates["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * estimates["limit_nm"]
+    sigma = estimates["sigma_nm"] if bundle.error_scale.on else SUMS.SIGMA_OF_LIMIT * estimates["limit_nm"]
     seen = Seen.of(recording, samples, estimates["tau_ext"] + estimates["drift"], sigma, estimates["near_stiction"] > 0)
     return replace(seen, worth=seen.worth * weighing_joints(bundle))
 
@@ -172,7 +171,7 @@ def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
     stood, worth = np.zeros(near.shape[1]), np.ones(near.shape)
     for k, step in enumerate(steps_s):
         stood = np.where(near[k], stood + step, 0.0)
-        worth[k] = (1 + stood / STAND_S) ** -2
+        worth[k] = (1 + stood / SUMS.STAND_S) ** -2
     return worth
 
 
@@ -202,11 +201,6 @@ def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[See
 # --- A load from recordings: mass and centre of mass, their errors, and the verdict.
 
 
-ROUNDS = 3
-"""Iterations: inertia and the loaded side of each gear follow from the load of the previous one."""
-LEAST_ROWS = 30
-"""Fewest rows of a measurement, 0.3 s."""
-
 LoadEstimate = _core.LoadFound
 """Result of weighing; lengths and axes are in the load frame."""
 
@@ -215,7 +209,7 @@ def identify(
     bundle: _core.Bundle,
     frame: NamedFrame,
     parts: Sequence[Seen],
-    reach_m: float = 0.3,
+    reach_m: float = SUMS.USUAL_REACH_M,
     phi: np.ndarray | None = None,
     beside: _core.Load = NOTHING,
 ) -> LoadEstimate:
@@ -233,13 +227,13 @@ def identify(
     Raises:
         RecordingError: fewer than LEAST_ROWS rows.
     """
-    if sum(part.rows for part in parts) < LEAST_ROWS:
+    if sum(part.rows for part in parts) < SUMS.LEAST_ROWS:
         raise RecordingError(
             f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "
-            f"{LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
+            f"{SUMS.LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
         )
     phi = np.zeros(10) if phi is None else phi
-    for _ in range(ROUNDS):
+    for _ in range(SUMS.ROUNDS):
         sums = sums_about(bundle, frame.frame, parts, phi)
         found = _core.weigh_load(bundle, sums, reach_m, phi.tolist(), beside, rounds=1)
         phi = found.phi
@@ -261,7 +255,7 @@ def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
     """
     low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
     part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
-    if part.rows < LEAST_ROWS:
+    if part.rows < SUMS.LEAST_ROWS:
         raise RecordingError(
             f"{seen.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
         )
@@ -285,7 +279,7 @@ def each_window(
         start = part.time_s[0]
         while start + WINDOW_S <= part.time_s[-1] + 0.05:
             rows = part.part((part.time_s >= start) & (part.time_s < start + WINDOW_S))
-            if rows.rows >= LEAST_ROWS:
+            if rows.rows >= SUMS.LEAST_ROWS:
                 own = identify(bundle, frame, [rows], whole.reach_m, whole.phi)
                 windows.append((part.recording.name, float(start), own))
             start += WINDOW_S
@@ -295,8 +289,6 @@ def each_window(
 # --- Messages on the load and on what the motion does not determine.
 
 
-SHOWS = 3.0
-"""Standard errors of a mass above 0, as in the verdict."""
 UNKNOWN_KG = 100.0
 """Largest standard error of a reported mass; without motion it is 1000 kg."""
 ALONG = 0.9
@@ -324,7 +316,9 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":
-        return [f"no load is visible: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
+        return [
+            f"no load is visible: {mass}; one of less than {SUMS.MASS_SHOWS * found.mass_error_kg:.2g} {kg} would not"
+        ]
     if found.verdict == "lifts":
         lift = -found.fits["load"].values[0]
         return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no load, or one present in training"]

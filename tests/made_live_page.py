@@ -268,11 +268,11 @@ class FakeLoop:
 
 
 @contextlib.contextmanager
-def serving(*arguments):
+def serving(host, port, *arguments):
     """A page's server in a thread, see tauext.page.live_server.Server; gives its port."""
     from tauext.page.live_server import Server
 
-    server, end = Server(*arguments), []
+    server, end = Server(host, socket.create_server((host, port)), *arguments), []
 
     async def run() -> None:
         serving = asyncio.create_task(server.run())

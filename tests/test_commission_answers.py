@@ -2,8 +2,12 @@
 
 import json
 import math
+import os
 import select
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections import deque
@@ -399,14 +403,26 @@ def test_a_child_is_started_again_when_it_ends_and_not_at_once(monkeypatch):
     child.end()
 
 
+def interrupt_itself(pipe):
+    os.kill(os.getpid(), signal.SIGINT)
+    pipe.send(signal.SIGINT in signal.sigpending())
+
+
+def test_a_child_does_not_receive_ctrl_c_from_its_first_instruction_on():
+    """Not even while it imports: the first process that an interpreter spawns brings a tracker, which unblocks signals."""
+    code = """if __name__ == "__main__":
+        import test_commission_answers as tests
+        from tauext.commission.processes import start_worker
+        process, pipe = start_worker(tests.interrupt_itself)
+        print(pipe.recv(), flush=True)"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=60)
+    assert done.stdout == "True\n", done.stderr
+
+
 @pytest.mark.slow
 def test_children_end_with_a_killed_parent():
     """Whatever they are doing: `kill -9` of the loop leaves no training behind."""
-    import os
-    import signal
-    import subprocess
-    import sys
-
     code = """if __name__ == "__main__":
         import time, test_commission_answers as tests
         child = tests.Child("x", tests.sleep_for_ever, ())

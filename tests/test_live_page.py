@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 from tauext.errors import ConfigError
 from tauext.files import journal
 from tauext.page import connections, live_server
-from tauext.page.door import free_port, is_own_name
+from tauext.page.door import is_own_name, listening_socket
 from tauext.page.live_arm import arm_facts
 from tauext.page.live_server import line_of
 
@@ -319,15 +319,19 @@ def test_a_busy_port_is_passed_over(monkeypatch):
         busy.bind(("127.0.0.1", 0))
         busy.listen()
         port = busy.getsockname()[1]
-        assert free_port("127.0.0.1", port) > port
+        with (
+            listening_socket("127.0.0.1", port) as found,
+            listening_socket("127.0.0.1", port) as another,
+        ):
+            assert port < found.getsockname()[1] < another.getsockname()[1]
         monkeypatch.setattr("tauext.page.door.PORTS", 1)
         with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
-            free_port("127.0.0.1", port)
+            listening_socket("127.0.0.1", port)
     with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):
-        free_port("127.0.0.1", 0)
+        listening_socket("127.0.0.1", 0)
     for host in ("192.0.2.1", "\xe4\udcff"):
         with pytest.raises(ConfigError, match="must be an address of this machine"):
-            free_port(host, 8080)
+            listening_socket(host, 8080)
 
 
 # --- Strangers.

@@ -84,11 +84,12 @@ def commission(
     from tauext.commission.run import Options, run
     from tauext.monitor.reaction_file import load_reactions
     from tauext.page import serve
-    from tauext.page.door import LOOPBACK, free_port
+    from tauext.page.door import LOOPBACK, listening_socket
 
-    token, found, address = "", port, ""
+    token, door, address = "", None, ""
     if not no_page:
-        found = free_port(host, port)
+        door = listening_socket(host, port)
+        found = door.getsockname()[1]
         token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
@@ -102,7 +103,7 @@ def commission(
         page=None if no_page else serve,
         address=address,
         host=host,
-        port=found,
+        listening=door,
         token=token,
         disk_bytes=disk_gb * 1e9,
         core=core,

@@ -11,6 +11,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from tauext.monitor.stop_signals import without_interrupts
+
 LONGEST_WAIT_S = 60.0
 """Longest wait before an ended process is started again."""
 SOUND_S = 60.0
@@ -22,7 +24,8 @@ def start_worker(target: Any, *arguments: Any) -> tuple[BaseProcess, Connection]
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=target, args=(there, *arguments), daemon=True)
-    process.start()
+    with without_interrupts():
+        process.start()
     there.close()
     return process, here
 
@@ -44,7 +47,6 @@ def run_child(pipe: Connection, parent: int, is_low: bool, target: Any, argument
         is_low: use only processor time that nothing else wants.
     """
     end_with_parent(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the loop ends its children
     if is_low:
         with suppress(OSError, AttributeError):
             os.nice(19)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import socket
 import tempfile
 import threading
 import time
@@ -91,7 +92,8 @@ class Options:
     address: str = ""
     """Line about the page's address, printed when source and folder are accepted."""
     host: str = "127.0.0.1"
-    port: int = 8080
+    listening: socket.socket | None = None
+    """Where the page's process accepts connections."""
     token: str = ""
     disk_bytes: float = 5e9
     core: int | None = None
@@ -166,8 +168,6 @@ def open_arm(text: str, options: Mapping[str, Any]) -> tuple[Source, tuple[Sink,
 
 def socket_folder(folder: Path, stack: ExitStack) -> Path:
     """Where the sockets lie: the folder itself, or a temporary one if its path is too long or it takes no sockets."""
-    import socket
-
     at = folder.resolve()
     if len(os.fsencode(at / "control.sock")) <= LONGEST_SOCKET:
         trial = at / ".trial.sock"
@@ -217,7 +217,14 @@ class Commission:
         stack.callback(control.close)
         folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
         if options.page is not None:
-            arguments = (folder.path, at / "live.sock", at / "control.sock", options.host, options.port, options.token)
+            arguments = (
+                folder.path,
+                at / "live.sock",
+                at / "control.sock",
+                options.host,
+                options.listening,
+                options.token,
+            )
             self._children.append(Child("page", options.page, arguments))
         self._trainer = Child("training process", run_trainer, (folder.path,), is_low=True)
         self._shown = folder.shown

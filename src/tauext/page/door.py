@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import socket
 from collections.abc import Mapping
@@ -62,25 +63,23 @@ def is_from_own_page(method: str, path: str, headers: Mapping[str, str]) -> bool
     return method == "GET" and path == "/" and headers.get("Sec-Fetch-Dest") == "document"  # a link
 
 
-def free_port(host: str, wanted: int) -> int:
-    """The first free port from the wanted one on.
+def listening_socket(host: str, wanted: int) -> socket.socket:
+    """A socket that listens at the first free port from the wanted one on; nobody else can take it from here on.
 
     Raises:
         ConfigError: none of them is free, or the host is not one of this machine.
     """
     if not 1 <= wanted <= 65535:
         raise ConfigError(f"port = {wanted} must be 1 to 65535")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in range(wanted, min(wanted + PORTS, 65536)):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, port))
-                return port
-            except PermissionError as error:
-                raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
-            except (socket.gaierror, TypeError, UnicodeError) as error:
-                raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
-            except OSError as error:
-                if error.errno != 98 and "in use" not in str(error):
-                    raise ConfigError(f"host = {host} must be an address of this machine ({error.strerror})") from error
+        try:
+            return socket.create_server((host, port), family=family)
+        except PermissionError as error:
+            raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
+        except (socket.gaierror, TypeError, UnicodeError) as error:
+            raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise ConfigError(f"host = {host} must be an address of this machine ({error.strerror})") from error
     raise ConfigError(f"port = {wanted}: it and the {PORTS - 1} after it are in use; choose another with --port")

@@ -10,7 +10,6 @@ import hmac
 import json
 import re
 import socket
-import sys
 import threading
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -234,8 +233,8 @@ def is_whole(value: Any) -> bool:
 class Server:
     """The page's server; its address accepts connections from the start, run() answers them."""
 
-    def __init__(self, host: str, port: int, folder: Path, live: Path, control: Path, token: str):
-        """token: that a browser must show; empty: none. OSError: the address cannot be used."""
+    def __init__(self, host: str, listening: socket.socket, folder: Path, live: Path, control: Path, token: str):
+        """token: that a browser must show; empty: none."""
         self._host, self._token, self._control, self._live_path = host, token, control, live
         self._folder = Folder(folder)
         self._page = files("tauext.page").joinpath("live_page.html").read_text(encoding="utf-8")
@@ -249,9 +248,8 @@ class Server:
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
         }
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        self._socket = socket.create_server((host, port), family=family)
-        self.port: int = self._socket.getsockname()[1]
+        self._socket = listening
+        self.port: int = listening.getsockname()[1]
 
     async def run(self) -> None:
         """Serve until it is cancelled."""
@@ -391,14 +389,10 @@ def refuse(status: HTTPStatus, why: str) -> web.Response:
 
 
 def serve(
-    pipe: Pipe, folder: Path, live: Path, control: Path, host: str, port: int, token: str
+    pipe: Pipe, folder: Path, live: Path, control: Path, host: str, listening: socket.socket, token: str
 ) -> None:  # pragma: no cover - a process of its own
     """Serve until the pipe to the parent closes."""
-    try:
-        server = Server(host, port, folder, live, control, token)
-    except OSError as error:
-        why = str(error.strerror or error).partition(" (")[0]
-        sys.exit(f"tauext: the page cannot be served at {host}, port {port}: {why}")
+    server = Server(host, listening, folder, live, control, token)
 
     async def run() -> None:
         serving = asyncio.create_task(server.run())

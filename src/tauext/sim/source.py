@@ -6,7 +6,6 @@ import gc
 import math
 import multiprocessing
 import re
-import signal
 import threading
 import time
 from collections import deque
@@ -23,6 +22,7 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.files.toml_file import number, numbers, one_of, read_table
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
+from tauext.monitor.stop_signals import without_interrupts
 from tauext.sim.arms import ARMS, GearedArm
 from tauext.sim.plant import Mover, Plant
 from tauext.sim.rig import encoder
@@ -317,7 +317,6 @@ def simulate(
     pipe: Connection, name: str, seed: int, speed: float | None, script: Sequence[tuple[float, Command]]
 ) -> None:
     """Step an arm until the pipe closes. A row of a block: stamp [ns], time of sending [ns], signals, true torque."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the loop ends this process
     arm, period_ns = KINDS[name].make(seed), KINDS[name].facts().settings.period_ns
     gc.freeze()
     stamps = Stamps(period_ns)
@@ -462,7 +461,8 @@ class SimSource:
         context = multiprocessing.get_context("spawn")
         self._pipe, there = context.Pipe()
         self._process = context.Process(target=simulate, args=(there, *self._arguments), daemon=True)
-        self._process.start()
+        with without_interrupts():
+            self._process.start()
         there.close()
 
     def next_sample(self, timeout_s: float) -> Sample | None:

@@ -409,7 +409,7 @@ def interrupt_itself(pipe):
 
 
 def test_a_child_does_not_receive_ctrl_c_from_its_first_instruction_on():
-    """Not even while it imports: the first process that an interpreter spawns brings a tracker, which unblocks signals."""
+    """Not even while it imports: the first process that is spawned brings a tracker, which unblocks signals."""
     code = """if __name__ == "__main__":
         import test_commission_answers as tests
         from tauext.commission.processes import start_worker

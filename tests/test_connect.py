@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,35 +188,6 @@ def test_an_arm_that_is_silent_or_cannot_describe_itself_is_refused_and_closed()
     assert silent.closed == 1
     with pytest.raises(ConfigError, match="cannot describe itself"):
         connect(lambda: ScriptedSource([]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("factor", "code"), [(1.0, ""), (-1.0, "effort-sign"), (0.09, "effort-scale")])
-def test_a_ros2_arm_in_another_process_is_described_and_its_effort_judged_within_ten_seconds(
-    factor, code, request, robot, monkeypatch
-):
-    pytest.importorskip("cyclonedds")
-    from made_ros2 import DOMAIN, own_space
-
-    from tauext.commission import connect as connecting
-    from tauext.sources.open import open_source
-    from tauext.sources.ros2_settings import Ros2Settings
-
-    monkeypatch.setattr(connecting, "LOOK_S", 10.0)
-    settings = Ros2Settings(topic=f"{own_space(request)}/joint_states", domain=DOMAIN)
-    arm = [sys.executable, str(Path(__file__).with_name("made_ros2_arm.py")), str(DOMAIN), settings.topic, str(factor)]
-    process = subprocess.Popen(arm)
-    try:
-        options = {"ros2": settings}
-        connected = connect(lambda: open_source("ros2", options)[0], robot, wait_s=30.0)
-    finally:
-        process.kill()
-        process.wait()
-    assert connected.facts.settings.joints == ("joint1", "joint2")
-    assert connected.facts.settings.period_ns == 4_000_000 and connected.facts.signal == "unknown"
-    faults = {live.code for live in connected.lives if live.severity == "fault"}
-    assert faults == ({code} if code else set()), connected.lives
-    assert settled(connected.facts, connected.lives).signal == ("current" if code == "effort-scale" else "unknown")
 
 
 # --- The description.

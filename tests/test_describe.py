@@ -22,7 +22,6 @@ from tauext.sources import lasting
 from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
 from tauext.sources.franka import FrankaSource
 from tauext.sources.lasting import LastingSource
-from tauext.sources.open import open_source
 from tauext.sources.replay import ReplaySource
 from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.ur import JOINTS as UR_JOINTS
@@ -226,52 +225,6 @@ def test_damiao_motors_are_timed_or_overheard(ask):
         assert facts.signal == "torque" and facts.temperature
     finally:
         motors.close()
-
-
-# --- ROS 2.
-
-
-def test_ros2_joints_rate_and_publisher_are_found_out(request, tmp_path):
-    pytest.importorskip("cyclonedds")
-    from made_ros2 import DOMAIN, Robot, own_space
-
-    from tauext.sources.ros2_settings import Ros2Settings
-
-    settings = Ros2Settings(topic=own_space(request) + "/joint_states", domain=DOMAIN)
-
-    def described(wait_s: float, robot=None, **changed) -> SourceFacts:
-        source, _ = open_source("ros2", {"ros2": replace(settings, **changed)})
-        return source.describe(wait_s, robot)
-
-    with pytest.raises(ConfigError, match="no publisher of sensor_msgs/JointState in domain"):
-        described(0.3)
-    arm, gripper = Robot(settings, ("b", "a"), 4_000_000), Robot(settings, ("finger_joint",), 1_000_000)
-    ended = threading.Event()
-    fields: dict = {}
-
-    def drive() -> None:
-        while not ended.wait(0.004):
-            arm.send(**fields)
-            gripper.send(4)
-
-    thread = threading.Thread(target=drive, daemon=True)
-    thread.start()
-    try:
-        facts = described(WAIT_S)
-        assert facts.settings == SourceSettings(("b", "a"), 4_000_000, ("N m", "N m"), "instant")
-        assert facts.signal == "unknown" and "until the arm's motion shows another kind" in facts.notes[-1]
-        ordered = described(WAIT_S, write_placeholder(["a", "b", "c"], tmp_path))
-        assert ordered.settings.joints == ("a", "b")
-        fields["effort"] = []
-        time.sleep(0.05)
-        with pytest.raises(ConfigError, match="effort is empty"):
-            described(0.5, names=("a", "b"))
-        fields["effort"] = [float("nan"), 1.0]
-        with pytest.raises(ConfigError, match="no finite position, velocity and effort of b"):
-            described(0.5, names=("a", "b"))
-    finally:
-        ended.set()
-        thread.join()
 
 
 # --- What lasts.

@@ -39,10 +39,6 @@ ALSO = {
     "sources/franka": {"pylibfranka"},
     "sources/servo_bus": {"serial", "scservo_sdk", "dynamixel_sdk"},
     "sources/damiao": {"can"},
-    "sources/ros2_messages": {"cyclonedds"},
-    "sources/ros2_node": {"cyclonedds"},
-    "sources/ros2_publisher": {"cyclonedds"},
-    "sources/ros2_source": {"cyclonedds"},
     "sources/lerobot_labels": {"pyarrow"},
     "fleet/ray_workers": {"ray"},
 }

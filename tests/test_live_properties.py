@@ -6,7 +6,6 @@ Each has the estimates of the clean stream, or one cause.
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -74,8 +73,7 @@ def elsewhere(q: np.ndarray) -> np.ndarray:
 HOW = [at_each_end, restarted, elsewhere]
 
 
-@pytest.fixture(scope="module")
-def bundle():
+def turning_bundle():
     """The network sees positions, so that its answer depends on their turn."""
     made = watching_bundle()
     clean = swinging()
@@ -85,6 +83,11 @@ def bundle():
     first = slice(0, 1000)
     made.set_reference(*(np.ascontiguousarray(a[first]) for a in (clean.t_ns, clean.q, clean.dq, clean.tau)))
     return made
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return turning_bundle()
 
 
 def expect_clean(bundle, keeper, clean) -> None:
@@ -359,35 +362,3 @@ def test_servos_whose_counts_wrap_turn_on(kind):
     counts = np.array([one.sample.q for one in keeper.verdicts]) * 4096 / TURN
     steps = np.diff(counts, axis=0)
     assert np.abs(steps / 15 - np.round(steps / 15)).max() < 1e-6 and steps.max() < 300 and np.ptp(counts) >= 60 * 15
-
-
-def test_ros2_positions_are_unwrapped(bundle):
-    pytest.importorskip("cyclonedds")
-    from made_ros2 import DOMAIN, Robot, until
-
-    from tauext.sources.ros2 import connect
-    from tauext.sources.ros2_settings import Ros2Settings
-
-    clean = swinging()
-    wrapped = at_each_end(clean.q)
-    settings = Ros2Settings(topic="/turns/joint_states", namespace="/turns", domain=DOMAIN, depth=8000)
-    source, _ = connect(settings)
-    keeper = Keeper()
-    loop = Loop(bundle, source, [keeper], settings=LoopSettings(missing_after_s=60.0))
-    running = threading.Thread(target=loop.run)
-    running.start()
-    try:
-        robot = Robot(settings, joints=JOINTS)
-        robot.meets()
-        for k in range(clean.samples):
-            robot.send(
-                stamp_ns=int(clean.t_ns[k]),
-                position=wrapped[k].tolist(),
-                velocity=clean.dq[k].tolist(),
-                effort=clean.tau[k].tolist(),
-            )
-        until(lambda: loop.samples and keeper.verdicts[-1].t_ns == clean.t_ns[-1], "all samples")
-    finally:
-        loop.stop("test")
-        running.join()
-    expect_clean(bundle, keeper, clean)

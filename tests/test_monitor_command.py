@@ -192,8 +192,8 @@ def test_an_output_that_waits_holds_up_nobody_and_its_fault_is_raised_at_the_end
 
 
 def test_every_kind_of_source_is_documented():
-    from tauext.sources.open import KINDS
+    from tauext.sources.open import kinds
 
     text = (ROOT / "docs" / "running.md").read_text()
-    for name, kind in KINDS.items():
+    for name, kind in kinds().items():
         assert f"`{name}:{kind.target}`" in text or f"`{name}`" in text, name

@@ -11,6 +11,10 @@ from pathlib import Path
 import pytest
 from made_bundles import watching_bundle
 
+from tauext import plugins
+from tauext.errors import ConfigError
+from tauext.sources.open import open_source
+
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "04_plugin"
 
@@ -70,6 +74,17 @@ def test_the_command_of_the_example_stands_beside_ours(site):
     code, out, _ = tauext(site, "--help")
     assert code == 0 and "my-arm     run a bundle on my arm" in out
     assert "broken     plug-in broken (broken, no_such:RUN): cannot be loaded: ModuleNotFoundError" in out
+
+
+def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
+    for name, package in plugins.PACKAGES.items():
+        folder = ROOT / "integrations" / package.removeprefix("tauext-")
+        project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+        assert project["name"] == package
+        assert any(name in added for added in project["entry-points"].values())
+    monkeypatch.setattr(plugins, "entry_points", lambda group: ())
+    with pytest.raises(ConfigError, match="--source ros2: 'ros2' comes with the package tauext-ros2: pip install"):
+        open_source("ros2", {})
 
 
 @pytest.mark.parametrize(

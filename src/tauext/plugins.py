@@ -20,6 +20,8 @@ from tauext.errors import ConfigError
 
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
+PACKAGES = {"ros2": "tauext-ros2"}
+"""Packages of this repository, by the command or source that they add."""
 
 
 def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
@@ -29,6 +31,12 @@ def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
     """
     found = sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
     return {one.name: one for one in found if one.name not in taken}
+
+
+def how_to_add(name: str) -> str | None:
+    """Which package adds this command or source; None: no package of this repository does."""
+    package = PACKAGES.get(name)
+    return package and f"'{name}' comes with the package {package}: pip install {package}"
 
 
 def load(entry: EntryPoint, kind: type) -> Any:

@@ -109,9 +109,7 @@ def commission(
         core=core,
         priority=priority,
     )
-    from tauext.cli.monitor import quiet_library
-
-    with quiet_library(source), keys() as listening:
+    with keys() as listening:
         run(out, source, chosen, say, listening)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -112,22 +112,8 @@ def monitor(
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
     extras = Extras(reactions, profiles, kept, record, segment_s, control)
-    with quiet_library(source):
-        output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
-        watch(bundle, source, given(options), settings, extras, output)
-
-
-def quiet_library(source: str) -> AbstractContextManager[None]:
-    """Silence the library's line for each damaged message of a publisher; the source reports their count."""
-    if source != "ros2":
-        return nullcontext()
-    import sys
-
-    try:
-        from tauext.sources.ros2_node import without_lines
-    except ImportError:  # the source reports what is missing
-        return nullcontext()
-    return without_lines() if sys.stderr is sys.__stderr__ else nullcontext()
+    output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
+    watch(bundle, source, given(options), settings, extras, output)
 
 
 def require_positive(**values: float | None) -> None:

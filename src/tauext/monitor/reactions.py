@@ -336,7 +336,7 @@ def expect_actions(rules: Sequence[Reaction], source: Source, sinks: Sequence[Si
         if rule.stop and not isinstance(source, Stoppable):
             raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
         if rule.publish and not any(isinstance(sink, Publisher) for sink in sinks):
-            raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
+            raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing")
 
 
 def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[Sink]) -> Reactions:

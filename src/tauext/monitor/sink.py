@@ -175,7 +175,7 @@ class Control(Protocol):
     """Requests to the loop, from any thread: each is executed before the next sample, and logged."""
 
     def use_profile(self, name: str, by: str) -> None:
-        """Change to this profile. by: origin of the request, for the log: `ros2 /tauext/profile`.
+        """Change to this profile. by: origin of the request, for the log: `control socket`.
 
         Raises:
             ConfigError: the profile does not exist.

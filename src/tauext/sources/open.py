@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from tauext import plugins
 from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
-from tauext.sources.ros2_settings import Ros2Settings
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -61,12 +60,6 @@ BUS = Option(
     Place | None,
     "TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint. LeRobot's"
     " calibration file (*.json) also works for serial servos.",
-)
-ROS2 = Option(
-    "ros2",
-    Ros2Settings,
-    "topics and quality of service of --source ros2; docs/quickstarts/ros2.md.",
-    Ros2Settings(),
 )
 
 
@@ -121,13 +114,6 @@ def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) ->
     return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))
 
 
-def open_ros2(target: str, bundle: Bundle | None, ros2: Ros2Settings | None = None) -> tuple[Source, tuple[Sink, ...]]:
-    from tauext.sources.ros2 import connect
-
-    source, publisher = connect(ros2 or Ros2Settings(), bundle)
-    return source, (publisher,)
-
-
 KINDS: Mapping[str, SourceKind] = {
     "replay": SourceKind(open_replay, "FILE", (SPEED,)),
     "ur": SourceKind(open_ur, "HOST", (TORQUE_CONSTANTS,)),
@@ -135,7 +121,6 @@ KINDS: Mapping[str, SourceKind] = {
     "feetech": SourceKind(open_feetech, "PORT", (BUS,)),
     "dynamixel": SourceKind(open_dynamixel, "PORT", (BUS,)),
     "damiao": SourceKind(open_damiao, "CAN", (BUS,)),
-    "ros2": SourceKind(open_ros2, options=(ROS2,)),
 }
 
 
@@ -189,6 +174,8 @@ def open_source(
     """
     name, colon, target = text.partition(":")
     kind = kind_of(name)
+    if kind is None and (package := plugins.how_to_add(name)):
+        raise ConfigError(f"--source {text}: {package}")
     if kind is None or bool(target) != bool(kind.target) or (colon and not target):
         choices = ", ".join([*(one.typed(other) for other, one in kinds().items()), *([also] if also else ())])
         raise ConfigError(f"--source {text!r} must be one of {choices}")

@@ -23,7 +23,7 @@ from tauext.monitor.control_lines import alarm_of_text
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
 from tauext.monitor.sink import Control, Event, LoopReport, Verdict
 from tauext.monitor.source import Sample
-from tauext.sources.ros2_messages import (
+from tauext_ros2.messages import (
     ERROR,
     OK,
     STALE,
@@ -44,8 +44,8 @@ from tauext.sources.ros2_messages import (
     Wrench,
     WrenchStamped,
 )
-from tauext.sources.ros2_node import Conditions, Node
-from tauext.sources.ros2_source import Ros2Source
+from tauext_ros2.node import Conditions, Node
+from tauext_ros2.source import Ros2Source
 
 # --- The monitor's state as diagnostic_msgs.
 

@@ -6,7 +6,7 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("cyclonedds")
 
-from tauext.sources import ros2_messages as msg
+from tauext_ros2 import messages as msg
 
 STORES = {16: get_typestore(Stores.ROS2_JAZZY), 24: get_typestore(Stores.ROS2_HUMBLE)}
 

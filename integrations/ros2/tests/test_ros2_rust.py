@@ -17,13 +17,14 @@ from made_ros2 import DOMAIN
 
 pytest.importorskip("cyclonedds")
 
+from tauext_ros2 import connect
+from tauext_ros2.settings import Ros2Settings
+
 from tauext import _core
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_settings import Ros2Settings
 
-ROOT = Path(__file__).parent.parent
-BUILD = ROOT / "build" / "ros2_client"
+PEER = Path(__file__).parent / "interop" / "ros2_client"
+BUILD = Path(__file__).parents[3] / "build" / "ros2_client"
 SAMPLES = 4000
 URI = "<CycloneDDS><Domain><General><AllowMulticast>spdp</AllowMulticast></General></Domain></CycloneDDS>"
 """Multicast to be found, and for nothing else."""
@@ -34,7 +35,7 @@ def built(feature: str) -> Path:
     cargo = shutil.which("cargo") or shutil.which("cargo", path=str(Path.home() / ".cargo" / "bin"))
     if cargo is None:
         pytest.skip("needs cargo")
-    shutil.copytree(ROOT / "tests" / "interop" / "ros2_client", BUILD, dirs_exist_ok=True)
+    shutil.copytree(PEER, BUILD, dirs_exist_ok=True)
     words = [cargo, "build", "--target-dir", f"target{feature}"]
     done = subprocess.run(
         words + (["--features", feature] if feature else []), cwd=BUILD, capture_output=True, text=True

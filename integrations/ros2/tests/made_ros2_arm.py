@@ -7,9 +7,9 @@ import sys
 import time
 
 from made_ros2 import Robot
+from tauext_ros2.settings import Ros2Settings
 
 from tauext.sim.source import KINDS
-from tauext.sources.ros2_settings import Ros2Settings
 
 EVERY = 4
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,8 @@ from cyclonedds.core import WaitSet
 from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.sources.describing import LEARNT_STEPS, chosen_joints, learnt_period_ns, mean_period_ns
-from tauext.sources.ros2_messages import JointState, Temperature
-from tauext.sources.ros2_node import Conditions, Inbox, Node
+from tauext_ros2.messages import JointState, Temperature
+from tauext_ros2.node import Conditions, Inbox, Node, without_lines
 
 # --- The arm's joints in messages with any order of joints and possibly other joints.
 
@@ -327,8 +327,11 @@ class Ros2Source:
     publishers. Samples dropped by a full reader count as lost, by the gap of their stamps.
     """
 
-    def __init__(self, node: Node, conditions: Conditions):
+    def __init__(self, node: Node, conditions: Conditions, quiet: bool = False):
+        """quiet: see connect()."""
         self._node, self.conditions = node, conditions
+        self._quietly = without_lines if quiet else nullcontext
+        self._while_open = ExitStack()
         self.name = f"ros2 {node.settings.topic}"
         self.counts = SourceCounts()
         self.last_stamp_ns = 0
@@ -342,6 +345,11 @@ class Ros2Source:
 
         Units and kind of its effort are not known.
         """
+        with self._quietly():
+            return self._facts(self._publishers(wait_s), robot)
+
+    def _publishers(self, wait_s: float) -> list[list[JointState]]:
+        """Usable messages of each publisher that came within wait_s; raises AwayError without any."""
         chosen, began = self._node.settings, time.monotonic()
         inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
         waitset, came = WaitSet(self._node.participant), dict[int, list[JointState]]()
@@ -359,7 +367,7 @@ class Ros2Source:
                         came.setdefault(message.sample_info.publication_handle, []).append(message)
             if not came:
                 raise AwayError(f"{self.name}: {unusable[1] or silence(inbox.reader, chosen.domain_id)}")
-            return self._facts(list(came.values()), robot)
+            return list(came.values())
         finally:
             del waitset
             self._node.remove([inbox.reader])
@@ -412,6 +420,7 @@ class Ros2Source:
         self._waitset = WaitSet(self._node.participant)
         self._waitset.attach(self._inbox.new)
         self._node.announce()
+        self._while_open.enter_context(self._quietly())
 
     def next_sample(self, timeout_s: float) -> Sample | None:
         until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
@@ -447,6 +456,7 @@ class Ros2Source:
         inbox, self._inbox, self._waitset = self._inbox, None, None
         self._node.leave([inbox.reader, *self._temperatures.readers])
         self._pending.clear()
+        self._while_open.close()
 
     def _take(self) -> None:
         received_ns, wall_ns = time.monotonic_ns(), time.time_ns()

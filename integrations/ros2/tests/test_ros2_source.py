@@ -10,14 +10,14 @@ from made_ros2 import DOMAIN, Robot, own_space, until
 pytest.importorskip("cyclonedds")
 
 from cyclonedds._clayer import ddspy_write
+from tauext_ros2 import connect
+from tauext_ros2 import source as ros2_source
+from tauext_ros2.messages import JointState, Temperature
+from tauext_ros2.settings import Ros2Settings
+from tauext_ros2.source import LEARNT_FROM
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
-from tauext.sources import ros2_source
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_messages import JointState, Temperature
-from tauext.sources.ros2_settings import Ros2Settings
-from tauext.sources.ros2_source import LEARNT_FROM
 
 MS = 1_000_000
 

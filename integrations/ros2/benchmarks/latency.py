@@ -1,6 +1,7 @@
 """From a robot's joint states to the monitor's torques at a third process, over ROS 2 on the loopback interface.
 
-    python benchmarks/ros2_latency.py [--minutes 1] [--core N] [--priority P] [--reliability reliable] [--json FILE]
+    python integrations/ros2/benchmarks/latency.py [--minutes 1] [--core N] [--priority P] [--reliability reliable]
+        [--json FILE]
 
 Three processes: one publishes seven joints at 1 kHz, one runs the monitor as `tauext monitor --source ros2` does, one
 takes the torques. Each writes down by CLOCK_MONOTONIC when it published or received the sample of every stamp; the
@@ -22,8 +23,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 import seven_axis
-from common import arguments
 
 from tauext.files.provenance import machine
 from tauext.monitor.latency import ask_for_real_time
@@ -43,7 +45,7 @@ ROLES = ("monitor", "peer", "robot")
 
 
 def main() -> None:
-    parser = arguments(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--core", type=int, default=None)
     parser.add_argument("--priority", type=int, default=None)
@@ -65,7 +67,7 @@ def main() -> None:
         ]
         try:
             if any([process.wait() for process in started]):
-                sys.exit("ros2_latency: a process failed")
+                sys.exit("a process failed")
         finally:
             for process in started:
                 process.kill()
@@ -74,15 +76,15 @@ def main() -> None:
 
 
 def settings(**other):
-    from tauext.sources.ros2_settings import Ros2Settings
+    from tauext_ros2.settings import Ros2Settings
 
     return Ros2Settings(topic=TOPIC, namespace=SPACE, domain=DOMAIN, **other)
 
 
 def run_robot(options: argparse.Namespace) -> None:
     """Publishes, at absolute times; the stamp of a message is when it was due."""
-    from tauext.sources.ros2_messages import Header, JointState, Time
-    from tauext.sources.ros2_node import Node
+    from tauext_ros2.messages import Header, JointState, Time
+    from tauext_ros2.node import Node
 
     node = Node(settings(node="robot"))
     writer = node.writer(TOPIC, JointState, "reliable", "volatile", 100)
@@ -110,8 +112,9 @@ def run_robot(options: argparse.Namespace) -> None:
 
 def run_monitor(options: argparse.Namespace) -> None:
     """The loop of `tauext monitor`, until nothing has come for a while."""
+    from tauext_ros2 import connect
+
     from tauext.monitor.loop import Loop
-    from tauext.sources.ros2 import connect
 
     source, publisher = connect(settings(reliability=options.reliability))
 
@@ -158,9 +161,8 @@ def run_monitor(options: argparse.Namespace) -> None:
 def run_peer(options: argparse.Namespace) -> None:
     """Takes the torques, until none has come for a while."""
     from cyclonedds.core import WaitSet
-
-    from tauext.sources.ros2_messages import JointState
-    from tauext.sources.ros2_node import Node
+    from tauext_ros2.messages import JointState
+    from tauext_ros2.node import Node
 
     node = Node(settings(node="peer"))
     inbox = node.inbox(f"{SPACE}/external_torque", JointState, "reliable", "volatile", 1000)

@@ -14,12 +14,13 @@ from made_ros2 import DOMAIN
 
 pytest.importorskip("cyclonedds")
 
+from tauext_ros2 import connect
+from tauext_ros2.settings import Ros2Settings
+
 from tauext import _core
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
 from tauext.monitor.sink import Event
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_settings import Ros2Settings
 
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"
 SPACE, TOPIC, SAMPLES = "/fast", "/fast_states", 4000

@@ -15,21 +15,24 @@ import pytest
 from doc_pages import Page, parses
 from made_arms import planar_rig, urdf
 from made_bundles import pushed, watching_bundle
+from made_live import Keeper
 from made_recordings import Drive, made_motion, write_bag
 from made_ros2 import DOMAIN, Robot, until
+from test_live_properties import at_each_end, expect_clean, swinging, turning_bundle
 
 pytest.importorskip("cyclonedds")
+
+from tauext_ros2 import connect
+from tauext_ros2.messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
+from tauext_ros2.node import Node
+from tauext_ros2.settings import Ros2Settings
+from tauext_ros2.source import LEARNT_FROM
 
 from tauext import _core
 from tauext.cli import main
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.robot.read import load_tree
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
-from tauext.sources.ros2_node import Node
-from tauext.sources.ros2_settings import Ros2Settings
-from tauext.sources.ros2_source import LEARNT_FROM
 
 SPACE, TOPIC, DEPTH = "/whole", "/whole/joint_states", 8000
 
@@ -78,6 +81,32 @@ def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_told():
     assert "collision on shoulder" in levels
 
 
+def test_positions_that_wrap_are_unwrapped():
+    bundle, clean = turning_bundle(), swinging()
+    wrapped = at_each_end(clean.q)
+    settings = Ros2Settings(topic="/turns/joint_states", namespace="/turns", domain=DOMAIN, depth=8000)
+    source, _ = connect(settings)
+    keeper = Keeper()
+    loop = Loop(bundle, source, [keeper], settings=LoopSettings(missing_after_s=60.0))
+    running = threading.Thread(target=loop.run)
+    running.start()
+    try:
+        robot = Robot(settings, joints=clean.joints)
+        robot.meets()
+        for k in range(clean.samples):
+            robot.send(
+                stamp_ns=int(clean.t_ns[k]),
+                position=wrapped[k].tolist(),
+                velocity=clean.dq[k].tolist(),
+                effort=clean.tau[k].tolist(),
+            )
+        until(lambda: loop.samples and keeper.verdicts[-1].t_ns == clean.t_ns[-1], "all samples")
+    finally:
+        loop.stop("test")
+        running.join()
+    expect_clean(bundle, keeper, clean)
+
+
 def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
     bundle = tmp_path / "arm.tauext"
     watching_bundle().save(str(bundle))
@@ -93,10 +122,10 @@ def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
     assert "--ros2 is for source ros2, not for replay" in capsys.readouterr().err
 
 
-def test_a_missing_library_names_the_extra(monkeypatch):
+def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.core", None)
-    monkeypatch.delitem(__import__("sys").modules, "tauext.sources.ros2_node")
-    with pytest.raises(ConfigError, match=r"ROS 2 needs CycloneDDS \(.*\): pip install 'tauext\[ros2\]'"):
+    monkeypatch.delitem(__import__("sys").modules, "tauext_ros2.node")
+    with pytest.raises(ConfigError, match=r"ROS 2 needs CycloneDDS \(.*\): pip install cyclonedds"):
         connect(Ros2Settings())
 
 

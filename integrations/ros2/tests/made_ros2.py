@@ -50,8 +50,8 @@ class Robot:
     """Publishes joint states as a driver does; each of its messages is one step later than the last."""
 
     def __init__(self, settings, joints=("a", "b"), step_ns=1_000_000, reliability="reliable"):
-        from tauext.sources.ros2_messages import JointState
-        from tauext.sources.ros2_node import Node
+        from tauext_ros2.messages import JointState
+        from tauext_ros2.node import Node
 
         self.node = Node(settings)
         self.writer = self.node.writer(settings.topic, JointState, reliability, "volatile", 1000)
@@ -62,7 +62,7 @@ class Robot:
 
         other: fields of the message in place of these; stamp_ns: in place of the next one.
         """
-        from tauext.sources.ros2_messages import Header, JointState, Time
+        from tauext_ros2.messages import Header, JointState, Time
 
         for _ in range(samples):
             self.stamp_ns = other.get("stamp_ns", self.stamp_ns + self.step_ns)

@@ -22,14 +22,8 @@ from cyclonedds.builtin import (
 from cyclonedds.core import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
-
-from tauext._core import Load
-from tauext.errors import ConfigError
-from tauext.monitor.changes import HealthChange
-from tauext.monitor.sink import Event, LoopReport, Publisher, Verdict
-from tauext.monitor.source import Sample, SourceCounts
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_messages import (
+from tauext_ros2 import connect
+from tauext_ros2.messages import (
     ERROR,
     GRAPH_TYPES,
     OK,
@@ -43,8 +37,14 @@ from tauext.sources.ros2_messages import (
     String,
     Vector3,
 )
-from tauext.sources.ros2_node import GRAPH_TOPIC, Node, quality
-from tauext.sources.ros2_settings import Ros2Settings
+from tauext_ros2.node import GRAPH_TOPIC, Node, quality
+from tauext_ros2.settings import Ros2Settings
+
+from tauext._core import Load
+from tauext.errors import ConfigError
+from tauext.monitor.changes import HealthChange
+from tauext.monitor.sink import Event, LoopReport, Publisher, Verdict
+from tauext.monitor.source import Sample, SourceCounts
 
 JOINTS = ("shoulder", "elbow")
 WARMING_UP, FINE, HEALTH_STALE, FAULT = range(4)
@@ -363,9 +363,9 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
 CHILD = """
     import made_ros2, sys, time
-    from tauext.sources.ros2_settings import Ros2Settings
-    from tauext.sources.ros2_messages import Bool, JointState
-    from tauext.sources.ros2_node import Node
+    from tauext_ros2.settings import Ros2Settings
+    from tauext_ros2.messages import Bool, JointState
+    from tauext_ros2.node import Node
     space = sys.argv[1]
     node = Node(Ros2Settings(domain=int(sys.argv[2]), node="child", namespace=space))
     torques = node.inbox(space + "/external_torque", JointState, "reliable", "volatile", 64).reader

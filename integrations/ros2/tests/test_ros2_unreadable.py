@@ -8,21 +8,21 @@ import sys
 
 import pytest
 
-pytest.importorskip("cyclonedds", reason="ROS 2 needs the extra tauext[ros2]")
+pytest.importorskip("cyclonedds")
 
 from made_ros2 import DOMAIN, until
+from tauext_ros2.messages import Header, JointState, Time
+from tauext_ros2.node import LINE, Conditions, Node, without_lines
+from tauext_ros2.settings import Ros2Settings
+from tauext_ros2.source import Ros2Source
 
 from tauext.monitor.source import SourceSettings
-from tauext.sources.ros2_messages import Header, JointState, Time
-from tauext.sources.ros2_node import LINE, Conditions, Node, without_lines
-from tauext.sources.ros2_settings import Ros2Settings
-from tauext.sources.ros2_source import Ros2Source
 
 PUBLISHER = """
 import sys
-from tauext.sources.ros2_settings import Ros2Settings
-from tauext.sources.ros2_messages import JointState
-from tauext.sources.ros2_node import Node
+from tauext_ros2.settings import Ros2Settings
+from tauext_ros2.messages import JointState
+from tauext_ros2.node import Node
 node = Node(Ros2Settings(topic=sys.argv[1], domain=int(sys.argv[2])))
 writer = node.writer(sys.argv[1], JointState, "best-effort", "volatile", 1)
 print(writer.guid.bytes.hex(), flush=True)

@@ -29,10 +29,10 @@ try:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 except ImportError as missing:
-    raise ConfigError(f"ROS 2 needs CycloneDDS ({missing}): pip install 'tauext[ros2]'") from missing
+    raise ConfigError(f"ROS 2 needs CycloneDDS ({missing}): pip install cyclonedds") from missing
 
-from tauext.sources.ros2_messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
-from tauext.sources.ros2_settings import Ros2Settings
+from tauext_ros2.messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
+from tauext_ros2.settings import Ros2Settings
 
 # --- Conditions: current input problems as text, and those not yet reported.
 
@@ -127,22 +127,15 @@ class Unreadable:
 
 @contextmanager
 def without_lines() -> Iterator[None]:
-    """Remove the lines about undecodable messages from the process's stderr, which goes through a pipe meanwhile.
-
-    Python's own output goes directly to the previous stderr.
-    """
-    sys.stderr.flush()
+    """Remove the lines about undecodable messages from the process's stderr, which goes through a pipe meanwhile."""
     before, (reads, writes) = os.dup(2), os.pipe()
     os.dup2(writes, 2)
     os.close(writes)
-    own, sys.stderr = sys.stderr, open(before, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
     thread = threading.Thread(target=_pass_on, args=(reads, before), name="dds stderr", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        sys.stderr.flush()
-        sys.stderr = own
         os.dup2(before, 2)  # closes the pipe, unless a child process still holds it
         thread.join(END_S)
 

@@ -9,15 +9,16 @@ from made_ros2 import DOMAIN, next_of, own_space, reading
 
 pytest.importorskip("cyclonedds")
 
+from tauext_ros2 import connect
+from tauext_ros2.messages import Float64MultiArray, WrenchStamped
+from tauext_ros2.node import Node
+from tauext_ros2.publisher import Wrenches
+from tauext_ros2.settings import Ros2Settings
+
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Sample
-from tauext.sources.ros2 import connect
-from tauext.sources.ros2_messages import Float64MultiArray, WrenchStamped
-from tauext.sources.ros2_node import Node
-from tauext.sources.ros2_publisher import Wrenches
-from tauext.sources.ros2_settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")
 Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]
@@ -27,7 +28,7 @@ LOAD, CONTACT_SIGMA = [0.5, 0.0], [0.9, 0.2]
 @pytest.fixture(scope="module")
 def bundle():
     """Its arm has two joints, and a frame at the tip whose name no topic may have."""
-    made = _core.Bundle.load(str(Path(__file__).parent / "golden" / "format-1-prior.tauext"))
+    made = _core.Bundle.load(str(Path(__file__).parents[3] / "tests" / "golden" / "format-1-prior.tauext"))
     settings = made.wrench_settings
     settings.frames = [_core.WrenchFrame("tip/1", 1, [0, -1, 0, 1, 0, 0, 0, 0, 1], [0.3, 0.0, 0.1])]
     made.wrench_settings = settings

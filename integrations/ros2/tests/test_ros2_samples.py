@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from tauext.sources.ros2_messages import JointState
-from tauext.sources.ros2_node import HOLD_NS, Conditions
-from tauext.sources.ros2_source import LEARNT_FROM, TAKEOVER_NS, ArmJoints, Followed, SampleRate, SampleTime
+from tauext_ros2.messages import JointState
+from tauext_ros2.node import HOLD_NS, Conditions
+from tauext_ros2.source import LEARNT_FROM, TAKEOVER_NS, ArmJoints, Followed, SampleRate, SampleTime
 
 MS = 1_000_000
 WALL = 1_700_000_000 * 10**9

@@ -31,6 +31,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from common import ROOT, arguments, head, table_row, write_page
 from real_arms import prepare
+from tauext_fleet.prior import ODD, make_fleet_prior
+from tauext_fleet.prior_arms import fleet_arms
 from unseen.arms import makers
 from unseen.recordings import Take, description, import_csv, simulate_takes
 
@@ -45,8 +47,6 @@ from tauext.fit.bundle_writing import build_setup
 from tauext.fit.find_kinematics import REFINED, KinematicSample, directions
 from tauext.fit.prior_terms import own_terms
 from tauext.fit.training_set import with_presliding
-from tauext.fleet.prior import ODD, make_fleet_prior
-from tauext.fleet.prior_arms import fleet_arms
 from tauext.robot.model_case import estimated_model
 from tauext.train.stage import train_bundle
 

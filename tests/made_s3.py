@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from email.utils import formatdate
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 from xml.sax.saxutils import escape
 
@@ -255,3 +256,9 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
         self.state.bytes_sent += len(body)
+
+
+def upload(server: S3, folder: Path, name: str = "data") -> None:
+    for path in folder.rglob("*"):
+        if path.is_file():
+            server.put(f"{name}/{path.relative_to(folder).as_posix()}", path.read_bytes())

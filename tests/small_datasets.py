@@ -513,35 +513,13 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     yield ended(small, f"{recipe}, load --known-kg", weighed(1.0))
 
 
-def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
-    """A fleet prior from three arms of a dataset's type, and a fourth arm that is trained with it."""
-    from tauext.check.finding import CODES
-    from tauext.fleet.prior import make_fleet_prior
-    from tauext.fleet.prior_arms import fleet_arms
-
-    small = Small(number)
-    arms = [small.write(folder / f"arm-{k}" / "data", k) for k in range(4)]
-    prior = folder / "type.prior.json"
-
-    def made() -> str:
-        make_fleet_prior(fleet_arms([str(arm) for arm in arms[:3]]), prior, small.config("prior"), tuple(CODES))
-        return ""
-
-    yield ended(small, "fleet prior", made)
-    if prior.is_file():
-        out = folder / "like.tauext"
-        yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), prior))
-
-
-def of_number(number: int, fleets: bool = False, recipes: Sequence[str] | None = None) -> list[Ending]:
+def of_number(number: int, recipes: Sequence[str] | None = None) -> list[Ending]:
     """All endings of one dataset, in a folder of its own.
 
     Args:
         recipes: of its trainings; None: its own three.
     """
     with tempfile.TemporaryDirectory() as folder:
-        if fleets:
-            return list(fleet_endings(number, Path(folder)))
         return list(endings(number, Path(folder), recipes))
 
 
@@ -568,13 +546,12 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--step", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--fleets", action="store_true", help="fleet priors of the datasets instead of trainings")
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.count, options.step)
     found: list[Ending] = []
     os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="small-datasets-")  # what the doctor found is remembered
     with ProcessPoolExecutor(options.workers) as pool:
-        for some in pool.map(of_number, numbers, [options.fleets] * len(numbers)):
+        for some in pool.map(of_number, numbers):
             found += some
             for one in some:
                 if one.fault or options.count == 1:

@@ -27,7 +27,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_fleets import dataset, moving
+from made_planar import dataset, moving
 from made_results import make_results, run_command
 from made_results import undrawn as no_pictures
 from matplotlib.figure import Figure

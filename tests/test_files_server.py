@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_arms import PLANAR_MJCF
-from made_fleets import moving
+from made_planar import moving
 from made_s3 import s3_environment
 
 from tauext.cli import main

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +23,6 @@ ORDER = {
     "sources": {"numpy"},
     "evaluate": {"numpy", "scipy"},
     "report": {"numpy", "matplotlib", "jinja2"},
-    "fleet": {"numpy", "scipy"},
     "sim": {"numpy", "mujoco"},
     "commission": {"numpy"},
     "page": {"numpy", "aiohttp"},
@@ -40,7 +40,6 @@ ALSO = {
     "sources/servo_bus": {"serial", "scservo_sdk", "dynamixel_sdk"},
     "sources/damiao": {"can"},
     "sources/lerobot_labels": {"pyarrow"},
-    "fleet/ray_workers": {"ray"},
 }
 """Libraries that one file of a package imports, and no other."""
 ROOT = {"errors", "config", "recipes", "progress", "plugins"}
@@ -128,9 +127,9 @@ def in_circles(needed: dict[str, set[str]]) -> dict[str, list[str]]:
     return {name: sorted(others & left.keys()) for name, others in left.items()}
 
 
-def name_of(file: Path) -> str:
-    """tauext.data.free_motion of data/free_motion.py, tauext.data of data/__init__.py."""
-    return ".".join(["tauext", *file.relative_to(SOURCE).with_suffix("").parts]).removesuffix(".__init__")
+def name_of(file: Path, root: Path = SOURCE) -> str:
+    """tauext.data.free_motion of data/free_motion.py, tauext.data of data/__init__.py; root: folder of the package."""
+    return ".".join([root.name, *file.relative_to(root).with_suffix("").parts]).removesuffix(".__init__")
 
 
 def files_imported(file: Path, modules: set[str]) -> set[str]:
@@ -143,6 +142,31 @@ def files_imported(file: Path, modules: set[str]) -> set[str]:
             names = {f"{node.module}.{alias.name}" for alias in node.names}
             found |= names & modules | ({node.module} if names - modules else set())
     return found & modules
+
+
+INTEGRATIONS = {
+    name: project.parent / name
+    for project in sorted((SOURCE.parents[1] / "integrations").glob("*/pyproject.toml"))
+    for name in tomllib.loads(project.read_text())["tool"]["setuptools"]["packages"]
+}
+"""Folders of packages of their own beside tauext, by name."""
+
+
+def top_names(file: Path) -> set[str]:
+    return {name.partition(".")[0] for name in imports_of(file)}
+
+
+@pytest.mark.parametrize("package", INTEGRATIONS)
+def test_an_integration_imports_no_other_one_and_no_file_of_its_own_in_a_circle(package):
+    root = INTEGRATIONS[package]
+    modules = {name_of(file, root): file for file in root.rglob("*.py")}
+    assert not {top for file in modules.values() for top in top_names(file)} & (INTEGRATIONS.keys() - {package})
+    assert not in_circles({name: files_imported(file, {*modules}) - {name} for name, file in modules.items()})
+
+
+def test_tauext_imports_no_integration():
+    """It finds them by their entry points."""
+    assert not {top for file in FILES for top in top_names(file)} & INTEGRATIONS.keys()
 
 
 def test_the_circles_test_finds_one(tmp_path):

@@ -12,6 +12,7 @@ import pytest
 from made_bundles import watching_bundle
 
 from tauext import plugins
+from tauext.cli import main
 from tauext.errors import ConfigError
 from tauext.sources.open import open_source
 
@@ -105,3 +106,10 @@ def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
 def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message):
     code, _, err = tauext(site, *words)
     assert code == 2 and message in err and err.count("\n") == 1
+
+
+def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypatch, capsys):
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    assert main(["fleet", "run", "fleet.toml"]) == 2
+    told = "'fleet' comes with the package tauext-fleet: pip install tauext-fleet"
+    assert capsys.readouterr().err == f"tauext: error: {told}\n"

@@ -6,26 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import planar_arm
-from made_fleets import CONFIG, FRICTION, dataset, moving
 from test_prior import motion, record
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.config import ObserverConfig, PriorConfig
-from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError, TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.fleet_prior import load_fleet_prior
 from tauext.fit.prior import fit_prior
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import with_presliding
-from tauext.fleet.prior import make_fleet_prior
-from tauext.fleet.prior_arms import fleet_arms
-from tauext.fleet.prior_evidence import FRICTION as FRICTION_KINDS
-from tauext.fleet.prior_evidence import fleet_days
 from tauext.train.error_scale import unit_scale
 from tauext.train.refit import (
     STANDS,
@@ -41,13 +34,13 @@ from tauext.train.refit import (
     settings_with,
     standing,
 )
-from tauext.train.stage import train_bundle
 
 NOISE_NM = 0.2
 RATE_HZ = 250.0
 COULOMB_NM, VISCOUS = np.array([5.0, 3.0]), np.array([2.0, 1.0])
 SETTINGS = PriorConfig((1e-3, 1e-2), coulomb_speeds_rad_s=(0.03, 0.1), most_ripples=0, drop_widths=False)
 Kind = _core.TermKind
+FRICTION_KINDS = (Kind.coulomb, Kind.presliding, Kind.viscous, Kind.load, Kind.load_presliding)
 
 
 def friction(coulomb=1.0, viscous=1.0, constant_nm=0.0):
@@ -452,82 +445,3 @@ def test_one_joint_or_two_that_disagree_tell_nothing():
     assert expectations(np.array([1.3, 0.9, 1.0, 1.0]), error, np.array([40.0, 40, 0, 0]), ALIKE) is None
     assert expectations(np.array([1.1, 1.1, 1.0, 1.0]), error, np.array([40.0, 40, 0, 0]), ALIKE) is not None
     assert predicted(0, np.array([], dtype=int), np.zeros(4), error, ALIKE) == (0.0, pytest.approx(0.05))
-
-
-def test_days_are_pooled_within_arms_and_drawn_to_their_diagonal():
-    rng = np.random.default_rng(1)
-    truth = np.array([[0.04, 0.03], [0.03, 0.09]]) ** 1 * 0.01
-    arms = [np.exp(rng.normal(0, 0.3, 2) + rng.multivariate_normal([0, 0], truth, 3)) for _ in range(400)]
-    days = fleet_days(arms)
-    assert days is not None and (days.arms, days.recordings) == (400, 1200)
-    assert days.covariance == pytest.approx(truth, rel=0.15)
-    few = fleet_days(arms[:4])
-    assert few is not None
-    alone = fleet_days([arms[0], *(one[:1] for one in arms)])
-    assert alone is None
-    of_four = [np.log(one) - np.log(one).mean(axis=0) for one in arms[:4]]
-    plain = sum(one.T @ one for one in of_four) / 8
-    assert np.diag(few.covariance) == pytest.approx(np.diag(plain)) and few.covariance[0, 1] == pytest.approx(
-        plain[0, 1] / 2
-    )
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A fleet whose arms were recorded on a cold and a warm day, and a bundle of one more arm."""
-    folder = tmp_path_factory.mktemp("days")
-    arms = []
-    for k, (a, b) in enumerate(FRICTION[:4]):
-        warm = [moving(10 * k + d, 45.0, (a * f, b * f), f"day-{d}") for d, f in enumerate((1.08, 0.95))]
-        arms.append(dataset(folder / f"arm-{k}" / "data", *warm))
-    prior = folder / "planar.prior.json"
-    with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
-        make_fleet_prior(fleet_arms([str(one) for one in arms]), prior, CONFIG)
-    new = load_dataset(dataset(folder / "new", moving(90, 120.0, (1.0, 1.0))))
-    bundle = folder / "new.tauext"
-    train_bundle(new, bundle, config=CONFIG, check=False)
-    return prior, bundle
-
-
-def test_a_fleets_file_knows_how_days_differ(made):
-    days = load_fleet_prior(made[0]).days
-    assert days is not None and (days.arms, days.recordings) == (4, 8)
-    spread = np.log(1.08 / 0.95) / np.sqrt(2)
-    assert np.sqrt(np.diag(days.covariance)) == pytest.approx([spread, spread], rel=0.15)
-    assert days.covariance[0, 1] == pytest.approx(spread**2 / 2, rel=0.3)  # half: as many more arms that vary apart
-
-
-def test_show_says_how_days_differ(made, capsys):
-    assert main(["show", str(made[0]), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    days = load_fleet_prior(made[0]).days
-    assert told["friction_change_share"]["elbow"] == pytest.approx(np.sqrt(days.covariance[1, 1]))
-    assert told["friction_change_from"] == {"recordings": 8, "arms": 4}
-
-
-def test_a_prior_that_knows_no_days_is_refused(made):
-    prior = replace(load_fleet_prior(made[0]), days=None)
-    with pytest.raises(ConfigError, match="has differences between arms, not between days"):
-        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=prior)
-    other = replace(prior, type=replace(prior.type, joints=("a", "b")))
-    with pytest.raises(ConfigError, match="joints = .a, b. of the fleet prior must be .shoulder, elbow."):
-        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=other)
-
-
-def test_refit_with_a_fleet_names_it(made, tmp_path, capsys):
-    data = dataset(tmp_path / "today", moving(92, 30.0, (1.1, 1.1)))
-    out = tmp_path / "today.tauext"
-    words = ["refit", str(made[1]), "--data", str(data), "--out", str(out), "--like", str(made[0]), "--json"]
-    assert main(words) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [joint["follows"] for joint in said["joints"]] == [False, False]  # both moved
-    facts = json.loads(load_bundle(out).provenance)["refitted"]
-    assert facts["like"]["sha256"] == load_fleet_prior(made[0]).sha256
-    assert main([*words[:-2], str(data / "robot.xml")]) == 2
-    assert "not a readable fleet prior" in capsys.readouterr().err
-
-
-def test_the_core_refuses_too_little_motion_with_a_fleet_too(made):
-    with pytest.raises(TrainingError, match="10 s of motion"):
-        refit_recordings(load_bundle(made[1]), [moving(91, 5.0, (1.0, 1.0))], like=load_fleet_prior(made[0]))

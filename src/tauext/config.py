@@ -397,57 +397,6 @@ class TrainConfig:
         return replace(filled, observer=replace(self.observer, gain_per_s=gain))
 
 
-@dataclass(frozen=True)
-class CalibrateStage(AlarmConfig):
-    """Settings of a fleet's stage calibrate."""
-
-    refit_error_scale: bool = False
-    """Refit how errors grow with the motion, on the first fifth of the calibration recordings."""
-
-
-@dataclass(frozen=True)
-class EvaluateStage(EventsConfig):
-    """Settings of a fleet's stage evaluate."""
-
-    seed: int = 0
-    """Seed of the choice of the ten collisions."""
-    keep_free_estimates: int = 20
-    """Number of free-motion test recordings, from the first, whose estimates are written."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
-        require(self.keep_free_estimates >= 0, "keep_free_estimates", self.keep_free_estimates, ">= 0")
-
-
-@dataclass(frozen=True)
-class FleetConfig:
-    """Workers of a fleet's tasks. No output depends on it."""
-
-    workers: int = 0
-    """Worker processes on this machine, one thread each; 0: one a core."""
-    retries: int = 2
-    """Number of retries of a task whose worker died (killed, out of memory, node lost). A task that reports an error is
-    not retried."""
-    ray: str | None = None
-    """Ray cluster that runs the tasks: its address, auto for this machine's, or local to start one with --workers cores
-    (needs the extra tauext[fleet]). None: processes of this machine."""
-    task_gb: float = 0.0
-    """Memory that a task reserves on a node of Ray, [GB]; 0: none, and only cores count."""
-
-    def __post_init__(self) -> None:
-        most = f"0 (one a core) to {MOST_THREADS}"
-        require(0 <= self.workers <= MOST_THREADS, "workers", self.workers, most)
-        require(0 <= self.retries <= 100, "retries", self.retries, "0 to 100")
-        require(0 <= self.task_gb <= 1e6, "task_gb", self.task_gb, ">= 0, at most 1e6")
-        distributed = self.ray is not None
-        require(distributed or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
-        own = not distributed or self.ray == "local"
-        require(
-            own or self.workers == 0, "workers", self.workers, "left out with a cluster, whose nodes have their own"
-        )
-
-
 def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:
     """Time after which r counts as warmed up, [s]: its initial value has decayed to e^-10.
 

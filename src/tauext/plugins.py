@@ -20,7 +20,7 @@ from tauext.errors import ConfigError
 
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
-PACKAGES = {"ros2": "tauext-ros2"}
+PACKAGES = {"fleet": "tauext-fleet", "ros2": "tauext-ros2"}
 """Packages of this repository, by the command or source that they add."""
 
 

@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # MuJoCo draws nothing here. Its import would search for a window system in a subprocess, and lose a Ctrl-C.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
+from tauext import plugins
 from tauext.cli.commands import Command, all_commands, command_named, groups
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 
@@ -65,7 +66,8 @@ def command_of(argv: Sequence[str]) -> tuple[str, Callable[..., Any]]:
     for word in argv:
         found = command_named(word) if within is None else within.get(word)
         if found is None:
-            raise ConfigError(unknown(word, all_commands() if within is None else within, prog))
+            added = plugins.how_to_add(word) if within is None else None
+            raise ConfigError(added or unknown(word, all_commands() if within is None else within, prog))
         prog, within = f"{prog} {word}", found.commands
         if not within:
             return prog, found.load()

@@ -59,16 +59,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
             "repeat the paper's experiment: simulate, train, evaluate and report", "tauext.cli.reproduce:reproduce"
         ),
     },
-    "Many arms": {
-        "fleet": Command(
-            "run all stages for many arms; fleet priors",
-            commands={
-                "run": Command("import, check, train, calibrate and evaluate every arm", "tauext.cli.fleet:run"),
-                "example": Command("print an example of FLEET.toml", "tauext.cli.fleet:example"),
-                "prior": Command("fit a prior for the next arm of a type from several arms", "tauext.cli.fleet:prior"),
-            },
-        ),
-    },
 }
 """The commands of this package, in the groups of the overview."""
 OWN = {name: command for group in GROUPS.values() for name, command in group.items()}

@@ -480,7 +480,7 @@ def describe_fleet_prior(file: Place) -> Content:
 
 def described(file: Place, prior: FleetPrior) -> Content:
     """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
-    from tauext.fleet.prior import ODD, table
+    from tauext.fit.fleet_prior import ODD, table
 
     facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
     odd = {one["name"]: [name for name, share in one["trust"].items() if share < ODD] for one in facts["arms"]}

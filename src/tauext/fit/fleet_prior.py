@@ -512,6 +512,31 @@ def expect_sound(prior: FleetPrior) -> None:
         raise ValueError("a covariance is not symmetric and positive")
 
 
+# --- Arms of a fleet beside one another.
+
+
+ODD = 0.5
+"""An arm's joint is the odd one whose trust is below this."""
+
+
+def table(facts: dict) -> str:
+    """Arms by joints: friction by the fleet's; * marks a joint that is not like the others'."""
+    joints = list(facts["spread"])
+    head = ["arm", "minutes", *joints, "links"]
+    rows = [head]
+    for one in facts["arms"]:
+        cells = [
+            "–" if factor is None else f"{factor:.2f} ± {error:.2f}{' *' * (one['trust'][joint] < ODD)}"
+            for joint, (factor, error) in one["friction"].items()
+        ]
+        rows.append([one["name"], f"{one['minutes']:.1f}", *cells, "*" * (one["trust"]["links"] < ODD)])
+    rows.append(["fleet, Nm", "", *(f"{of['friction_nm']:.3g}" for of in facts["spread"].values()), ""])
+    spreads = [of["spread"] for of in facts["spread"].values()]
+    rows.append(["arms differ by", "", *("–" if spread is None else f"{spread:.0%}" for spread in spreads), ""])
+    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+
 # --- A prior from a minute of an arm's own motion and the fleet prior of its type.
 
 

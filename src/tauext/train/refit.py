@@ -37,7 +37,7 @@ from tauext.train.held_peaks import REGIONS, separate_peaks
 #
 # .. math:: \log f \sim N(0, D), \qquad \log \hat f_m = \log f_m + e_m
 #
-# D is the covariance of log friction between recordings of one arm (tauext.fleet.prior_evidence); m are the joints that
+# D is the covariance of log friction between recordings of one arm (tauext_fleet.prior_evidence); m are the joints that
 # moved. A joint that did not move is expected at the mean of log f under both. A joint whose own minute determines its
 # friction better keeps that. A joint that the others contradict is ignored: its change is wear, not temperature.
 

@@ -12,7 +12,7 @@ from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, write_json
 from tauext.files.toml_file import flat, plain
-from tauext.fleet.fleet_file import (
+from tauext_fleet.fleet_file import (
     STAGES,
     Arm,
     Fleet,
@@ -23,8 +23,8 @@ from tauext.fleet.fleet_file import (
     robot_files,
     source_files,
 )
-from tauext.fleet.places import text_of_place
-from tauext.fleet.task import Contents, Outcome, Task, finished, marker_of
+from tauext_fleet.places import text_of_place
+from tauext_fleet.task import Contents, Outcome, Task, finished, marker_of
 
 # --- Tasks of a fleet: what each depends on, whether it is done, and why it is to be done again.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.check.before_training import expect_codes
-from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
+from tauext.config import CaseName, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
 from tauext.data.description import load_arm
 from tauext.errors import ConfigError
@@ -26,8 +26,9 @@ from tauext.files.toml_file import (
     tables,
     text,
 )
-from tauext.fleet.places import below, files_in, place_of, places_of
-from tauext.fleet.task import Contents
+from tauext_fleet.config import CalibrateStage, EvaluateStage
+from tauext_fleet.places import below, files_in, place_of, places_of
+from tauext_fleet.task import Contents
 
 # --- Template of a FLEET.toml.
 
@@ -265,11 +266,6 @@ def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
             like_settings(arm.train, priors[arm.like])
         except ConfigError as error:
             raise ConfigError(f"{path}: arm '{arm.name}': [train] {error}") from None
-
-
-def alarm_of(settings: CalibrateStage) -> AlarmConfig:
-    """The promised false alarm rate alone."""
-    return AlarmConfig(**{name: getattr(settings, name) for name in AlarmConfig.__dataclass_fields__})
 
 
 def given_of(table: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from tauext.config import FleetConfig
 from tauext.files.copies import at_home
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
-from tauext.fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
-from tauext.fleet.fleet_file import Fleet
-from tauext.fleet.task import Outcome, Task, clean, locked
-from tauext.fleet.workers import Begun, Ended, LocalWorkers, Workers, cores
+from tauext_fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
+from tauext_fleet.config import FleetConfig
+from tauext_fleet.fleet_file import Fleet
+from tauext_fleet.task import Outcome, Task, clean, locked
+from tauext_fleet.workers import Begun, Ended, LocalWorkers, Workers, cores
 
 
 class Watcher(Protocol):
@@ -137,6 +137,6 @@ def workers_of(config: FleetConfig, most: int, begun: Begun) -> Workers:
     """most: largest number of simultaneous tasks."""
     if config.ray is None:
         return LocalWorkers(min(config.workers or cores(), most), config.retries, begun)
-    from tauext.fleet.ray_workers import RayWorkers
+    from tauext_fleet.ray_workers import RayWorkers
 
     return RayWorkers(config.ray, config.workers, config.retries, config.task_gb, begun)

@@ -9,8 +9,9 @@ import tyro
 
 from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, print_replaced
 from tauext.cli.progress import Terminal
-from tauext.config import FleetConfig, TrainConfig, require_threads
+from tauext.config import TrainConfig, require_threads
 from tauext.files.toml_file import write_template
+from tauext_fleet.config import FleetConfig
 
 # --- `tauext fleet prior`: what the data of several arms contributes to the next arm of their type.
 
@@ -34,8 +35,9 @@ def prior(
         accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
-    from tauext.fleet.prior import make_fleet_prior, table
-    from tauext.fleet.prior_arms import fleet_arms
+    from tauext.fit.fleet_prior import table
+    from tauext_fleet.prior import make_fleet_prior
+    from tauext_fleet.prior_arms import fleet_arms
 
     config = TrainConfig(recipe="prior", threads=threads)
     fleet = fleet_arms(arms)
@@ -73,10 +75,10 @@ def run(
         dry_run: print the tasks and their reasons without running them.
         as_json: print JSON lines, an object for each start and end of a task.
     """
-    from tauext.cli.fleet_output import open_watcher, print_plan
-    from tauext.fleet.book import plan_fleet
-    from tauext.fleet.fleet_file import load_fleet
-    from tauext.fleet.run import run_fleet
+    from tauext_fleet.book import plan_fleet
+    from tauext_fleet.fleet_file import load_fleet
+    from tauext_fleet.output import open_watcher, print_plan
+    from tauext_fleet.run import run_fleet
 
     read = load_fleet(fleet)
     if dry_run:
@@ -97,7 +99,7 @@ def example(out: Path | None = None) -> None:
     Args:
         out: write it to this file instead; an existing file is refused.
     """
-    from tauext.fleet.fleet_file import EXAMPLE
+    from tauext_fleet.fleet_file import EXAMPLE
 
     if out is None:
         print(EXAMPLE, end="")

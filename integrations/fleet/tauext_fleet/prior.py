@@ -16,11 +16,22 @@ from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.coverage import fit_coverage, seen_too
-from tauext.fit.fleet_prior import FleetPrior, Hierarchy, block_columns, expect_name, learn_hierarchy, write_fleet_prior
+from tauext.fit.fleet_prior import (
+    ODD,
+    FleetPrior,
+    Hierarchy,
+    block_columns,
+    expect_name,
+    learn_hierarchy,
+    write_fleet_prior,
+)
 from tauext.fit.prior_terms import ESTIMATED, own_terms
 from tauext.fit.training_set import Setup, with_presliding
-from tauext.fleet.prior_arms import LEAST_ARMS, FleetArm, OwnTerms, job_of, own_terms_of, settings_of
-from tauext.fleet.prior_evidence import (
+from tauext.progress import SILENT, Reporter
+from tauext.recipes import FULL_PRIOR
+from tauext.train.fitting import observe
+from tauext_fleet.prior_arms import LEAST_ARMS, FleetArm, OwnTerms, job_of, own_terms_of, settings_of
+from tauext_fleet.prior_evidence import (
     ArmEvidence,
     NewArm,
     choose_trust,
@@ -31,15 +42,10 @@ from tauext.fleet.prior_evidence import (
     priors_without,
     weight_prior,
 )
-from tauext.progress import SILENT, Reporter
-from tauext.recipes import FULL_PRIOR
-from tauext.train.fitting import observe
 
 # --- The fleet in a table that a person reads: each arm's friction by the fleet's, and which arm is the odd one.
 
 
-ODD = 0.5
-"""An arm's joint is the odd one whose trust is below this."""
 SPEED_RAD_S = 0.5
 """Friction is reported at this speed: most joints slide at it, and few slow moves are faster."""
 Kind = _core.TermKind
@@ -96,24 +102,6 @@ def spread_facts(joints: Sequence[str], terms: Sequence, found: Hierarchy) -> di
 def share(value: float, whole: float) -> float | None:
     """None: of a joint that no arm moved, the fleet has no friction to compare with."""
     return round(value / whole, 4) if whole else None
-
-
-def table(facts: dict) -> str:
-    """Arms by joints: friction by the fleet's; * marks a joint that is not like the others'."""
-    joints = list(facts["spread"])
-    head = ["arm", "minutes", *joints, "links"]
-    rows = [head]
-    for one in facts["arms"]:
-        cells = [
-            "–" if factor is None else f"{factor:.2f} ± {error:.2f}{' *' * (one['trust'][joint] < ODD)}"
-            for joint, (factor, error) in one["friction"].items()
-        ]
-        rows.append([one["name"], f"{one['minutes']:.1f}", *cells, "*" * (one["trust"]["links"] < ODD)])
-    rows.append(["fleet, Nm", "", *(f"{of['friction_nm']:.3g}" for of in facts["spread"].values()), ""])
-    spreads = [of["spread"] for of in facts["spread"].values()]
-    rows.append(["arms differ by", "", *("–" if spread is None else f"{spread:.0%}" for spread in spreads), ""])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 # --- Terms that all arms of a type get: those that enough of them keep.

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConfig
+from tauext.config import EventsConfig, TrainConfig
 from tauext.files.copies import local_folder
 from tauext.files.places import Place
 from tauext.files.places import place_of as any_place
 from tauext.files.toml_file import settings_of
-from tauext.fleet.fleet_file import alarm_of
-from tauext.fleet.task import Stage
+from tauext_fleet.config import CalibrateStage, EvaluateStage
+from tauext_fleet.task import Stage
 
 COMMAND = "tauext fleet run"
 
@@ -73,7 +73,7 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
         any_place(work["bundle"]),
         dataset,
         out,
-        alarm_of(settings),
+        settings.alarm,
         threads=1,
         refit_error_scale=settings.refit_error_scale,
         accept=work["accept"],

@@ -8,56 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from made_arms import PLANAR_MJCF, planar_torque
+from made_planar import dataset, moving
+from tauext_fleet import run
+from tauext_fleet.config import FleetConfig
+from tauext_fleet.fleet_file import load_fleet
+from tauext_fleet.run import FleetEnd
+from tauext_fleet.stages import STAGES
+from tauext_fleet.task import Stage, Task, run_task
+from tauext_fleet.workers import Ended
 
-from tauext.config import FleetConfig, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data.dataset import Split, save_split
-from tauext.data.recording import Recording
-from tauext.data.recording_file import save_recording
-from tauext.fleet import run
-from tauext.fleet.fleet_file import load_fleet
-from tauext.fleet.run import FleetEnd
-from tauext.fleet.stages import STAGES
-from tauext.fleet.task import Stage, Task, run_task
-from tauext.fleet.workers import Ended
 from tauext.sim.collect import simulate_dataset
 from tauext.sim.config import RigConfig
-
-RATE_HZ = 125.0
-COULOMB_NM, VISCOUS, NOISE_NM = 3.0, 2.0, 0.2
-CONFIG = TrainConfig(
-    recipe="prior",
-    threads=1,
-    observer=ObserverConfig(gain_per_s=20.0),
-    prior=PriorConfig(widths_rad=(3e-3,), coulomb_speeds_rad_s=(0.03, 0.1), most_ripples=0),
-)
-"""Few terms, so that a fleet takes seconds."""
-
-
-def moving(seed: int, seconds: float, friction: tuple[float, float], name: str = "made", **changes) -> Recording:
-    """Two joints on a way of many sines, with friction of each by that of the type."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    speeds, phases = rng.uniform(0.2, 2.0, (2, 6)), rng.uniform(0, 6, (2, 6))
-    angle = t[:, None, None] * speeds + phases
-    q, dq = 0.4 * np.sin(angle).sum(axis=2), 0.4 * (speeds * np.cos(angle)).sum(axis=2)
-    torque = planar_torque(q, dq) + np.array(friction) * (COULOMB_NM * np.tanh(dq / 0.03) + VISCOUS * dq)
-    torque += NOISE_NM * rng.normal(size=q.shape)
-    named = {"name": name, "joints": ("shoulder", "elbow"), "t_ns": np.arange(len(t), dtype=np.int64) * 8_000_000}
-    meta = {"rate_hz": RATE_HZ, "torque_timing": "averaged", "source": "test", "robot_sha256": ""}
-    return Recording(**(named | {"q": q, "dq": dq, "tau": torque} | meta | changes))
-
-
-def dataset(folder: Path, *recordings: Recording) -> Path:
-    """A dataset folder whose training recordings these are."""
-    folder.mkdir(parents=True)
-    (folder / "robot.xml").write_text(PLANAR_MJCF)
-    for recording in recordings:
-        save_recording(recording, folder / f"{recording.name}.parquet")
-    save_split(Split(tuple(f"{recording.name}.parquet" for recording in recordings), (), ()), folder)
-    return folder
-
 
 FRICTION = ((1.0, 0.9), (0.8, 1.1), (1.2, 1.0), (0.9, 1.2), (1.1, 0.8), (1.0, 3.0))
 """Of each arm's joints by that of the type; the last arm's elbow is the odd one."""

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from tauext.cli.progress import PrintContext, aligned
-from tauext.fleet.book import Book, PlannedArm, stage_counts
-from tauext.fleet.fleet_file import STAGES
-from tauext.fleet.run import FleetEnd
-from tauext.fleet.task import Outcome, Task
-from tauext.fleet.workers import Ended
+from tauext_fleet.book import Book, PlannedArm, stage_counts
+from tauext_fleet.fleet_file import STAGES
+from tauext_fleet.run import FleetEnd
+from tauext_fleet.task import Outcome, Task
+from tauext_fleet.workers import Ended
 
 MOST_ROWS = 60
 """Arms that are listed one by one at the end; of more, stages are counted."""

@@ -13,8 +13,8 @@ import sys
 import threading
 from dataclasses import asdict
 
-from tauext.fleet.stages import STAGES
-from tauext.fleet.task import expect_json, run_task
+from tauext_fleet.stages import STAGES
+from tauext_fleet.task import expect_json, run_task
 
 
 def work() -> None:

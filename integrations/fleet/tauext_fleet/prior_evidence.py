@@ -26,13 +26,13 @@ from tauext.fit.regression import NormalEquations, Regression
 from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, solved
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import with_presliding
-from tauext.fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
 from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import EVEN_ODDS, FORGOTTEN, LEAST_SIZE, scale_settings, sizes, unseen_motion
 from tauext.train.network import assemble
 from tauext.train.promised_limits import PromisedLimits, promised_limits
+from tauext_fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
 
 # --- How friction of an arm differs from one recording to the next, over its joints: what a refit may expect of a joint
 # that hardly moved.

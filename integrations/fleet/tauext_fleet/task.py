@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import tauext
 from tauext import _core
 from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
 from tauext.files.atomic_write import atomic_write
@@ -135,8 +136,12 @@ def digest_of(content: object) -> str:
 
 
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
-"""Packages whose code decides a task's output, beside the root modules and the stages themselves."""
-STAGE_FILES = ("fleet/stages.py", "fleet/task.py", "monitor/changes.py", "monitor/places.py")
+"""Packages of tauext whose code decides a task's output, beside its root modules."""
+MORE_FILES = ("monitor/changes.py", "monitor/places.py")
+OWN_FILES = ("config.py", "stages.py", "task.py")
+"""Of this package."""
+ROOTS = Path(tauext.__file__).parent, Path(__file__).parent
+"""Of tauext, and of this package."""
 DIGITS = 12
 
 
@@ -146,11 +151,11 @@ def build() -> str:
 
     Of libraries only the core's own counts: another NumPy repeats no task, and is listed in each output's provenance.
     """
-    root = Path(__file__).parent.parent
+    root, own = ROOTS
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
-    for file in sorted(root.rglob("*.py")):
-        name = file.relative_to(root)
-        if name.parts[0] in COUNTED or len(name.parts) == 1 or name.as_posix() in STAGE_FILES:
+    for file in (*sorted(root.rglob("*.py")), *(own / name for name in OWN_FILES)):
+        name = file.relative_to(own if file.parent == own else root)
+        if name.parts[0] in COUNTED or len(name.parts) == 1 or name.as_posix() in MORE_FILES:
             digest.update(f"{name.as_posix()}\0".encode())
             digest.update(file.read_bytes())
     return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"

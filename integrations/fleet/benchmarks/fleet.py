@@ -1,6 +1,6 @@
 """What a fleet costs beside its tasks: one worker against two, overhead a task, and a run that has nothing to do.
 
-    python benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray local]
+    python integrations/fleet/benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray local]
 
 Arms are of one simulated type (unseen.arms), as CSV files of currents: friction, tool and constants are each
 arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an
@@ -17,6 +17,8 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import in_parallel, type_arguments
 from unseen.arms import Maker, makers

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import IO, Protocol, Self
 
-from tauext.fleet.task import LONGEST_REASON, Outcome, Task
+from tauext_fleet.task import LONGEST_REASON, Outcome, Task
 
 # --- The interface of workers: processes of this machine, or Ray.
 
@@ -72,7 +72,7 @@ class Process:
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         errors = tempfile.TemporaryFile("w+")
         process = subprocess.Popen(
-            [sys.executable, "-m", "tauext.fleet.worker"],
+            [sys.executable, "-m", "tauext_fleet.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,

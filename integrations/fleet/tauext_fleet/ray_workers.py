@@ -8,9 +8,9 @@ from dataclasses import asdict
 from typing import Any, Self
 
 from tauext.errors import ConfigError
-from tauext.fleet.stages import STAGES
-from tauext.fleet.task import Outcome, Task, expect_json, one_line, run_task
-from tauext.fleet.workers import Begun, Ended, cores
+from tauext_fleet.stages import STAGES
+from tauext_fleet.task import Outcome, Task, expect_json, one_line, run_task
+from tauext_fleet.workers import Begun, Ended, cores
 
 
 def remote_task(task: dict[str, Any]) -> dict[str, Any]:
@@ -31,7 +31,7 @@ class RayWorkers:
         try:
             import ray
         except ImportError as error:
-            raise ConfigError(f"--ray needs Ray, the extra fleet: pip install 'tauext[fleet]' ({error})") from error
+            raise ConfigError(f"--ray needs Ray: pip install 'tauext-fleet[ray]' ({error})") from error
         self._ray: Any = ray
         quiet: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
         if address == "local":

@@ -7,20 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_fleets import CONFIG, FRICTION, QUICKER, dataset, fleet, moving, run_here, write_fleet
+from made_fleets import FRICTION, QUICKER, fleet, run_here, write_fleet
+from made_planar import CONFIG, dataset, moving
+from tauext_fleet.book import plan_fleet
+from tauext_fleet.fleet_file import load_fleet
+from tauext_fleet.prior import make_fleet_prior
+from tauext_fleet.prior_arms import distinct, fleet_arms, own_terms_of
+from tauext_fleet.prior_evidence import factor_of
+from tauext_fleet.stages import train_arm
 
 from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
 from tauext.files.toml_file import plain
-from tauext.fit.fleet_prior import content, load_fleet_prior, write_fleet_prior
-from tauext.fleet.book import plan_fleet
-from tauext.fleet.fleet_file import load_fleet
-from tauext.fleet.prior import make_fleet_prior, table
-from tauext.fleet.prior_arms import distinct, fleet_arms, own_terms_of
-from tauext.fleet.prior_evidence import factor_of
-from tauext.fleet.stages import train_arm
+from tauext.fit.fleet_prior import content, load_fleet_prior, table, write_fleet_prior
 from tauext.progress import SILENT
 from tauext.train.limits import UNPROMISED_FACTOR, scale_settings
 from tauext.train.stage import train_bundle
@@ -35,7 +36,7 @@ def made(tmp_path_factory) -> tuple[Path, list[Path]]:
     data = fleet(folder)
     out = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
+        patch.setattr("tauext_fleet.prior_arms.check_data", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
     return out, data
 
@@ -57,7 +58,7 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
 def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
     """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
     monkeypatch.setattr("tauext.fit.regression.RIDGE_TIE", tie)
-    monkeypatch.setattr("tauext.fleet.prior_arms.check_data", lambda *told: {})
+    monkeypatch.setattr("tauext_fleet.prior_arms.check_data", lambda *told: {})
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))

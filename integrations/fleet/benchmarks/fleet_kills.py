@@ -1,6 +1,6 @@
 """What a fleet loses when something is killed midway: a worker, a node, the head of a Ray cluster, the driver.
 
-    python benchmarks/fleet_kills.py MODELS OUT [--arms 8] [--minutes 1]
+    python integrations/fleet/benchmarks/fleet_kills.py MODELS OUT [--arms 8] [--minutes 1]
 
 A line a case. The cluster is two nodes of one core each on this machine. Midway: some tasks are finished,
 and the victim is at work. Untouched: what was finished then has the same bytes and times at the end. Equal: outputs,
@@ -25,6 +25,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, free_port
 from fleet import simulate, written

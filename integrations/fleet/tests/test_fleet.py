@@ -8,7 +8,6 @@ import re
 import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,22 +15,21 @@ import pytest
 from made_arms import PLANAR_RIG, planar_rig, urdf
 from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
 from made_recordings import JOINT_STATES, joint_rows, write_bag
+from tauext_fleet import task as build_file
+from tauext_fleet.book import plan_fleet
+from tauext_fleet.fleet_file import EXAMPLE, load_fleet
+from tauext_fleet.ray_workers import RayWorkers
+from tauext_fleet.stages import STAGES
+from tauext_fleet.task import MARKER, Outcome, Task, finished, locked, reason_and_report, run_task
+from tauext_fleet.workers import LocalWorkers
 from test_import_table import files_imported, name_of
 
-import tauext
 from tauext.cli import main
 from tauext.config import TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
-from tauext.fleet import task as build_file
-from tauext.fleet.book import plan_fleet
-from tauext.fleet.fleet_file import EXAMPLE, load_fleet
-from tauext.fleet.ray_workers import RayWorkers
-from tauext.fleet.stages import STAGES
-from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, reason_and_report, run_task
-from tauext.fleet.workers import LocalWorkers
 from tauext.train.stage import train_bundle
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -275,7 +273,7 @@ def test_a_wrong_fleet_file_gets_one_line_and_nothing_runs(place, capsys, text, 
 
 
 def test_a_pattern_that_fits_the_whole_disk_is_refused(place, capsys, monkeypatch):
-    monkeypatch.setattr("tauext.fleet.places.MOST_FOUND", 1000)
+    monkeypatch.setattr("tauext_fleet.places.MOST_FOUND", 1000)
     text = '[[arms]]\nname = "a"\nsources = ["/**"]\narm = "arm.toml"\n'
     assert main(["fleet", "run", str(write_fleet(place, text)), "--out", str(place / "out")]) == 2
     assert "'/**' fits more than 1,000 files and folders; name a folder below" in capsys.readouterr().err
@@ -350,10 +348,11 @@ def test_another_version_is_refused_by_the_worker(tmp_path):
 
 def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
     root = tmp_path / "tauext"
-    for name, text in {"fleet/task.py": "", "train/network.py": "K = 1", "cli/show.py": "print()"}.items():
+    own = dict.fromkeys(build_file.OWN_FILES, "")
+    for name, text in (own | {"train/network.py": "K = 1", "cli/show.py": "print()"}).items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    monkeypatch.setattr(build_file, "__file__", str(root / "fleet/task.py"))
+    monkeypatch.setattr(build_file, "ROOTS", (root, root))
     asked = build_file.build.__wrapped__
     first = asked()
     assert re.fullmatch(r"\d[^+]*\+[0-9a-f]{12}", first)
@@ -366,22 +365,18 @@ def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
 
 
 def test_no_stage_can_import_what_does_not_count_to_the_build():
-    root, reached, waiting = (
-        Path(tauext.__file__).parent,
-        set(),
-        {f"tauext.{name[:-3].replace('/', '.')}" for name in build_file.STAGE_FILES},
-    )
-    modules = {name_of(file): file for file in root.rglob("*.py")}
+    core, own = build_file.ROOTS
+    modules = {name_of(file, root): file for root in build_file.ROOTS for file in root.rglob("*.py")}
+    reached, waiting = set(), {"tauext_fleet.stages"}
     while waiting:
         module = waiting.pop()
         reached.add(module)
         waiting |= files_imported(modules[module], set(modules)) - reached
-    names = {modules[module].relative_to(root).as_posix() for module in reached}
-    counted = (*build_file.COUNTED, "fleet")
-    assert not {
-        name for name in names - set(build_file.STAGE_FILES) if "/" in name and name.split("/")[0] not in counted
-    }
-    assert len(reached) > 100
+    mine = {modules[module].name for module in reached if modules[module].parent == own}
+    assert mine == set(build_file.OWN_FILES)
+    names = {modules[module].relative_to(core) for module in reached if core in modules[module].parents}
+    beside = {name.as_posix() for name in names if len(name.parts) > 1 and name.parts[0] not in build_file.COUNTED}
+    assert beside <= set(build_file.MORE_FILES) and len(reached) > 100
 
 
 def test_another_build_does_the_work_again_and_says_so(place, monkeypatch):
@@ -451,7 +446,7 @@ def test_with_ray_its_retries_and_resources_count_and_what_it_gives_up_has_a_rea
 
 def test_without_ray_or_a_cluster_one_line_says_so(place, capsys, monkeypatch):
     fleet = str(write_fleet(place, arms_of("a", dataset="data")))
-    for ray, says in ((None, "pip install 'tauext[fleet]'"), (OwnRay(), "nobody answers")):
+    for ray, says in ((None, "pip install 'tauext-fleet[ray]'"), (OwnRay(), "nobody answers")):
         monkeypatch.setitem(sys.modules, "ray", ray)
         assert main(["fleet", "run", fleet, "--out", str(place / "out"), "--ray", "10.0.0.1:6379"]) == 2
         (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]

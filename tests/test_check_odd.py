@@ -200,3 +200,18 @@ def test_stamps_far_too_long_leave_rows_to_search(arm):
     _, _, good = arm
     slow = stretches([replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good])
     assert min(len(s.q) for s in search_stretches(slow, 30.0)) > 9
+
+
+@pytest.mark.parametrize("length_s", [4.0, 30.0, 100.0])
+def test_the_search_has_its_time_of_motion_however_short_the_stretches_are(arm, length_s):
+    """Servo arms move for seconds and rest. A share of each stretch was too short to count, and the search had 51 rows."""
+    from tauext.check.arrangement import SEARCH_S, search_stretches
+    from tauext.check.motion import stretches
+
+    _, _, good = arm
+    whole = max(stretches(good), key=lambda s: s.seconds)
+    rows = round(length_s * whole.rate_hz)
+    one = whole.changed(lambda x: np.resize(x, (rows, *x.shape[1:])))
+    few = search_stretches([one] * round(600 / length_s))
+    assert sum(s.seconds for s in few) == pytest.approx(SEARCH_S, rel=0.05)
+    assert min(s.seconds for s in few) >= 2.0

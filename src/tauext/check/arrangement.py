@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize_scalar
@@ -265,8 +266,10 @@ def _log_errors(gravity: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarr
 
 SEARCH_S = 60.0
 """Motion used, spread evenly, [s]: the search fits dozens of arrangements."""
+LEAST_PART_S = 2.0
+"""Least part of a stretch, [s]: the differences of its ends are uncertain, and a shorter one has no turn."""
 SEARCH_ROWS = 5000
-"""FitRows used for all pairs of joints, spread evenly."""
+"""Rows used for all pairs of joints, spread evenly."""
 WORSE = 1.15
 """... and none rises by more than this."""
 LEAST_EXPLAINED = 0.5
@@ -307,12 +310,21 @@ Best = tuple[float, Change | None, np.ndarray, np.ndarray]
 
 
 def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) -> list[Stretch]:
-    """Cut every stretch to a share, `seconds` in all; with too few rows, return the longest one whole."""
-    share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
-
-    parts = [s.changed(lambda x: x[: max(1, round(share * len(x)))]) for s in stretches]
-    enough = [s for s in parts if s.seconds > 2.0 and len(s.q) > PADDED_ROWS]
-    return enough or [max(stretches, key=lambda s: s.seconds)]
+    """About so many seconds of the whole motion: the begin of each stretch, or of every few if they are
+    short, since less than LEAST_PART_S of one shows nothing. If none is that long, the longest one whole."""
+    long = [s for s in stretches if s.seconds > LEAST_PART_S and len(s.q) > PADDED_ROWS]
+    if not long:
+        return [max(stretches, key=lambda s: s.seconds)]
+    total, parts = sum(s.seconds for s in long), list[Stretch]()
+    passed = used = 0.0
+    for stretch in long:
+        passed += stretch.seconds
+        part_s = min(stretch.seconds, passed * min(1.0, seconds / total) - used)
+        if part_s > LEAST_PART_S:
+            rows = max(PADDED_ROWS + 1, round(part_s / stretch.seconds * len(stretch.q)))
+            parts.append(stretch.changed(itemgetter(slice(rows))))
+            used += part_s
+    return parts or [max(long, key=lambda s: s.seconds)]
 
 
 def exchanged_efforts(rows: FitRows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:

@@ -146,7 +146,7 @@ def spoils_contacts(findings: Collection[Finding]) -> bool:
 
 
 def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:
-    """FitRows (rows,) bool that training leaves out because a labelled contact is near."""
+    """Rows (rows,) bool that training leaves out because a labelled contact is near."""
     margins, start_s = FreeMotionConfig(), 0.0
     near = np.zeros(len(rows.time_s), dtype=bool)
     for r in recordings:

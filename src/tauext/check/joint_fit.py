@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.check.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 
-# --- FitRows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
+# --- Rows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
 
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
@@ -172,7 +172,7 @@ BLOCKS = 10
 SEEN = 0.02
 """A model torque is ignored if its spread is a smaller share of the measured torque's spread."""
 HUBER = 2.0
-"""FitRows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
+"""Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
 LEAST_ROWS = 100
 """Four seconds: fewer rows than that cannot be fitted."""
 LEAST_SINGULAR = 3e-3

@@ -374,7 +374,7 @@ def _estimate(columns: np.ndarray, error_nm: np.ndarray, usual_nm: np.ndarray) -
 
 
 FIT_ROWS = 4000
-"""FitRows of each fit, evenly spaced, since errors of neighbouring rows are correlated."""
+"""Rows of each fit, evenly spaced, since errors of neighbouring rows are correlated."""
 CORRECTION_S = 30.0
 """Time of a suspect recording on which corrections are tried, [s]."""
 ROUNDS = 3

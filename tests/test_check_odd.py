@@ -204,7 +204,7 @@ def test_stamps_far_too_long_leave_rows_to_search(arm):
 
 @pytest.mark.parametrize("length_s", [4.0, 30.0, 100.0])
 def test_the_search_has_its_time_of_motion_however_short_the_stretches_are(arm, length_s):
-    """Servo arms move for seconds and rest. A share of each stretch was too short to count, and the search had 51 rows."""
+    """Servo arms move for seconds and rest: a share of each stretch was too short to count, and 51 rows were left."""
     from tauext.check.arrangement import SEARCH_S, search_stretches
     from tauext.check.motion import stretches
 

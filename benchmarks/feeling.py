@@ -22,9 +22,9 @@ import numpy as np
 from common import arguments, write_page
 from felt.arm import GEARS, HANDS, TICK_S, Gears, Hand, Wall
 from felt.session import Course, MonitorSenses, Wish, free_motion, moves, press, run, taps, train
+from tauext_lerobot.leader_feedback import EnergyTank, FeedbackSettings, LeaderFeedback, free_motion_sigmas
 
 from tauext._core import Bundle
-from tauext.monitor.leader_feedback import EnergyTank, FeedbackSettings, LeaderFeedback, free_motion_sigmas
 from tauext.progress import SILENT
 
 TABLE = Wall((0.0, 0.0, 1.0), 0.08)

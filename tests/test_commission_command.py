@@ -44,8 +44,7 @@ PATIENCE_S = 300.0
         ("--source sim: --out {}/a", "sim"),
         ("--source ur: --out {}/a", "--source 'ur:' must be one of"),
         ("--source replay:{}/none.parquet --out {}/a", "there is no such recording"),
-        ("--source feetech:/dev/null --out {}/a", "needs --bus FILE"),
-        ("--source sim:rig --out {}/a --bus {}/b.toml", "--bus"),
+        ("--source sim:rig --out {}/a --torque-constants {}/c.toml", "--torque-constants"),
         ("--source sim:rig --out {}/a --robot {}/none.urdf", "no such file"),
         ("--source sim:rig --out {}/a --disk-gb 0", "--disk-gb = 0.0 must be 0.1 to 100000"),
         ("--source sim:rig --out {}/a --disk-gb nan", "--disk-gb = nan"),
@@ -75,15 +74,11 @@ def reactions_file(folder: Path, *lines: str) -> Path:
         ("sim:rig", ["joints = 3", "stop = true"], "joints = 3 must be a list of joints"),
         ("sim:rig", ['command = ["no-such-program"]'], "there is no program 'no-such-program'"),
         ("sim:rig", ["publish = true"], "publishes nothing"),
-        ("damiao:can0", ["stop = true"], "has no way to stop its robot"),
     ],
 )
 def test_a_wrong_reactions_file_is_refused_before_a_folder_is_made(source, lines, error, tmp_path, capsys):
     path = reactions_file(tmp_path, *lines)
     words = ["commission", "--source", source, "--out", str(tmp_path / "cell"), "--reactions", str(path), "--no-page"]
-    if source.startswith("damiao"):
-        (tmp_path / "bus.toml").write_text("[joints.a]\nid = 1\n")
-        words += ["--bus", str(tmp_path / "bus.toml")]
     assert main(words) == 2
     assert error in capsys.readouterr().err and not (tmp_path / "cell").exists()
 

@@ -27,13 +27,12 @@ from tauext.commission.connect import (
 from tauext.data.assemble import assemble
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import save_recording
-from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings
+from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, settings_by_type
 from tauext.errors import ConfigError, RobotError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.robot.write import is_placeholder
 from tauext.sim.arms import ARMS
 from tauext.sim.source import KINDS, DrivenArm, SimSource, write_robot_file
-from tauext.sources.servo import settings_by_type
 
 FACTS, SEVEN = KINDS["rig"].facts(), KINDS["seven"].facts()
 MS = 1_000_000

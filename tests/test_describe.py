@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from made_bundles import pushed
 from made_live import ScriptedSource, samples_of
-from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, patient, sts3215, x_series
 
 from tauext import _core
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts
-from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError, RobotError
 from tauext.monitor.source import Describes, SourceFacts, SourceSettings
 from tauext.robot.write import write_placeholder
@@ -23,7 +19,6 @@ from tauext.sources.describing import chosen_joints, joint_names, learnt_period_
 from tauext.sources.franka import FrankaSource
 from tauext.sources.lasting import LastingSource
 from tauext.sources.replay import ReplaySource
-from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.ur import JOINTS as UR_JOINTS
 from tauext.sources.ur import UrSource
 
@@ -130,101 +125,6 @@ def test_a_recording_describes_itself_by_its_file():
     servo = _core.ServoSettings(_core.TorqueFrom.duty, [_core.ServoConstants()] * 2, 0, period_ns)
     facts = ReplaySource(replace(recording, provenance={"servo": servo_facts(servo)})).describe(0.0)
     assert facts.signal == "duty" and servo_facts(facts.settings.servo) == servo_facts(servo)
-
-
-# --- Buses.
-
-
-def servo_source(bus: MadeServoBus, kind: str, joints: list[ServoJoint], monkeypatch):
-    from tauext.sources import open as opening
-
-    monkeypatch.setattr("tauext.sources.servo_bus_file.load_servo_bus", lambda path: bus_file(*joints))
-    source, _ = opening.open_source(f"{kind}:{bus.port}", {"bus": bus_file().path})
-    return patient(source)
-
-
-def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
-    pytest.importorskip("scservo_sdk")
-    with MadeServoBus(Feetech(), [1, 2, 6]) as bus:
-        for id_ in (1, 2, 6):
-            sts3215(bus, id_)
-        joints = [ServoJoint(name, id_) for name, id_ in (("pan", 1), ("lift", 2), ("gripper", 6))]
-        source = servo_source(bus, "feetech", joints, monkeypatch)
-        facts = source.describe(WAIT_S)
-        assert facts.settings.joints == ("pan", "lift") and facts.notes == ("left out: gripper",)
-        assert facts.signal == "duty" and facts.temperature and facts.settings.torque_units == ("N m", "N m")
-        servo = facts.settings.servo
-        assert servo.on and servo.torque_from == _core.TorqueFrom.duty and servo.velocity_steps > 1
-        assert servo.joints[0].nm_per_ampere == SERVO_TYPES["sts3215-7.4v"].nm_per_ampere
-        source.open(facts.settings)
-        assert source.next_sample(WAIT_S) is not None
-        source.close()
-        bus.put(1, "B", 62, 120)  # 12 V
-        bus.put(2, "B", 62, 118)
-        again = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
-        assert again.settings.servo.joints[1].nm_per_ampere == SERVO_TYPES["sts3215-12v"].nm_per_ampere
-        assert "servos are of another type" in why_another(
-            facts, replace(again, settings=replace(again.settings, period_ns=facts.settings.period_ns))
-        )
-        bus.put(1, "H", 3, 2825)  # sts3250, of which no constant is known
-        unknown = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
-        assert unknown.settings.torque_units == ("A", "A") and "no constants are known" in unknown.notes[-1]
-        assert unknown.settings.servo.joints[0].count_rad == pytest.approx(2 * np.pi / 4096)
-        bus.registers.pop(2)
-        silent = servo_source(bus, "feetech", joints, monkeypatch)
-        silent.bus.port.answer_s = 0.05
-        with pytest.raises(ConfigError, match=r"servo 2 \(lift\) does not answer; 1 do"):
-            silent.describe(WAIT_S)
-
-
-def test_dynamixel_servos_give_their_phase_current_or_else_their_duty(monkeypatch):
-    pytest.importorskip("dynamixel_sdk")
-    with MadeServoBus(Dynamixel(), [1, 2]) as bus:
-        for id_ in (1, 2):
-            x_series(bus, id_)
-        joints = [ServoJoint(NAMES[k], k + 1) for k in range(2)]
-        facts = servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S)
-        assert facts.signal == "current" and facts.settings.servo.torque_from == _core.TorqueFrom.phase_current
-        x_series(bus, 2, model=1060)  # XL430 measures no current
-        assert servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S).signal == "duty"
-
-
-@pytest.mark.parametrize("ask", [True, False])
-def test_damiao_motors_are_timed_or_overheard(ask):
-    pytest.importorskip("can")
-    from test_damiao_source import Motors, source_of, state_of
-
-    motors = Motors()
-    try:
-        if ask:
-            facts = source_of(motors).describe(WAIT_S)
-            assert facts.settings.period_ns in (1_000_000, 2_000_000, 5_000_000, 10_000_000, 20_000_000)
-            motors.silent.add(2)
-            silent = source_of(motors)
-            silent.answer_s = 0.05
-            with pytest.raises(ConfigError, match="motor 0x02 .* does not answer"):
-                silent.describe(0.5)
-        else:
-            from tauext.sources.damiao import CanMotor
-
-            ended = threading.Event()
-
-            def other_program() -> None:
-                while not ended.wait(0.01):
-                    for id_ in (1, 2):
-                        motors.say(id_, state_of(id_))
-
-            threading.Thread(target=other_program, daemon=True).start()
-            ranges = (12.5, 30.0, 10.0)
-            known = (CanMotor("pan", 1, 0x11, ranges=ranges), CanMotor("lift", 2, 0x12, ranges=ranges))
-            facts = source_of(motors, *known, ask=False).describe(WAIT_S)
-            ended.set()
-            assert 5_000_000 < facts.settings.period_ns < 50_000_000
-            assert not motors.asked
-        assert facts.settings.joints == ("pan", "lift") and facts.settings.torque_units == ("N m", "N m")
-        assert facts.signal == "torque" and facts.temperature
-    finally:
-        motors.close()
 
 
 # --- What lasts.

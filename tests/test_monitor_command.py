@@ -107,7 +107,7 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((), "the bundle is missing"),
         (("watching.tauext",), "--source is missing"),
         (("none.tauext", "--source", "replay:pushed.parquet"), "none.tauext: there is no such bundle"),
-        (("watching.tauext", "--source", "usb"), "must be one of replay:FILE, ur:HOST, franka:HOST, feetech:PORT"),
+        (("watching.tauext", "--source", "usb"), "must be one of replay:FILE, ur:HOST, franka:HOST"),
         (("watching.tauext", "--source", "replay:"), "must be one of"),
         (("watching.tauext", "--source", "replay:none.parquet"), "none.parquet: there is no such recording"),
         (("watching.tauext", "--source", "ros2", "--speed", "2"), "--speed is for source replay, not for ros2"),
@@ -124,13 +124,6 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
         ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
         ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
-        (("watching.tauext", "--source", "feetech:/dev/ttyACM0"), "--source feetech:PORT needs --bus FILE"),
-        (("watching.tauext", "--source", "damiao:can0"), "--source damiao:CAN needs --bus FILE"),
-        ((*SOURCE, "--bus", "bus.toml"), "--bus is for source feetech, dynamixel, damiao, not for replay"),
-        (
-            ("watching.tauext", "--source", "dynamixel:/dev/ttyUSB0", "--bus", "none.toml"),
-            "none.toml: there is no such file; docs/servo-arms.md has an example",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(place, capsys, arguments, message):

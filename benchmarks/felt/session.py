@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from tauext_lerobot.leader_feedback import LeaderFeedback
 
 from felt.arm import GEARS, HANDS, JOINTS, TICK_S, Follower, Gears, Hand, Leader, Report, Servo, Wall, xml
 from tauext import TrainConfig, estimate_recording, load_dataset, train_bundle
@@ -18,7 +19,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import servo_facts, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
-from tauext.monitor.leader_feedback import LeaderFeedback
 from tauext.progress import Reporter
 
 Wish = Callable[[float], np.ndarray]

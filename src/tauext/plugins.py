@@ -20,7 +20,9 @@ from tauext.errors import ConfigError
 
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
-PACKAGES = {"fleet": "tauext-fleet", "ros2": "tauext-ros2"}
+PACKAGES = {"fleet": "tauext-fleet", "ros2": "tauext-ros2"} | dict.fromkeys(
+    ("feetech", "dynamixel", "damiao", "label"), "lerobot_robot_tauext"
+)
 """Packages of this repository, by the command or source that they add."""
 
 

@@ -13,10 +13,14 @@ import numpy as np
 from hostile.damage import damage
 from hostile.values import PLACES, hostile_value, hostile_words, keys_of, options_of
 from tauext.cli import command_of
-from tauext.cli.commands import OWN
+from tauext.cli.commands import all_commands
 from tauext.config import TrainConfig
 
-VERBS = [[name, *within] for name, command in OWN.items() for within in [[one] for one in command.commands] or [[]]]
+VERBS = [
+    [name, *within]
+    for name, command in all_commands().items()
+    for within in [[one] for one in command.commands] or [[]]
+]
 OPTIONS = {" ".join(verb): options_of(command_of(verb)[1]) for verb in VERBS}
 KEYS = keys_of(TrainConfig)
 # What works and is soon done; {} takes a file where a reader is tried.

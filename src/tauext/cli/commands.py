@@ -36,7 +36,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         ),
         "simulate": Command("make a dataset of the paper's two-axis rig", "tauext.cli.recordings:simulate"),
         "check": Command("find wrong units, signs, joint order and timing", "tauext.cli.recordings:check"),
-        "label": Command("add contact and collision labels to a LeRobot dataset", "tauext.cli.recordings:label"),
     },
     "Bundles": {
         "train": Command("train a bundle on a dataset's free motion", "tauext.cli.train:train"),

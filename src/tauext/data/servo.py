@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.data.description import Arm
+from tauext.data.description import Arm, parse_arm
 from tauext.data.recording import Recording
-from tauext.data.servo_types import SERVO_TYPES, ServoType
+from tauext.data.servo_types import COUNTS_A_TURN, SERVO_TYPES, ServoType
 from tauext.errors import ConfigError
 
 # --- Recordings whose tau is or was a motor current, according to provenance.
@@ -113,6 +114,22 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
         sample_period_ns=round(1e9 / rate_hz),
         goal_delay_ns=round(delay_s * 1e9) if source.name in OF_GOAL else 0,
     )
+
+
+def settings_by_type(
+    types: Sequence[str], joints: Sequence[str], torque_from: str, rate_hz: float
+) -> tuple[_core.ServoSettings, bool]:
+    """Settings for servos of these types, as an arm.toml with [servo] gives them, and whether the constants are known.
+
+    Args:
+        types: names in SERVO_TYPES, one a joint; "": unknown, and then no constant of any is used.
+    """
+    known = all(types) and all(SERVO_TYPES[name].nm_per_ampere for name in types)
+    lines = [f"[robot]\njoints = {json.dumps(list(joints))}"]
+    lines += [f'[signals.{name}]\ncolumns = "{name}_{{joint}}"' for name in ("q", "current", "duty", "voltage")]
+    lines.append(f'[servo]\ntorque_from = "{torque_from}"')
+    lines.append(f"type = {json.dumps(list(types))}" if known else f"counts_a_turn = {COUNTS_A_TURN}")
+    return servo_settings(parse_arm("\n".join(lines)), rate_hz, np.zeros((0, len(joints)))), known
 
 
 def velocity_and_torque(

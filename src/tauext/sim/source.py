@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from tauext import _core
+from tauext.data.servo import settings_by_type
 from tauext.errors import ConfigError
 from tauext.files.toml_file import number, numbers, one_of, read_table
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
@@ -38,7 +39,6 @@ from tauext.sim.servo_arm import (
     ServoPlant,
     so101_arm,
 )
-from tauext.sources.servo import settings_by_type
 
 # --- Commands, as lines: `push joint=joint2 force=0,0,-40 seconds=1`.
 

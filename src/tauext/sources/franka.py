@@ -49,7 +49,7 @@ class FrankaSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka", "franka")
+        library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka", "tauext[franka]")
         try:  # reading needs no real-time kernel
             self._robot = library.Robot(self._host, library.RealtimeConfig.kIgnore)
         except library.FrankaException as error:

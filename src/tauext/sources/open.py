@@ -55,12 +55,6 @@ TORQUE_CONSTANTS = Option(
     Place | None,
     "with --source ur, a file with the torque constant of each joint, Nm per ampere of motor current.",
 )
-BUS = Option(
-    "bus",
-    Place | None,
-    "TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint. LeRobot's"
-    " calibration file (*.json) also works for serial servos.",
-)
 
 
 def open_replay(target: str, bundle: Bundle | None, speed: float = 1.0) -> Source:
@@ -85,42 +79,10 @@ def open_franka(target: str, bundle: Bundle | None) -> Source:
     return FrankaSource(target)
 
 
-def expect_bus(text: str, bus: Place | None) -> Place:
-    """Raises ConfigError without a bus file."""
-    if bus is None:
-        raise ConfigError(f"--source {text} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
-    return bus
-
-
-def open_feetech(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
-    from tauext.sources.servo import ServoSource
-    from tauext.sources.servo_bus_file import load_servo_bus
-    from tauext.sources.servo_series import FEETECH
-
-    return ServoSource(FEETECH, target, load_servo_bus(expect_bus("feetech:PORT", bus)))
-
-
-def open_dynamixel(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
-    from tauext.sources.servo import ServoSource
-    from tauext.sources.servo_bus_file import load_servo_bus
-    from tauext.sources.servo_series import DYNAMIXEL
-
-    return ServoSource(DYNAMIXEL, target, load_servo_bus(expect_bus("dynamixel:PORT", bus)))
-
-
-def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
-    from tauext.sources.damiao import DamiaoSource, load_can_bus
-
-    return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))
-
-
 KINDS: Mapping[str, SourceKind] = {
     "replay": SourceKind(open_replay, "FILE", (SPEED,)),
     "ur": SourceKind(open_ur, "HOST", (TORQUE_CONSTANTS,)),
     "franka": SourceKind(open_franka, "HOST"),
-    "feetech": SourceKind(open_feetech, "PORT", (BUS,)),
-    "dynamixel": SourceKind(open_dynamixel, "PORT", (BUS,)),
-    "damiao": SourceKind(open_damiao, "CAN", (BUS,)),
 }
 
 

@@ -129,7 +129,7 @@ class UrSource(ReaderSource):
         self._connect(1e9 / self.settings.period_ns)
 
     def _connect(self, rate_hz: float) -> None:
-        library = optional_library("rtde_receive", "source ur", "ur_rtde", "ur")
+        library = optional_library("rtde_receive", "source ur", "ur_rtde", "tauext[ur]")
         expect_controller(self._host)
         try:
             self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)

@@ -1,0 +1,12 @@
+"""What LeRobot finds: robot type tauext wraps another robot, teleoperator type tauext_leader a leader with feedback.
+
+LeRobot imports the module that has the name of an installed distribution, if this begins with lerobot_robot_.
+"""
+
+from lerobot_robot_tauext.config_tauext import TauextConfig
+from lerobot_robot_tauext.config_tauext_leader import TauextLeaderConfig
+from lerobot_robot_tauext.reactions import CollisionStop
+from lerobot_robot_tauext.tauext_leader import TauextLeader
+from lerobot_robot_tauext.tauext_robot import Tauext
+
+__all__ = ["CollisionStop", "Tauext", "TauextConfig", "TauextLeader", "TauextLeaderConfig"]

@@ -1,0 +1,178 @@
+"""A LeRobot leader whose motors receive torque from the follower's <joint>.tau_ext."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import draccus
+import numpy as np
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
+from tauext_lerobot.leader_feedback import FeedbackSettings, LeaderFeedback
+
+from lerobot_robot_tauext.config_tauext_leader import TauextLeaderConfig
+from lerobot_robot_tauext.feel_step import FEELING
+from lerobot_robot_tauext.positions import radians_a_unit
+from lerobot_robot_tauext.torque_ports import torque_port
+from tauext.errors import ConfigError
+
+FIRST_DT_S = 0.02
+"""Assumed length of the first tick, whose torque is at most one slew step."""
+
+
+class TauextLeader(Teleoperator):
+    """Passes the leader's actions on, and drives its motors from the follower's external torque.
+
+    send_feedback() takes the follower's observation: `<joint>.tau_ext` [N m] of every joint with feedback, and
+    optionally its standard error `<joint>.tau_ext_sigma`. A missing or NaN value fades the torque of its joint to 0.
+    `contact` or `collision` of -1 (unknown) fades all joints, as does a pause of silence_s.
+    """
+
+    config_class = TauextLeaderConfig
+    name = "tauext_leader"
+
+    def __init__(self, config: TauextLeaderConfig):
+        """Raises ConfigError: no such leader, its motors accept no torque, or a setting is invalid."""
+        super().__init__(config)
+        self.config = config
+        self.leader = make_teleoperator_from_config(leader_config(config.leader))
+        self._port = torque_port(self.leader, config.joints, config.nm_per_ampere)
+        self._joints = self._port.joints
+        self._feedback = LeaderFeedback(len(self._joints), self._settings())
+        self._q = np.full(len(self._joints), np.nan)
+        self._stepped_s: float | None = None
+        self._observed_s: float | None = None
+        self._radians: dict[str, float] = {}
+
+    @property
+    def action_features(self) -> dict:
+        return self.leader.action_features
+
+    @property
+    def feedback_features(self) -> dict:
+        return {f"{joint}.tau_ext": float for joint in self._joints}
+
+    @property
+    def is_connected(self) -> bool:
+        return self.leader.is_connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        return self.leader.is_calibrated
+
+    def calibrate(self) -> None:
+        self.leader.calibrate()
+
+    def configure(self) -> None:
+        self.leader.configure()
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.leader.connect(calibrate)
+        try:
+            self._radians = radians_a_unit(self.leader, self._joints, self.config.position_unit)
+            self._feedback = LeaderFeedback(len(self._joints), self._settings())
+            self._stepped_s = self._observed_s = None
+            self._port.begin()
+        except BaseException:
+            self.disconnect()
+            raise
+        FEELING.add(self)
+
+    def get_action(self) -> dict[str, Any]:
+        """The leader's action. Without an observation for silence_s, the torque fades."""
+        action = self.leader.get_action()
+        positions = [action.get(f"{joint}.pos") for joint in self._joints]
+        scale = [self._radians[joint] for joint in self._joints]
+        self._q = np.array([np.nan if q is None else float(q) for q in positions]) * scale
+        if self._observed_s is not None and time.monotonic() - self._observed_s > self.config.silence_s:
+            nothing = np.full(len(self._joints), np.nan)
+            self._step(nothing, nothing)
+        return action
+
+    def send_feedback(self, feedback: dict[str, Any]) -> dict[str, float]:
+        """Send torque to the leader's motors from one observation of the follower; returns the torque, [N m].
+
+        Raises:
+            ConfigError: the first observation lacks a joint's tau_ext, or its error is neither observed nor configured.
+        """
+        tau_ext, sigma = (self._of_joints(feedback, suffix) for suffix in ("tau_ext", "tau_ext_sigma"))
+        if self._observed_s is None:
+            self._expect_tau_ext(feedback)
+        if self.config.dead_band_nm is not None:
+            sigma = np.where(np.isnan(sigma), 0.0, sigma)  # then the configured dead band applies
+        self._observed_s = time.monotonic()
+        healthy = feedback.get("contact", 0.0) >= 0 and feedback.get("collision", 0.0) >= 0
+        return self._step(tau_ext, sigma, healthy)
+
+    def disconnect(self) -> None:
+        """Release the motors first, then disconnect the leader even if that failed."""
+        FEELING.discard(self)
+        try:
+            if self.leader.is_connected:
+                self._port.end()
+        finally:
+            self.leader.disconnect()
+
+    def _step(self, tau_ext: np.ndarray, sigma: np.ndarray, healthy: bool = True) -> dict[str, float]:
+        now = time.monotonic()
+        dt_s = FIRST_DT_S if self._stepped_s is None else max(now - self._stepped_s, 1e-4)
+        self._stepped_s = now
+        torque = self._feedback.step(tau_ext, sigma, self._q, dt_s, healthy)
+        sent = dict(zip(self._joints, torque.tolist(), strict=True))
+        self._port.write(sent)
+        return sent
+
+    def _of_joints(self, feedback: Mapping[str, Any], suffix: str) -> np.ndarray:
+        return np.array([float(feedback.get(f"{joint}.{suffix}", np.nan)) for joint in self._joints])
+
+    def _expect_tau_ext(self, feedback: Mapping[str, Any]) -> None:
+        missing = [joint for joint in self._joints if f"{joint}.tau_ext" not in feedback]
+        if missing:
+            raise ConfigError(
+                f"the follower's observation has no {missing[0]}.tau_ext: use a robot that observes it "
+                f"(--robot.type=tauext of lerobot_robot_tauext), or leave {', '.join(missing)} out of joints"
+            )
+        if self.config.dead_band_nm is None and f"{self._joints[0]}.tau_ext_sigma" not in feedback:
+            raise ConfigError(
+                f"the follower's observation has no {self._joints[0]}.tau_ext_sigma: set dead_band_nm to the largest "
+                "tau_ext of free motion, [N m]"
+            )
+
+    def _settings(self) -> FeedbackSettings:
+        config = self.config
+        return FeedbackSettings(
+            gain=self._of_setting("gain"),
+            cap_nm=self._of_setting("cap_nm"),
+            dead_band_sigmas=self._of_setting("dead_band_sigmas"),
+            least_dead_band=self._of_setting("dead_band_nm") if config.dead_band_nm is not None else 0.0,
+            slew_nm_s=config.slew_nm_s,
+            damping_nm_s_rad=self._of_setting("damping_nm_s_rad"),
+            tank_j=config.tank_j,
+        )
+
+    def _of_setting(self, name: str) -> float | tuple[float, ...]:
+        value = getattr(self.config, name)
+        if not isinstance(value, Mapping):
+            return value
+        if set(value) != set(self._joints):
+            raise ConfigError(
+                f"{name} names {', '.join(value)}; it must name all of {', '.join(self._joints)}, or be one number"
+            )
+        return tuple(float(value[joint]) for joint in self._joints)
+
+
+def leader_config(options: Mapping[str, Any]) -> TeleoperatorConfig:
+    """The leader's configuration from its options.
+
+    Raises:
+        ConfigError: LeRobot has no such leader or option.
+    """
+    if "type" not in options:
+        raise ConfigError("leader needs a type: --teleop.leader='{type: koch_leader, port: /dev/ttyACM0, id: mine}'")
+    if options["type"] == TauextLeader.name:
+        raise ConfigError("leader: a tauext_leader cannot wrap itself")
+    try:
+        return draccus.decode(TeleoperatorConfig, dict(options))
+    except draccus.utils.DecodingError as error:
+        raise ConfigError(f"leader: {error}") from error

@@ -1,0 +1,192 @@
+"""A LeRobot robot that wraps another one and adds contact to its observation."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import nullcontext
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from lerobot.robots import Robot, make_robot_from_config
+from tauext_lerobot.frames import FrameLabeller, element_names
+
+import tauext
+from lerobot_robot_tauext.block_read import REGISTERS, BlockRead
+from lerobot_robot_tauext.config_tauext import TauextConfig
+from lerobot_robot_tauext.episodes import call_at_episodes, stop_calling
+from lerobot_robot_tauext.reactions import CollisionStop, Hold
+from tauext.data.description import load_arm
+
+logger = logging.getLogger(__name__)
+
+
+class Tauext(Robot):
+    """The wrapped robot's observation and actions, with additional floats that LeRobot records:
+
+    `<joint>.tau_ext` in the bundle's estimate units; `contact` and `collision` (1, 0, or -1: unknown, tau_ext is 0);
+    `<joint>.current`, `.duty`, `.voltage` if arm.toml names them; `<joint>.goal`, the goal sent last, if it can differ
+    from the recorded action (on_collision is not none, or the robot clips its goals).
+    """
+
+    config_class = TauextConfig
+    name = "tauext"
+
+    def __init__(self, config: TauextConfig):
+        super().__init__(config)
+        self.config = config
+        wrapped = config.wrapped
+        self.robot = make_robot_from_config(wrapped)
+        self._bundle = tauext.load_bundle(config.bundle)
+        arm = load_arm(config.arm)
+        goals = [key for key in self.robot.action_features if key.endswith(".pos")]
+        clips = getattr(wrapped, "max_relative_target", None) is not None
+        self._goal_names = {key: f"{key.removesuffix('.pos')}.goal" for key in goals}
+        self._records_goal = config.on_collision != "none" or clips
+        held = {key for key, kind in self.robot.observation_features.items() if kind is float}
+        self._read = tuple(
+            signal
+            for signal in REGISTERS
+            if signal in arm.signals and not any(key.endswith(f".{signal}") for key in held)
+        )
+        self._block = BlockRead(self._bus(), self._read) if self._read else None
+        self._elements = element_names(arm.names)
+        names = [f"observation.state[{key}]" for key in (*held, *self._own_features) if key not in self._elements]
+        names += [f"goal[{key}]" for key in goals]
+        rate_hz = 1e9 / self._bundle.observer.sample_period_ns
+        self._fps = round(rate_hz) if abs(rate_hz / round(rate_hz) - 1) < 0.01 else rate_hz
+        self._labeller = FrameLabeller(self._bundle, arm, names, self._fps)
+        self._names = names
+        self._hold = Hold(config.resume_within)
+        self._touching = self._stopped = False
+        self._sent: dict[str, float] = {}
+        """Goals of the last action: the goals sent if these are recorded, else those of the dataset."""
+
+    def _bus(self) -> Any:
+        bus = getattr(self.robot, "bus", None)
+        if bus is None or not hasattr(bus, "model_ctrl_table"):
+            raise ValueError(
+                f"{self.config.arm} names {', '.join(self._read)}, but {self.robot.name} does not observe these and "
+                "has no serial bus to read them from; a bundle with torque from the goal does not need them"
+            )
+        return bus
+
+    @cached_property
+    def _own_features(self) -> dict[str, type]:
+        joints = [key.removesuffix(".pos") for key in self._goal_names]
+        own = [f"{joint}.{signal}" for signal in self._read for joint in joints]
+        if self._records_goal:
+            own += list(self._goal_names.values())
+        return dict.fromkeys([*own, *self._elements], float)
+
+    @property
+    def observation_features(self) -> dict[str, Any]:
+        """The wrapped robot's features, then additional floats, which LeRobot puts into observation.state."""
+        return {**self.robot.observation_features, **self._own_features}
+
+    @property
+    def action_features(self) -> dict[str, Any]:
+        """Those of the wrapped robot."""
+        return self.robot.action_features
+
+    @property
+    def cameras(self) -> dict[str, Any]:
+        """Those of the wrapped robot."""
+        return getattr(self.robot, "cameras", {})
+
+    @property
+    def is_connected(self) -> bool:
+        """See the wrapped robot."""
+        return self.robot.is_connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        """See the wrapped robot."""
+        return self.robot.is_calibrated
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect the wrapped robot and restart the monitor."""
+        self.robot.connect(calibrate)
+        self.start_episode()
+        self._hold.end()
+        self._stopped, self._sent = False, {}
+        if self.config.episodes_begin_anew:
+            call_at_episodes(self)
+        one = self._block is None or self._block.in_one_transaction
+        logger.info(
+            "tauext: %s, %g Hz%s", self._bundle.name, self._fps, "" if one else "; more than one bus request a tick"
+        )
+
+    def calibrate(self) -> None:
+        """See the wrapped robot."""
+        self.robot.calibrate()
+
+    def configure(self) -> None:
+        """See the wrapped robot."""
+        self.robot.configure()
+
+    def disconnect(self) -> None:
+        """Disconnect the wrapped robot, which may disable its torque: option disable_torque_on_disconnect."""
+        stop_calling(self)
+        self.robot.disconnect()
+
+    def start_episode(self) -> None:
+        """Begin an episode with the next observation. Called automatically when LeRobot's dataset ends an episode."""
+        self._labeller.restart()
+        self._touching = False
+
+    def get_observation(self) -> dict[str, Any]:
+        """Observe, estimate and react in the same call.
+
+        Raises:
+            CollisionStop: on_collision is stop, and the arm has collided since connect().
+        """
+        if self._stopped:
+            raise CollisionStop("the arm collided and is stopped; check it, then connect again")
+        with self._block.reading() if self._block is not None else nullcontext():
+            observation = dict(self.robot.get_observation())
+        if self._block is not None:
+            for signal, values in self._block.values.items():
+                observation |= {f"{motor}.{signal}": value for motor, value in values.items()}
+        first = self._labeller.frame == 0 and not self._records_goal  # the dataset has no earlier action
+        sent = {} if first else self._sent
+        goals: dict[str, Any] = {key: sent.get(key, observation[key]) for key in self._goal_names}
+        if self._records_goal:
+            observation |= {self._goal_names[key]: float(np.float32(goal)) for key, goal in goals.items()}
+        values = {f"observation.state[{key}]": value for key, value in observation.items()}
+        values |= {f"goal[{key}]": goal for key, goal in goals.items()}
+        labels = self._labeller.step({name: values[name] for name in self._names})
+        observation |= dict(zip(self._elements, labels.columns[0].tolist(), strict=True))
+        self._react(observation, bool(labels.collision[0] == 1.0))
+        return observation
+
+    def _react(self, observation: dict[str, Any], collides: bool) -> None:
+        begins, self._touching = collides and not self._touching, collides
+        if self.config.on_collision == "none" or not collides:
+            return
+        if not self._hold.holding:
+            self._send(self._hold.begin({key: float(observation[key]) for key in self._goal_names}))
+        if begins:
+            logger.warning("tauext: collision; %s", self.config.on_collision)
+        if self.config.on_collision == "stop":
+            self._stopped = True
+            worst = max(self._elements[:-2], key=lambda name: abs(observation[name]))
+            raise CollisionStop(
+                f"the arm collided ({worst} = {observation[worst]:.3g}) and holds its position; check what it touches"
+            )
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Send the goals, or the held position in their place; returns what was sent."""
+        if self._stopped:
+            raise CollisionStop("the arm collided and is stopped; check it, then connect again")
+        if self.config.on_collision == "none":
+            sent = self._send(action)
+        else:
+            sent = self._send(self._hold.passed(action, self._touching))
+        return sent
+
+    def _send(self, action: dict[str, Any]) -> dict[str, Any]:
+        sent = self.robot.send_action(action)
+        kept = sent if self._records_goal else action
+        self._sent |= {key: float(np.float32(kept[key])) for key in self._goal_names if key in kept}
+        return sent

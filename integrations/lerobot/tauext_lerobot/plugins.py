@@ -1,0 +1,56 @@
+"""What tauext finds by this package's entry points: servo buses as sources, and the command `label`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tauext.cli.commands import Command
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.sources.open import Option, SourceKind
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.monitor.source import Source
+
+BUS = Option(
+    "bus",
+    Place | None,
+    "TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint. LeRobot's"
+    " calibration file (*.json) also works for serial servos.",
+)
+
+
+def expect_bus(text: str, bus: Place | None) -> Place:
+    """Raises ConfigError without a bus file."""
+    if bus is None:
+        raise ConfigError(f"--source {text} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
+    return bus
+
+
+def open_feetech(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext_lerobot.servo import ServoSource
+    from tauext_lerobot.servo_bus_file import load_servo_bus
+    from tauext_lerobot.servo_series import FEETECH as SERIES
+
+    return ServoSource(SERIES, target, load_servo_bus(expect_bus("feetech:PORT", bus)))
+
+
+def open_dynamixel(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext_lerobot.servo import ServoSource
+    from tauext_lerobot.servo_bus_file import load_servo_bus
+    from tauext_lerobot.servo_series import DYNAMIXEL as SERIES
+
+    return ServoSource(SERIES, target, load_servo_bus(expect_bus("dynamixel:PORT", bus)))
+
+
+def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    from tauext_lerobot.damiao import DamiaoSource, load_can_bus
+
+    return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))
+
+
+FEETECH = SourceKind(open_feetech, "PORT", (BUS,))
+DYNAMIXEL = SourceKind(open_dynamixel, "PORT", (BUS,))
+DAMIAO = SourceKind(open_damiao, "CAN", (BUS,))
+LABEL = Command("add contact and collision labels to a LeRobot dataset", "tauext_lerobot.label:label")

@@ -5,8 +5,7 @@ LeRobot imports the module that has the name of an installed distribution, if th
 
 from lerobot_robot_tauext.config_tauext import TauextConfig
 from lerobot_robot_tauext.config_tauext_leader import TauextLeaderConfig
-from lerobot_robot_tauext.reactions import CollisionStop
 from lerobot_robot_tauext.tauext_leader import TauextLeader
-from lerobot_robot_tauext.tauext_robot import Tauext
+from lerobot_robot_tauext.tauext_robot import CollisionStop, Tauext
 
 __all__ = ["CollisionStop", "Tauext", "TauextConfig", "TauextLeader", "TauextLeaderConfig"]

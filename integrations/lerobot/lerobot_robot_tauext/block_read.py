@@ -6,27 +6,19 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from tauext_lerobot.servo_series import FEETECH, SERIES, Register
+
 POSITION = "Present_Position"
-Scales = dict[str, tuple[float, int]]
-REGISTERS: dict[str, dict[str, Scales]] = {
-    "current": {
-        "Present_Current": {"sts": (0.0065, 15), "xl330": (0.001, 0), "xc330": (0.001, 0), "xm": (0.00269, 0)},
-    },
-    "duty": {"Present_Load": {"sts": (0.001, 10)}, "Present_PWM": {"x": (1 / 885, 0)}},
-    "voltage": {"Present_Voltage": {"sts": (0.1, 15)}, "Present_Input_Voltage": {"x": (0.1, 0)}},
+SIGNALS = ("current", "duty", "voltage")
+"""Signals that can be read."""
+NAMES = {
+    "feetech": ("Present_Current", "Present_Load", "Present_Voltage"),
+    "dynamixel": ("Present_Current", "Present_PWM", "Present_Input_Voltage"),
 }
-"""By signal: the register and, by the beginning of the model's name, the value of a count in A, shares of the supply or
-V, and the index of the sign bit (0: two's complement). Feetech: STS memory table; Dynamixel: e-Manual (885 counts of
-PWM are 100 %)."""
-
-
-def _signed(count: int, sign_bit: int) -> int:
-    """A signed count of two bytes. Some LeRobot versions decode the sign (0.6: of the load), others do not (0.3)."""
-    if count < 0:
-        return count
-    if not sign_bit:
-        return count - 0x10000 if count & 0x8000 else count
-    return -(count & ((1 << sign_bit) - 1)) if count >> sign_bit & 1 else count
+"""LeRobot's names of their registers, by kind of series."""
+MODELS = {name: (series, ampere) for series in SERIES.values() for name, ampere in series.models.values()}
+Registers = dict[str, Register]
+"""By motor: the register, with the unit of that motor's counts in A, shares of the supply or V."""
 
 
 class BlockRead:
@@ -45,7 +37,7 @@ class BlockRead:
 
     def __init__(self, bus: Any, signals: tuple[str, ...]):
         self._bus = bus
-        self._registers: dict[str, tuple[str, Scales]] = {}
+        self._registers: dict[str, tuple[str, Registers]] = {}
         for signal in signals:
             self._registers[signal] = _register(bus, signal)
         self._tables = [bus.model_ctrl_table[motor.model] for motor in bus.motors.values()]
@@ -79,9 +71,9 @@ class BlockRead:
             if self._block:
                 return self._widened(normalize, num_retry)
             position = original(data_name, motors, normalize=normalize, num_retry=num_retry)
-            for signal, (register, scale) in self._registers.items():
-                counts = original(register, normalize=False, num_retry=num_retry)
-                self.values[signal] = _in_si(counts, scale)
+            for signal, (name, registers) in self._registers.items():
+                counts = original(name, normalize=False, num_retry=num_retry)
+                self.values[signal] = _in_si(counts, registers)
             return position
 
         self._bus.sync_read = sync_read
@@ -106,32 +98,35 @@ class BlockRead:
                 f"Failed to sync read {length} bytes from {start} on {ids} after {num_retry + 1} tries: {words}"
             )
         counts = {
-            name: bus._decode_sign(name, {id_: bus.sync_reader.getData(id_, address, size) for id_ in ids})
+            name: {id_: bus.sync_reader.getData(id_, address, size) for id_ in ids}
             for name, (address, size) in self._block.items()
         }
-        for signal, (register, scale) in self._registers.items():
-            self.values[signal] = _in_si({bus._id_to_name(i): n for i, n in counts[register].items()}, scale)
-        position: Mapping[int, Any] = counts[POSITION]
+        for signal, (name, registers) in self._registers.items():
+            self.values[signal] = _in_si({bus._id_to_name(id_): n for id_, n in counts[name].items()}, registers)
+        position: Mapping[int, Any] = bus._decode_sign(POSITION, counts[POSITION])
         if normalize and POSITION in bus.normalized_data:
             position = bus._normalize(position)
         return {bus._id_to_name(id_): value for id_, value in position.items()}
 
 
-def _in_si(counts: Mapping[str, int], scales: Scales) -> dict[str, float]:
-    return {motor: _signed(int(count), scales[motor][1]) * scales[motor][0] for motor, count in counts.items()}
+def _in_si(counts: Mapping[str, int], registers: Registers) -> dict[str, float]:
+    """Values of counts. LeRobot has decoded the sign of some: 0.6 that of the load, 0.3 none."""
+    return {
+        motor: count * registers[motor].unit
+        if count < 0
+        else registers[motor].of(int(count).to_bytes(registers[motor].block[1], "little"), registers[motor].address)
+        for motor, count in counts.items()
+    }
 
 
-def _register(bus: Any, signal: str) -> tuple[str, Scales]:
-    """The register of a signal, and the unit of each motor's counts."""
-    scales: Scales = {}
-    chosen = ""
+def _register(bus: Any, signal: str) -> tuple[str, Registers]:
+    """LeRobot's name of the register of a signal, and each motor's register."""
+    name, registers = "", Registers()
     for motor, one in bus.motors.items():
-        table = bus.model_ctrl_table[one.model]
-        for register, by_model in REGISTERS[signal].items():
-            fits = [begin for begin in by_model if one.model.startswith(begin)]
-            if register in table and fits and chosen in ("", register):
-                chosen = register
-                scales[motor] = by_model[max(fits, key=len)]
-        if motor not in scales:
+        series, ampere = MODELS.get(one.model, (FEETECH, None))
+        name = NAMES[series.kind][SIGNALS.index(signal)]
+        unit = ampere if signal == "current" else series.registers[signal].unit
+        if one.model not in MODELS or unit is None or name not in bus.model_ctrl_table[one.model]:
             raise ValueError(f"motor '{motor}' is a {one.model}: tauext cannot read its {signal}")
-    return chosen, scales
+        registers[motor] = series.registers[signal]._replace(unit=unit)
+    return name, registers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -12,13 +13,13 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleope
 from tauext_lerobot.leader_feedback import FeedbackSettings, LeaderFeedback
 
 from lerobot_robot_tauext.config_tauext_leader import TauextLeaderConfig
-from lerobot_robot_tauext.feel_step import FEELING
-from lerobot_robot_tauext.positions import radians_a_unit
+from lerobot_robot_tauext.programs import FEELING
 from lerobot_robot_tauext.torque_ports import torque_port
 from tauext.errors import ConfigError
 
 FIRST_DT_S = 0.02
 """Assumed length of the first tick, whose torque is at most one slew step."""
+UNITS = {"deg": math.pi / 180, "rad": 1.0}
 
 
 class TauextLeader(Teleoperator):
@@ -176,3 +177,34 @@ def leader_config(options: Mapping[str, Any]) -> TeleoperatorConfig:
         return draccus.decode(TeleoperatorConfig, dict(options))
     except draccus.utils.DecodingError as error:
         raise ConfigError(f"leader: {error}") from error
+
+
+def radians_a_unit(leader: Any, joints: tuple[str, ...], unit: str) -> dict[str, float]:
+    """Radians per unit of `<joint>.pos`.
+
+    LeRobot's buses report degrees, or shares of a calibrated range from -100 or 0 to 100.
+
+    Args:
+        unit: unit of a leader without such a bus, "deg" or "rad".
+
+    Raises:
+        ConfigError: a range is not calibrated, or the unit is invalid.
+    """
+    bus = getattr(leader, "bus", None)
+    motors = getattr(bus, "motors", {})
+    if unit not in UNITS:
+        raise ConfigError(f"position_unit = {unit!r} must be one of {', '.join(UNITS)}")
+    return {joint: _of_motor(bus, joint) if joint in motors else UNITS[unit] for joint in joints}
+
+
+def _of_motor(bus: Any, joint: str) -> float:
+    mode = getattr(bus.motors[joint].norm_mode, "value", bus.motors[joint].norm_mode)
+    if mode == "degrees":
+        return math.pi / 180
+    if joint not in bus.calibration:
+        raise ConfigError(f"joint '{joint}' reports its position as a share of a range that is not calibrated")
+    spans = {"range_m100_100": 200, "range_0_100": 100}
+    if mode not in spans:
+        raise ConfigError(f"joint '{joint}' reports its position as {mode}, not one of degrees, {', '.join(spans)}")
+    calibration, resolution = bus.calibration[joint], bus.model_resolution_table[bus.motors[joint].model]
+    return (calibration.range_max - calibration.range_min) / spans[mode] * 2 * math.pi / resolution

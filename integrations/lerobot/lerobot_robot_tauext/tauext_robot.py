@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import logging
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import cached_property
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from lerobot.robots import Robot, make_robot_from_config
 from tauext_lerobot.frames import FrameLabeller, element_names
 
 import tauext
-from lerobot_robot_tauext.block_read import REGISTERS, BlockRead
+from lerobot_robot_tauext.block_read import SIGNALS, BlockRead
 from lerobot_robot_tauext.config_tauext import TauextConfig
-from lerobot_robot_tauext.episodes import call_at_episodes, stop_calling
-from lerobot_robot_tauext.reactions import CollisionStop, Hold
 from tauext.data.description import load_arm
 
 logger = logging.getLogger(__name__)
+Action = dict[str, float]
 
 
 class Tauext(Robot):
@@ -46,7 +48,7 @@ class Tauext(Robot):
         held = {key for key, kind in self.robot.observation_features.items() if kind is float}
         self._read = tuple(
             signal
-            for signal in REGISTERS
+            for signal in SIGNALS
             if signal in arm.signals and not any(key.endswith(f".{signal}") for key in held)
         )
         self._block = BlockRead(self._bus(), self._read) if self._read else None
@@ -190,3 +192,89 @@ class Tauext(Robot):
         kept = sent if self._records_goal else action
         self._sent |= {key: float(np.float32(kept[key])) for key in self._goal_names if key in kept}
         return sent
+
+
+# --- Goals that are sent to the arm during and after a collision.
+
+
+class CollisionStop(RuntimeError):
+    """The arm collided and on_collision is stop: it holds its position, and the program ends."""
+
+
+class Hold:
+    """Holds the arm where it collided until the commanded goal returns there.
+
+    Goals are elements `<joint>.pos`; other elements of an action pass unchanged.
+    """
+
+    def __init__(self, resume_within: float):
+        self._within = resume_within
+        self._held: Action = {}
+
+    @property
+    def holding(self) -> bool:
+        """Whether goals are replaced."""
+        return bool(self._held)
+
+    def begin(self, present: Mapping[str, float]) -> Action:
+        """Hold this position; a position that is held already stays."""
+        if not self._held:
+            self._held = dict(present)
+        return dict(self._held)
+
+    def end(self) -> None:
+        """End the hold: goals pass again."""
+        self._held = {}
+
+    def passed(self, action: Mapping[str, float], touching: bool) -> Action:
+        """The action to send, with held goals. A hold ends if the goal is near it and nothing touches the arm."""
+        if self._held and not touching:
+            near = all(abs(float(action[k]) - held) <= self._within for k, held in self._held.items() if k in action)
+            if near:
+                self.end()
+        return dict(action) | {k: held for k, held in self._held.items() if k in action}
+
+
+# --- The end of recorded episodes, from LeRobot's dataset, since LeRobot does not report it to robots.
+
+
+ENDS = ("save_episode", "clear_episode_buffer")
+_called: WeakSet[Any] = WeakSet()
+
+
+def call_at_episodes(robot: Any) -> None:
+    """Call `robot.start_episode()` whenever a dataset of this process ends an episode.
+
+    LeRobot's record loop saves or drops an episode right before the first frame of the next one. Without the dataset
+    library there are no datasets, and nothing is called.
+    """
+    try:
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    except ImportError:
+        return
+    for name in ENDS:
+        method = getattr(LeRobotDataset, name, None)
+        if method is None:
+            logger.warning(
+                "LeRobotDataset has no %s: call start_episode() of the robot at the first frame of each episode", name
+            )
+        elif not hasattr(method, "calls_robots"):
+            setattr(LeRobotDataset, name, _calling(method))
+    _called.add(robot)
+
+
+def stop_calling(robot: Any) -> None:
+    """Stop calling the robot."""
+    _called.discard(robot)
+
+
+def _calling(method: Callable) -> Callable:
+    @functools.wraps(method)
+    def calling(*args: Any, **kwargs: Any) -> Any:
+        result = method(*args, **kwargs)
+        for robot in list(_called):
+            robot.start_episode()
+        return result
+
+    calling.calls_robots = True  # type: ignore[attr-defined]
+    return calling

@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from tauext_lerobot.servo_series import DYNAMIXEL
+
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
 
-AMPERE_A_COUNT = {"xl330-m077": 0.001, "xl330-m288": 0.001, "xm430-w350": 0.00269, "xm540-w270": 0.00269}
-"""Unit of Goal Current, [A]; ROBOTIS e-Manual, Control Table. The XL430 has no current mode."""
+AMPERE_A_COUNT = {name: ampere for name, ampere in DYNAMIXEL.models.values() if ampere is not None}
+"""Unit of Goal Current, [A]: that of the current. Servos that measure none have no current mode."""
 NM_PER_AMPERE = {"xl330-m077": 0.215 / 1.47, "xm540-w270": 10.6 / 4.4}
 """Stall torque over stall current of the e-Manual, at 5 and 12 V. SERVO_TYPES has priority."""
 WATCHDOG_COUNTS = 10

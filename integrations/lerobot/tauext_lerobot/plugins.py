@@ -28,20 +28,17 @@ def expect_bus(text: str, bus: Place | None) -> Place:
     return bus
 
 
-def open_feetech(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
-    from tauext_lerobot.servo import ServoSource
-    from tauext_lerobot.servo_bus_file import load_servo_bus
-    from tauext_lerobot.servo_series import FEETECH as SERIES
+def serial_bus(kind: str) -> SourceKind:
+    """The source of a series of serial servos."""
 
-    return ServoSource(SERIES, target, load_servo_bus(expect_bus("feetech:PORT", bus)))
+    def open_serial(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+        from tauext_lerobot.servo import ServoSource
+        from tauext_lerobot.servo_bus_file import load_servo_bus
+        from tauext_lerobot.servo_series import SERIES
 
+        return ServoSource(SERIES[kind], target, load_servo_bus(expect_bus(f"{kind}:PORT", bus)))
 
-def open_dynamixel(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
-    from tauext_lerobot.servo import ServoSource
-    from tauext_lerobot.servo_bus_file import load_servo_bus
-    from tauext_lerobot.servo_series import DYNAMIXEL as SERIES
-
-    return ServoSource(SERIES, target, load_servo_bus(expect_bus("dynamixel:PORT", bus)))
+    return SourceKind(open_serial, "PORT", (BUS,))
 
 
 def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
@@ -50,7 +47,7 @@ def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) ->
     return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))
 
 
-FEETECH = SourceKind(open_feetech, "PORT", (BUS,))
-DYNAMIXEL = SourceKind(open_dynamixel, "PORT", (BUS,))
+FEETECH = serial_bus("feetech")
+DYNAMIXEL = serial_bus("dynamixel")
 DAMIAO = SourceKind(open_damiao, "CAN", (BUS,))
 LABEL = Command("add contact and collision labels to a LeRobot dataset", "tauext_lerobot.label:label")

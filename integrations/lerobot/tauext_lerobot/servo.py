@@ -275,7 +275,7 @@ class ServoSource(BusSource):
             q_des=sign * (from_zero + to_goal) * COUNT_RAD,
             current=sign * current if self._series.current == "phase-current" else current,
             duty=sign * column("duty"),
-            voltage=column("volts"),
+            voltage=column("voltage"),
         )
 
 

@@ -78,7 +78,7 @@ FEETECH = Series(
     registers={
         "model": Register(3, "H"), "homing": Register(31, "H", sign_bit=11), "mode": Register(33, "B"),
         "torque": Register(40, "B"), "goal": Register(42, "H", sign_bit=15), "position": Register(56, "H", sign_bit=15),
-        "speed": Register(58, "H", sign_bit=15), "duty": Register(60, "H", 1e-3, 10), "volts": Register(62, "B", 0.1),
+        "speed": Register(58, "H", sign_bit=15), "duty": Register(60, "H", 1e-3, 10), "voltage": Register(62, "B", 0.1),
         "celsius": Register(63, "B"), "current": Register(69, "H", sign_bit=15),
     },
     models={777: ("sts3215", 0.0065), 2825: ("sts3250", 0.0065)}, holds=(0,), current="supply-current",
@@ -95,15 +95,17 @@ DYNAMIXEL = Series(
         "model": Register(0, "H"), "mode": Register(11, "B"), "homing": Register(20, "i"), "torque": Register(64, "B"),
         "goal": Register(116, "i"), "duty": Register(124, "h", 1 / 885), "current": Register(126, "h"),
         "speed": Register(128, "i", 0.229 / 60 * COUNTS_A_TURN), "position": Register(132, "i"),
-        "volts": Register(144, "H", 0.1), "celsius": Register(146, "B"),
+        "voltage": Register(144, "H", 0.1), "celsius": Register(146, "B"),
     },
     models={
         1190: ("xl330-m077", 0.001), 1200: ("xl330-m288", 0.001), 1060: ("xl430-w250", None),
         1030: ("xm430-w210", 0.00269), 1020: ("xm430-w350", 0.00269), 1130: ("xm540-w150", 0.00269),
-        1120: ("xm540-w270", 0.00269),
+        1120: ("xm540-w270", 0.00269), 1110: ("xh540-w150", 0.00269), 1210: ("xc330-t181", 0.001),
+        1220: ("xc330-t288", 0.001), 1070: ("xc430-w150", None),
     },
     holds=(3, 4, 5), current="phase-current", complaints={0x80: "a hardware alert; its register 70 holds the cause"},
 )  # fmt: skip
 """The X series (Koch, ViperX), protocol 2.0: ids, lengths, stuffed bytes and a CRC. Never run on hardware: tested on a
 mocked bus. One block of 31 bytes needs no indirect addresses. The duty is Present PWM, at most 885 counts. An XL430
 reports an estimated load in place of a current."""
+SERIES = {series.kind: series for series in (FEETECH, DYNAMIXEL)}

@@ -20,8 +20,8 @@ from lerobot.teleoperators.keyboard import KeyboardTeleopConfig  # noqa: E402, F
 from lerobot.teleoperators.koch_leader import KochLeaderConfig  # noqa: E402, F401
 from lerobot.teleoperators.so_leader import SO101LeaderConfig  # noqa: E402, F401
 from lerobot_robot_tauext import TauextLeader, TauextLeaderConfig  # noqa: E402
-from lerobot_robot_tauext.feel_step import processors  # noqa: E402
-from lerobot_robot_tauext.positions import radians_a_unit  # noqa: E402
+from lerobot_robot_tauext.programs import processors  # noqa: E402
+from lerobot_robot_tauext.tauext_leader import radians_a_unit  # noqa: E402
 from lerobot_robot_tauext.torque_ports import DamiaoPort, DynamixelPort, torque_port  # noqa: E402
 
 from tauext.errors import ConfigError  # noqa: E402

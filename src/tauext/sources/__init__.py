@@ -1,5 +1,5 @@
-"""Sources of samples and destinations of estimates: robots, servo buses, replay, LeRobot.
+"""Sources of samples: robots and replay; other kinds come from plug-ins.
 
-Input: addresses and settings of a controller, bus or dataset. Output: samples in the monitor's units, and estimates in
-the protocol of the other side. The package imports `monitor` and the packages before it.
+Input: addresses and settings of a controller or recording. Output: samples in the monitor's units. The package imports
+`monitor` and the packages before it.
 """

@@ -1,71 +1,63 @@
-"""Common parts of sources that read several motors of a bus: ticks, and motors that stop answering."""
+"""Common parts of sources that ask several motors of a bus: ticks, motors that stop answering, what motors report."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TypeVar
+from abc import abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol, TypeVar
+
+import numpy as np
 
 from tauext.errors import AwayError, ConfigError
 from tauext.files.places import Place
-from tauext.monitor.source import SourceSettings
+from tauext.monitor.source import Sample
+from tauext.sources.describing import LEARNT_STEPS
 from tauext.sources.reader import ReaderSource, Unreachable
 
+WAIT_S = 0.1
+"""Longest wait for a tick or an answer, [s]."""
+TRIES = 3
+"""Attempts at a one-time request, since packets may be lost."""
 REPORTED_AFTER = 5
 """Consecutive readings without a motor after which it is reported."""
-Motor = TypeVar("Motor")
 
 
-class DropOuts:
-    """Counts readings without a servo; reports when a servo stops answering and when it answers again."""
+class Motor(Protocol):
+    """A motor of a bus; its text names it in messages."""
 
-    def __init__(self, names: dict[int, str], note: Callable[[str], None]):
-        """names: names of the servos by id."""
-        self._names, self._note = names, note
-        self._in_a_row = dict.fromkeys(names, 0)
-        self.missed = dict.fromkeys(names, 0)
-        """Readings without the servo, by id."""
-        self.corrupt = self.refused = 0
-        """Unusable packets; readings in which a servo was missing."""
+    @property
+    def id(self) -> int: ...
 
-    def whole(self, came: Collection[int], corrupt: int) -> bool:
-        """Whether all servos answered; counts those that did not."""
-        self.corrupt += corrupt
-        for id_, name in self._names.items():
-            if id_ not in came:
-                self.missed[id_] += 1
-                self._in_a_row[id_] += 1
-                if self._in_a_row[id_] == REPORTED_AFTER:
-                    self._note(f"{name} does not answer: no sample until it does")
-            else:
-                if self._in_a_row[id_] >= REPORTED_AFTER:
-                    self._note(f"{name} answers again, after {self._in_a_row[id_]} readings without it")
-                self._in_a_row[id_] = 0
-        missing = len(came) < len(self._names)
-        self.refused += missing
-        return not missing
 
-    def summary(self) -> str:
-        """One line about missing servos; empty: none was missing."""
-        if not self.refused:
-            return ""
-        by_name = ", ".join(f"{self._names[id_]} in {count}" for id_, count in self.missed.items() if count)
-        packets = f"; {self.corrupt} unusable packets" if self.corrupt else ""
-        return f"a servo was missing in {self.refused} readings: {by_name}{packets}"
-
-    def forget(self) -> None:
-        """Restart the count."""
-        self.refused = self.corrupt = 0
-        self.missed = dict.fromkeys(self._names, 0)
+AnyMotor = TypeVar("AnyMotor", bound=Motor)
 
 
 class BusSource(ReaderSource):
-    """A source that reads several motors of a bus."""
+    """A source that asks every motor of a bus once per period.
 
-    _drop_outs: DropOuts | None = None
+    A reading without a motor is refused and counted. A motor that stops answering is reported, and when it answers
+    again.
+    """
 
-    def motors_of(self, settings: SourceSettings, path: Place, motors: Mapping[str, Motor]) -> list[Motor]:
-        """Select the motors of the bundle's joints; missing answers of these are counted.
+    def __init__(self, name: str):
+        super().__init__(name)
+        self._due_s: float | None = None
+        """Time of the next request; None: now. connect() sets it to None."""
+        self._names: dict[int, str] = {}
+        self._in_a_row: dict[int, int] = {}
+        self._missed: dict[int, int] = {}
+        self._reports: dict[int, str] = {}
+        self._corrupt = 0
+
+    # For subclasses.
+
+    @abstractmethod
+    def ask(self) -> Sample | None:
+        """Ask every motor once; None: one did not answer. Raises Unreachable."""
+
+    def motors_of(self, joints: Sequence[str], path: Place, motors: Mapping[str, AnyMotor]) -> list[AnyMotor]:
+        """Select the motors of the joints; missing answers of these are counted from now on.
 
         Args:
             path: the file that lists the motors.
@@ -73,40 +65,86 @@ class BusSource(ReaderSource):
         Raises:
             ConfigError: the file lacks a joint.
         """
-        for name in settings.joints:
+        for name in joints:
             if name not in motors:
                 raise ConfigError(f"{path}: joint '{name}' of the bundle is missing; the file has {', '.join(motors)}")
-        found = [motors[name] for name in settings.joints]
+        found = [motors[name] for name in joints]
         self.robot_joints = len(found)
-        self._drop_outs = DropOuts({one.id: str(one) for one in found}, self._note)  # type: ignore[attr-defined]
+        self._names = {one.id: str(one) for one in found}
+        self._in_a_row, self._missed = dict.fromkeys(self._names, 0), dict.fromkeys(self._names, 0)
+        self._reports, self._corrupt = dict.fromkeys(self._names, ""), 0
         return found
 
-    def _all_came(self, ids: Collection[int], corrupt: int = 0) -> bool:
-        """Whether all motors answered; counts the reading as refused where one did not."""
-        assert self._drop_outs is not None  # since open()
-        whole = self._drop_outs.whole(ids, corrupt)
+    def whole(self, came: Collection[int], corrupt: int = 0) -> bool:
+        """Whether all motors answered; counts those that did not, and unusable packets."""
+        self._corrupt += corrupt
+        for id_, name in self._names.items():
+            row, self._in_a_row[id_] = self._in_a_row[id_], 0
+            if id_ not in came:
+                self._missed[id_] += 1
+                self._in_a_row[id_] = row + 1
+                if row + 1 == REPORTED_AFTER:
+                    self._note(f"{name} does not answer: no sample until it does")
+            elif row >= REPORTED_AFTER:
+                self._note(f"{name} answers again, after {row} readings without it")
+        whole = len(came) == len(self._names)
         self.counts.refused += not whole
         return whole
 
+    def reports(self, id_: int, text: str) -> None:
+        """Note what a motor reports, such as a fault, where it has changed; empty: no error."""
+        if text != self._reports[id_]:
+            self._reports[id_] = text
+            self._note(f"{self._names[id_]} reports: {text}" if text else f"{self._names[id_]} reports no error")
+
+    def several(self, wait_s: float) -> list[Sample]:
+        """As many samples as a rate is learnt from, fewer after wait_s. Raises Unreachable: none."""
+        samples, until = list[Sample](), time.monotonic() + wait_s
+        while len(samples) <= LEARNT_STEPS and time.monotonic() < until:
+            if (sample := self.ask()) is not None:
+                samples.append(sample)
+        if not samples:
+            raise Unreachable("; ".join(self.notes()) or "no reading in which every motor answered")
+        return samples
+
+    # The interface of a source, and of a reader.
+
+    def read(self) -> Sample | None:
+        """Ask at the next tick, one period after the last whatever the answers' delays; skipped ticks are lost."""
+        now_s, period_s = time.monotonic(), self.settings.period_ns * 1e-9
+        due_s = now_s if self._due_s is None else self._due_s
+        if (left_s := due_s - now_s) > 0:
+            time.sleep(min(left_s, WAIT_S))
+            if left_s > WAIT_S:
+                return None
+        skipped = max(0, int((time.monotonic() - due_s) // period_s))
+        self.counts.lost += skipped
+        self._due_s = due_s + (1 + skipped) * period_s
+        return self.ask()
+
+    def _count_lost(self, t_ns: int) -> None:
+        """Do nothing: stamps are times of requests, and skipped requests are counted in read()."""
+
     def close(self) -> None:
         super().close()
-        if self._drop_outs is not None and (summary := self._drop_outs.summary()):
-            self._note(f"{self.name}: {summary}")
-            self._drop_outs.forget()
+        if any(self._missed.values()):
+            by_name = ", ".join(f"{self._names[id_]} in {count}" for id_, count in self._missed.items() if count)
+            packets = f"; {self._corrupt} unusable packets" if self._corrupt else ""
+            self._note(f"{self.name}: a servo was missing in {self.counts.refused} readings: {by_name}{packets}")
+            self._missed = {}
 
 
-def expect_answers(readings: int, notes: list[str]) -> None:
-    """Raise Unreachable, with the notes of the bus, if no reading was whole."""
-    if not readings:
-        raise Unreachable("; ".join(notes) or "no reading in which every motor answered")
+def shortest_period_ns(samples: Sequence[Sample], periods_ns: Sequence[int], arm: str, least_ns: float = 0.0) -> int:
+    """The shortest of the periods in which a reading fits twice.
 
-
-def shortest_period_ns(reading_ns: float, periods_ns: Sequence[int], arm: str) -> int:
-    """The shortest of the periods in which a reading, [ns], fits twice.
+    Args:
+        samples: readings, whose median time from request to sample counts.
+        least_ns: shortest time of a reading by its bytes, [ns].
 
     Raises:
         AwayError: there is none.
     """
+    reading_ns = max(least_ns, float(np.median([one.received_ns - one.t_ns for one in samples])))
     for period_ns in periods_ns:
         if 2 * reading_ns <= period_ns:
             return period_ns
@@ -114,32 +152,3 @@ def shortest_period_ns(reading_ns: float, periods_ns: Sequence[int], arm: str) -
         f"{arm}: a reading takes {reading_ns * 1e-6:.3g} ms, more than half of the longest period, "
         f"{periods_ns[-1] * 1e-6:g} ms: set a higher baud rate, or put fewer motors on the bus"
     )
-
-
-# --- Time of the next request on a bus: one per period, independent of the answers' delays.
-
-
-class Ticks:
-    """Ticks one period apart, starting at the first wait(); missed ticks are skipped."""
-
-    def __init__(
-        self,
-        period_s: float,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ):
-        """clock and sleep are in seconds."""
-        self._period_s, self._clock, self._sleep = period_s, clock, sleep
-        self._due_s: float | None = None
-
-    def wait(self, most_s: float) -> int | None:
-        """Wait for the next tick; returns how many were skipped before it. None: it is not due within most_s."""
-        now_s = self._clock()
-        due_s = now_s if self._due_s is None else self._due_s
-        if (left_s := due_s - now_s) > 0:
-            self._sleep(min(left_s, most_s))
-            if left_s > most_s:
-                return None
-        skipped = max(0, int((self._clock() - due_s) // self._period_s))
-        self._due_s = due_s + (1 + skipped) * self._period_s
-        return skipped

@@ -14,9 +14,9 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
-from tauext.sources.describing import LEARNT_STEPS, chosen_joints, learnt_period_ns
-from tauext.sources.reader import Unreachable, optional_library
-from tauext_lerobot.bus_source import BusSource, Ticks, expect_answers, shortest_period_ns
+from tauext.sources.describing import chosen_joints, learnt_period_ns
+from tauext.sources.reader import ReaderSource, Unreachable, optional_library
+from tauext_lerobot.bus_source import TRIES, WAIT_S, BusSource, shortest_period_ns
 
 # --- The bus file: ids, zeros and directions of the motors by joint.
 
@@ -129,8 +129,6 @@ ANSWER_S = 0.02
 """Longest delay of an answer, [s]."""
 PERIODS_NS = (1_000_000, 2_000_000, 5_000_000, 10_000_000, 20_000_000)
 """Periods of which describe() takes one."""
-WAIT_S = 0.1
-TRIES = 3
 FAULTS = {
     0x8: "too high a voltage", 0x9: "too low a voltage", 0xA: "overcurrent", 0xB: "hot bridge", 0xC: "hot windings",
     0xD: "communication lost", 0xE: "overload",
@@ -157,22 +155,16 @@ class DamiaoSource(BusSource):
     def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
         """Time some readings; the period is the shortest usual one of at least twice a reading. With ask = false: learn
         the other program's."""
-        until = time.monotonic() + wait_s
         joints, notes = chosen_joints(list(self._file.motors), robot, self.name)
         settings = SourceSettings(joints, PERIODS_NS[-1] if self._file.ask else 1, ("N m",) * len(joints), "instant")
         self._prepare(settings)
         self.settings = settings
         self.connect()
-        stamps, took_ns = list[int](), list[int]()
-        while len(stamps) <= LEARNT_STEPS and time.monotonic() < until:
-            if (sample := self._asked() if self._file.ask else self._overheard()) is not None:
-                stamps.append(sample.t_ns)
-                took_ns.append(sample.received_ns - sample.t_ns)
+        samples = self.several(wait_s)
         if self._file.ask:
-            expect_answers(len(stamps), self.notes())
-            period_ns = shortest_period_ns(float(np.median(took_ns)), PERIODS_NS, self.name)
+            period_ns = shortest_period_ns(samples, PERIODS_NS, self.name)
         else:
-            period_ns = learnt_period_ns(stamps, self.name)
+            period_ns = learnt_period_ns([one.t_ns for one in samples], self.name)
         return SourceFacts(replace(settings, period_ns=period_ns), "torque", temperature=True, notes=notes)
 
     def open(self, settings: SourceSettings) -> None:
@@ -180,14 +172,13 @@ class DamiaoSource(BusSource):
         super().open(settings)
 
     def _prepare(self, settings: SourceSettings) -> None:
-        self._motors = self.motors_of(settings, self._file.path, self._file.motors)
+        self._motors = self.motors_of(settings.joints, self._file.path, self._file.motors)
         if any(unit not in ("N m", "N") for unit in settings.torque_units):
             raise ConfigError(f"{self.name} reports torque in N m, the bundle takes {', '.join(settings.torque_units)}")
         if settings.servo is not None and settings.servo.on and settings.servo.torque_from.name != "torque":
             wanted = settings.servo.torque_from.name.replace("_", "-")
             raise ConfigError(f"{self.name} reports torque, the bundle takes its torque from {wanted}")
         self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
-        self._faults = [0] * len(self._motors)
         self._states: dict[int, bytes] = {}
 
     def connect(self) -> None:
@@ -207,18 +198,14 @@ class DamiaoSource(BusSource):
             self.disconnect()
             raise
         self._states = {}
-        self._ticks = Ticks(self.settings.period_ns * 1e-9)
+        self._due_s = None
 
     def read(self) -> Sample | None:
+        return super().read() if self._file.ask else self._overheard()
+
+    def ask(self) -> Sample | None:
         if not self._file.ask:
             return self._overheard()
-        if (skipped := self._ticks.wait(WAIT_S)) is None:
-            return None
-        self.counts.lost += skipped
-        return self._asked()
-
-    def _asked(self) -> Sample | None:
-        """Ask every motor for its state."""
         while self._receive(0.0) is not None:  # late answers to an earlier request
             pass
         t_ns = time.monotonic_ns()
@@ -239,9 +226,8 @@ class DamiaoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        """Count lost samples of overheard motors only; a skipped request is counted where it is skipped."""
         if not self._file.ask:
-            super()._count_lost(t_ns)
+            ReaderSource._count_lost(self, t_ns)
 
     def _overheard(self) -> Sample | None:
         """A sample once every motor has answered another program; a motor that answers twice before starts over."""
@@ -261,12 +247,12 @@ class DamiaoSource(BusSource):
         return self._whole(self._begun_ns, states)
 
     def _whole(self, t_ns: int, states: dict[int, bytes]) -> Sample | None:
-        if not self._all_came([self._motors[k].id for k in states]):
+        if not self.whole([self._motors[k].id for k in states]):
             self._last_ns = t_ns  # refused, but not lost
             return None
         data = np.array([list(states[k]) for k in range(len(self._motors))])
-        for k, fault in enumerate(data[:, 0] >> 4):
-            self._complain(k, int(fault))
+        for motor, fault in zip(self._motors, data[:, 0] >> 4, strict=True):
+            self.reports(motor.id, FAULTS.get(int(fault), ""))
         counts = np.stack(
             [
                 data[:, 1] << 8 | data[:, 2],
@@ -287,11 +273,6 @@ class DamiaoSource(BusSource):
             received_ns=time.monotonic_ns(),
             temperature=data[:, 7].astype(float),
         )
-
-    def _complain(self, k: int, fault: int) -> None:
-        if fault != self._faults[k] and (fault in FAULTS or self._faults[k] in FAULTS):
-            self._note(f"{self._motors[k]} reports: {FAULTS.get(fault, 'no fault')}")
-        self._faults[k] = fault
 
     def _state(self, wait_s: float) -> tuple[int, bytes] | None:
         """Receive a state: index of the motor, and the state; None: none arrived."""

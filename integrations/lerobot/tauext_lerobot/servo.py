@@ -15,18 +15,13 @@ from tauext.errors import ConfigError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.sources.describing import chosen_joints
 from tauext.sources.reader import Misfit, Unreachable
-from tauext_lerobot.bus_source import BusSource, Ticks, expect_answers, shortest_period_ns
+from tauext_lerobot.bus_source import TRIES, BusSource, shortest_period_ns
 from tauext_lerobot.servo_bus import ServoBus, ServoPort
 from tauext_lerobot.servo_bus_file import ServoBusFile, ServoJoint
 from tauext_lerobot.servo_series import Series
 
-WAIT_S = 0.1
 PERIODS_NS = (5_000_000, 10_000_000, 20_000_000, 33_333_333, 50_000_000)
 """Periods of which describe() takes the shortest in which a reading fits twice."""
-DESCRIBED_FROM = 5
-"""Readings that describe() times."""
-TRIES = 3
-"""Attempts at a one-time request, since packets may be lost."""
 ON = b"\x01"
 COUNT_RAD = 2 * np.pi / COUNTS_A_TURN
 
@@ -68,9 +63,7 @@ class ServoSource(BusSource):
     # The interface of a source.
 
     def open(self, settings: SourceSettings) -> None:
-        self._servos = self.motors_of(settings, self._file.path, self._file.joints)
-        self._ids = [servo.id for servo in self._servos]
-        self._errors: dict[int, int] = {}
+        self._prepare(settings.joints)
         least_s = self.bus.transaction_s(len(self._ids), self._series.state[1])
         if least_s * 1e9 > settings.period_ns:
             raise ConfigError(
@@ -86,20 +79,13 @@ class ServoSource(BusSource):
         The torque comes from the best signal that all servos report; constants are those of their types.
         """
         joints, notes = chosen_joints(list(self._file.joints), robot, self.name)
-        self._servos = [self._file.joints[name] for name in joints]
-        self._ids, self._errors = [servo.id for servo in self._servos], {}
+        self._prepare(joints)
         self.bus.port.close()
         self.bus.port.open()
         self._identify()
-        took_ns, samples = list[int](), list[Sample]()
-        for _ in range(DESCRIBED_FROM):
-            reading = self.bus.read(*self._series.state, self._ids)
-            took_ns.append(time.monotonic_ns() - reading.t_ns)
-            if len(reading.data) == len(self._ids):
-                samples.append(self._sample(reading.t_ns, [reading.data[id_] for id_ in self._ids]))
-        expect_answers(len(samples), [])
+        samples = self.several(wait_s)
         least_ns = self.bus.transaction_s(len(self._ids), self._series.state[1]) * 1e9
-        period_ns = shortest_period_ns(max(least_ns, float(np.median(took_ns))), PERIODS_NS, self.name)
+        period_ns = shortest_period_ns(samples, PERIODS_NS, self.name, least_ns)
         signal = self._series.current if self._series.current == "phase-current" else "duty"
         if not all(signal in self._identities[id_].reports for id_ in self._ids):
             signal = "duty"
@@ -130,17 +116,15 @@ class ServoSource(BusSource):
         except Unreachable:
             port.close()
             raise
-        self._ticks = Ticks(self.settings.period_ns * 1e-9)
+        self._due_s = None
 
-    def read(self) -> Sample | None:
-        if (skipped := self._ticks.wait(WAIT_S)) is None:
-            return None
-        self.counts.lost += skipped
+    def ask(self) -> Sample | None:
         reading = self.bus.read(*self._series.state, self._ids)
-        if not self._all_came(reading.data.keys(), reading.corrupt):
+        if not self.whole(reading.data.keys(), reading.corrupt):
             return None
         for id_, error in reading.errors.items():
-            self._complain(id_, error)
+            texts = [text for bit, text in self._series.complaints.items() if error & bit] or [f"error {error}"]
+            self.reports(id_, ", ".join(texts) if error else "")
         return self._sample(reading.t_ns, [reading.data[id_] for id_ in self._ids])
 
     def disconnect(self) -> None:
@@ -179,8 +163,9 @@ class ServoSource(BusSource):
 
     # Inside.
 
-    def _count_lost(self, t_ns: int) -> None:
-        """Do nothing: stamps are times of requests, and skipped requests are counted in read()."""
+    def _prepare(self, joints: Sequence[str]) -> None:
+        self._servos = self.motors_of(joints, self._file.path, self._file.joints)
+        self._ids = [servo.id for servo in self._servos]
 
     def _all_of(self, address: int, length: int) -> dict[int, bytes]:
         """Read registers of all servos. Raises Unreachable: a servo does not answer."""
@@ -242,13 +227,6 @@ class ServoSource(BusSource):
                 f"the bundle's goals act {servo.goal_delay_ns * 1e-6:g} ms after their stamp, but a register holds the "
                 "goal that acts now: train on recordings of --record, with goal_delay_s = 0"
             )
-
-    def _complain(self, id_: int, error: int) -> None:
-        if error != self._errors.get(id_, 0):
-            self._errors[id_] = error
-            servo = next(one for one in self._servos if one.id == id_)
-            texts = [text for bit, text in self._series.complaints.items() if error & bit] or [f"error {error}"]
-            self._note(f"{servo} reports: {', '.join(texts)}" if error else f"{servo} reports no error")
 
     def _sample(self, t_ns: int, data: Sequence[bytes]) -> Sample:
         registers, first = self._series.registers, self._series.state[0]

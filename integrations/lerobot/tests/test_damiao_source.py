@@ -151,7 +151,7 @@ def test_faults_are_told_and_other_frames_are_not_taken_for_states(motors):
     motors.states[1] = state_of(1, 0)
     taken(source, 10)
     source.close()
-    assert source.notes() == ["motor 0x01 (pan) reports: no fault"]
+    assert source.notes() == ["motor 0x01 (pan) reports no error"]
 
 
 def test_answers_to_another_program_are_overheard_and_nothing_is_sent(motors):

@@ -25,7 +25,7 @@ from tauext.evaluate.free_motion import count_episodes
 from tauext.evaluate.injected import estimate_recording
 from tauext.report.paper import L1_NM, L2_NM, MSE_NM2
 
-PAGE = ROOT / "docs/results/full/seeds.md"
+PAGE = ROOT / "docs/results/full/seeds.inc"
 PAPER_STEP = 10
 """Samples from one row of the paper's data to the next."""
 STICTION_RAD_S = 0.02

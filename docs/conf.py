@@ -38,10 +38,8 @@ extensions = [
     "paper_tables",
     "rst_text",
 ]
-INCLUDED = ["results/full/seeds.md"]
-"""Parts of pages that benchmarks write, which are no pages themselves."""
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_extensions", "_static", *INCLUDED]
+exclude_patterns = ["_extensions", "_static"]
 nitpicky = True
 # Only names of the front door have a page. Other packages' pages are on other hosts, other modules of ours have none.
 nitpick_ignore_regex = [("py:.*", r"(?!tauext\.\w+$).*")]

@@ -87,9 +87,3 @@ def test_descriptions_and_their_variants_are_valid_and_commands_name_what_is_the
                 sources = words[words.index("--source") + 1 :]
                 sources = sources[: next((k for k, w in enumerate(sources) if w.startswith("--")), None)]
                 assert set(sources) <= there and ("--new" in words or words[words.index("--arm") + 1] in there)
-
-
-def test_every_page_and_figure_that_the_index_names_is_there():
-    index = (KEPT / "README.md").read_text()
-    for target in re.findall(r"\]\(([^)]+)\)", index):
-        assert (KEPT / target).is_file(), target

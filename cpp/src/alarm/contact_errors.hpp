@@ -26,7 +26,7 @@ class ContactErrors {
   // Share of F that a resting joint hides: with presliding states that follow its friction, and without any: then it is
   // anything between all of it this way and that, where one end was expected. In between, the share depends on the narrowest
   // state relative to kBuildsUpRad, the travel over which friction builds up. Fitted to simulated arms
-  // (docs/results/contact-errors).
+  // (docs/results/forces.md).
   static constexpr double kFineShare = 0.12, kCoarseShare = 1.15, kBuildsUpRad = 1e-3;
   // Share of the gap if training found local memory, and if it found none or was undecided.
   static constexpr double kUnsureLocal = 0.05, kUnsureBank = 0.3;

@@ -15,13 +15,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, arguments, head, joined, table_row, tauext, write_page
-from scipy.stats import beta
+from common import ROOT, arguments, checkpoint, head, in_parallel, joined, share_interval, table_row, tauext, write_page
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -33,7 +31,7 @@ from tauext.data.recording_file import load_recording, save_recording
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.free_motion import FreeMotionErrors
 from tauext.evaluate.missed_curve import MissedCurve
-from tauext.files.provenance import VERSION, write_json
+from tauext.files.provenance import VERSION
 from tauext.fit.tail import rate_interval
 from tauext.train.error_scale import Judged, collect_rows, fit_error_scale, paper_limits, set_limits
 from tauext.train.promised_limits import apply_promised, promised_limits
@@ -180,10 +178,8 @@ def judged_bundles(path: Path, data: Path, split: Split) -> dict[str, _core.Bund
     return found
 
 
-def judge(path: Path, data: Path, kept: Path) -> None:
-    """Write false alarms and detections of a bundle with each kind of limits to `kept`."""
-    if kept.exists():
-        return
+def judge(path: Path, data: Path) -> dict:
+    """False alarms and detections of a bundle with each kind of limits."""
     split = load_split(data)
     bundles = judged_bundles(path, data, split)
     first = next(iter(bundles.values()))
@@ -209,17 +205,10 @@ def judge(path: Path, data: Path, kept: Path) -> None:
         points = [asdict(point) for point in curves[kind].summary()]
         limits = {"sliding": bundle.sliding_limit_nm, "near": bundle.near_stiction_limit_nm, "hold_s": bundle.hold_s}
         content[kind] = {"free": free, "curve": points, "limits": limits}
-    write_json(content, kept)
+    return content
 
 
 # --- Tables.
-
-
-def share_interval(found: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share [Clopper and Pearson], in percent."""
-    low = 0.0 if found == 0 else beta.ppf(0.025, found, of - found + 1)
-    high = 1.0 if found == of else beta.ppf(0.975, found + 1, of - found)
-    return 100 * float(low), 100 * float(high)
 
 
 def at_rate(curve: list[dict], per_hour: float) -> dict | None:
@@ -278,31 +267,27 @@ def tables(out: Path, models: list[str]) -> list[str]:
     return lines
 
 
-def run(job: Job, data: Path, out: Path, paper: Path | None) -> str:
+def run(job: Job, data: Path, out: Path, paper: Path | None) -> None:
     bundle = train(job, data, out, paper)
-    if bundle is None:
-        return f"{job.name}: no network of the paper's recipe"
-    judge(bundle, data, out / "judged" / f"{job.name}.json")
-    return job.name
+    if bundle is not None:
+        checkpoint(out / "judged" / f"{job.name}.json", lambda: judge(bundle, data))
+    print(job.name, "" if bundle else "has no network of the paper's recipe", flush=True)
 
 
 def main() -> None:
-    parser = arguments(__doc__, "data", "out")
+    parser = arguments(__doc__, "data", "out", workers=2)
     parser.add_argument("--models", nargs="+", default=["exact", "none"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--hours", nargs=2, type=float, default=[8.0, 5.0], help="of calibration and of test motion")
     parser.add_argument("--paper", type=Path, help="folder with CASE-SEED.tauext of recipe paper")
-    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--tables", action="store_true", help="print the tables of what is there")
     options = parser.parse_args()
     out, data = options.out, options.out / "data"
     if not options.tables:
         reduce_dataset(options.data, data, *options.hours)
-        (out / "judged").mkdir(exist_ok=True)
-        with ProcessPoolExecutor(options.workers) as pool:
-            todo = [pool.submit(run, job, data, out, options.paper) for job in jobs(options.models, options.seeds)]
-            for one in todo:
-                print(one.result(), flush=True)
+        in_parallel(
+            options.workers, run, [(job, data, out, options.paper) for job in jobs(options.models, options.seeds)]
+        )
     write_page(ROOT / "docs/results/comparison/ablation.inc", tables(out, options.models))
 
 

@@ -6,7 +6,7 @@ Arms of benchmarks/unseen at their work, without touches while they learn: twent
 hour for the limits, a later hour of the same programs, an hour of others, and half an hour with 150 touches. Hits are
 added to that last free hour in every link and direction (`tauext evaluate --inject`). Existing recordings and bundles
 in OUT/ARM are used again, and OUT/promise.json keeps the results of each version of the code, so that two versions are
-compared on the same files: run the script in both checkouts. OUT/README.md gets the table of docs/results/promise.
+compared on the same files: run the script in both checkouts.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from commission import commit
-from common import arguments, head, joined, table_row, trained, write_page
+from common import arguments, commit, head, joined, save_json, table_row, trained, write_tables
 from unseen.arms import makers
 from unseen.working import NAMES, Part, Working, current_arm, working
 
@@ -41,11 +40,10 @@ WARM_S = 7200.0
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=["palletizer", "offset_wrist", "light_arm", "ur5", "panda"])
-    parser.add_argument("--seed", type=int, default=0, help="of arms, motion and touches")
+    parser = arguments(
+        __doc__, "models", "out", arms=("palletizer", "offset_wrist", "light_arm", "ur5", "panda"), seed=0
+    )
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
     file, version = options.out / "promise.json", commit()
     done = json.loads(file.read_text()) if file.exists() else {}
     for name in options.arms:
@@ -57,15 +55,14 @@ def main() -> None:
         )
         made(arm, folder, options.seed)
         done.setdefault(name, {})[version] = judged(folder)
-        file.write_text(json.dumps(done, indent=1) + "\n")
+        save_json(done, file)
         print(name, done[name][version], flush=True)
-    words = f"python benchmarks/arm_promise.py MODELS OUT --arms {' '.join(done)}"
-    write_page(options.out / "README.md", markdown(done, words))
+    write_tables(options.out, tables(done))
 
 
 def made(arm: Working, folder: Path, seed: int) -> None:
     """Recordings and bundle of an arm, as far as they do not exist."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     robot = arm.robot
     if arm.robot_text:
         robot = folder / "in.xml"
@@ -128,43 +125,22 @@ def share_of_hits(one: EvaluatedBundle) -> float:
     return float(np.mean(shares))
 
 
-INTRO = """\
-Arms of the [trial on unseen arms](../unseen-arms/README.md) with their motor currents and wrong URDFs: twenty minutes
-of training, an hour for the limits, a later hour of the same programs, an hour of other programs, 150 touches in half
-an hour of them, hits added to that free hour with equal weight for each link. Nothing touches the arms while they
-learn. An hour supports one false alarm in 20 minutes, so that three are promised in each hour. Two versions are
-compared on the same recordings and the same trained prior: *equal shares*, where each joint and region has a share of
-the budget and 95 % confidence of its own, and *together*, the present
-[limits](../../method/training.md#limits-from-a-false-alarm-budget).""".splitlines()
-
-
-def markdown(done: dict, words: str) -> list[str]:
-    lines = [
-        "# Limits chosen together",
-        "",
-        f"Written by `{words}`, in the checkouts of both versions.",
-        "",
-        *INTRO,
-        "",
-    ]
+def tables(done: dict) -> list[str]:
+    """Sums of each version over the arms, then a row an arm and version."""
     ways: tuple[list[dict], list[dict]] = ([], [])
     for versions in done.values():
         for way, one in zip(ways, versions.values(), strict=False):
             way.append(one)
-    for what, way in zip(("Equal shares", "Together"), ways, strict=True):
-        later, other, detected, touches = (
-            sum(one[key] for one in way) for key in ("false_later", "false", "detected", "touches")
-        )
+    lines = head("version | arms | false alarms, same programs | others | promised in each | kept on arms | touches")
+    for what, way in zip(("first", "second"), ways, strict=True):
+        sums = [sum(one[key] for one in way) for key in ("false_later", "false", "detected", "touches")]
         kept = [
             sum(is_kept(one[false], one[hours], one["promised_per_hour"]) for one in way)
             for false, hours in (("false_later", "hours_later"), ("false", "hours"))
         ]
         promised = sum(one["promised_per_hour"] * one["hours"] for one in way)
-        lines.append(
-            f"- {what}, {len(way)} arms: {later} false alarms in the same programs and {other} in others, "
-            f"{promised:.0f} promised in each; plausible under the promise on {kept[0]} and on {kept[1]} arms. "
-            f"{detected} of {touches} touches ({detected / touches:.0%})."
-        )
+        cells = (f"{promised:.0f}", "{}, {}".format(*kept), "{2} of {3}".format(*sums))
+        lines.append(table_row(what, len(way), *sums[:2], *cells))
     lines += ["", *head(
         "arm | commit | suspects | false alarms, same programs | other programs | touches | hits "
         "| limits for sliding [N m] | largest error behind the hold time"

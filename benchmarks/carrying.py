@@ -6,7 +6,7 @@
 Each arm is trained by the recipe prior on nine minutes without a load, with the constants of its currents that are
 true, and with some that are off by up to 10 % and that training corrects as it can. Then it moves with 25 loads of 0.5
 to 3 kg, and is pushed while it carries some of them: the same pushes, on the same motion, as without a load.
-OUT/carrying.md and OUT/carrying.json get the tables; docs/results/carrying has those of this command.
+OUT/carrying.md and OUT/carrying.json get the tables.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import COLLISION, arguments, head, in_parallel, joined, table_row, write_page
+from common import COLLISION, arguments, checkpoint, head, in_parallel, joined, quantiles_ms, table_row, write_tables
 from loads import KINDS, dataset
 from unseen.arms import Maker, makers
-from unseen.loads import CONTACTS, PAIRS, pair_names, write_pair
-from unseen.results import STRONG
+from unseen.loads import PAIRS, pair_names, write_pair
+from unseen.recordings import STRONG
 
 from tauext import Bundle, Monitor, Recording, load_bundle, load_dataset, load_recording
 from tauext.monitor.weighing import identify, load_frame, see
@@ -48,9 +48,7 @@ LOADS = {
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis"])
-    parser.add_argument("--seed", type=int, default=0, help="that of benchmarks/loads.py")
+    parser = arguments(__doc__, "models", "out", arms=("ur5", "panda", "kinova", "seven_axis"), seed=0)
     options = parser.parse_args()
     known = makers(options.models)
     carrying: list[dict[str, Any]] = []
@@ -59,24 +57,21 @@ def main() -> None:
         facts = judge(known[arm], options.out / arm, options.seed)
         carrying += facts["carrying"]
         pushed += facts["pushed"]
-    page = markdown(carrying, pushed, f"python benchmarks/carrying.py MODELS OUT --arms {' '.join(options.arms)}")
-    (options.out / "carrying.json").write_text(json.dumps({"carrying": carrying, "pushed": pushed}, indent=1) + "\n")
-    write_page(options.out / "carrying.md", page)
+    write_tables(options.out, tables(carrying, pushed), {"carrying": carrying, "pushed": pushed}, "carrying")
 
 
 def judge(maker: Maker, folder: Path, seed: int) -> dict[str, list[dict[str, Any]]]:
     """Rows of one arm, from FOLDER/carrying.json where that is not older than the bundles."""
-    told, bundles = folder / "carrying.json", {kind: folder / f"{kind}.tauext" for kind in KINDS}
-    kinds = [kind for kind in KINDS if bundles[kind].exists()]  # of some arms loads.py makes no others
-    if told.exists() and all(told.stat().st_mtime > bundles[kind].stat().st_mtime for kind in kinds):
-        return json.loads(told.read_text())
-    in_parallel(os.cpu_count(), write_pair, [(maker, seed, k, folder / "csv") for k in range(PAIRS)])
-    facts = {
-        "carrying": [row for kind in kinds for row in carry(folder, kind)],
-        "pushed": [row for kind in kinds for row in push(maker, folder, kind, seed)],
-    }
-    told.write_text(json.dumps(facts) + "\n")
-    return facts
+    bundles = {kind: path for kind in KINDS if (path := folder / f"{kind}.tauext").exists()}
+
+    def facts() -> dict[str, list[dict[str, Any]]]:
+        in_parallel(os.cpu_count(), write_pair, [(maker, seed, k, folder / "csv") for k in range(PAIRS)])
+        return {
+            "carrying": [row for kind in bundles for row in carry(folder, kind)],
+            "pushed": [row for kind in bundles for row in push(maker, folder, kind, seed)],
+        }
+
+    return checkpoint(folder / "carrying.json", facts, *bundles.values())
 
 
 def carry(folder: Path, kind: str) -> list[dict[str, Any]]:
@@ -209,92 +204,22 @@ def sums(seen: list[dict]) -> dict[str, Any]:
     }
 
 
-INTRO = """# Setting the load in the monitor
-
-How a load set with `set_load` changes false collisions, errors and the detection of pushes. For how to set a
-load, see [loads](../../loads.md).
-
-    python benchmarks/loads.py MODELS OUT --arms ur5 panda kinova seven_axis rig --true-only seven_axis
-    {command}
-
-The first command simulates the arms and their loads. The numbers are in [carrying.json](carrying.json).
-
-## Method
-
-Simulated arms of [unseen arms](../unseen-arms/README.md): a wrong model, friction that depends on history, load
-and temperature, and motor currents. Each arm is trained on nine minutes of motion without a load. The torque
-constants are true, or off by up to 10 % and corrected by training (*off*). The loads weigh 0.5 to 3 kg, within
-10 cm of the origin of the last joint. The limits are those of nine minutes of motion, and allow 1 false alarm
-in 3 minutes.
-
-- **Load not set**: the arm carries a load that is not set in the monitor.
-- **Load set**: `set_load` with the true load and the default `error_share` of 3 %.
-- **Error share 0**: the same with `error_share` 0.
-- **5 % too heavy**: the mass is 1.05 times the true one.
-- **Load as weighed**: the load that the arm itself weighed in 8 s of another motion.
-
-## Detected pushes
-
-Each arm carries {pairs} loads for one minute each, with {contacts} impacts, pushes and holds of 10 to 150 N in
-each minute. *No load* is the same motion with the same pushes, without the load.
-
-- **Hard**: without a load, the true torque of the push momentarily exceeds {hard:g} times the usual sliding
-  limit of some joint (bundle with true constants). Impacts last 20 to 100 ms.
-- **Strong**: {strong:g} times the hold-out error of some joint. **Weak**: less.
-- **Detected**: a collision between the onset and {after_s:g} s after the end. The delay is that of the hard
-  pushes.
-- **False collisions**: those of the free motion in between.
-"""
-READING = """
-With true constants, {detected} of {hard} hard pushes are detected with the load set, and {bare} without a load. With
-constants that are off, weigh the load on the arm instead of entering its true mass. The true mass raises
-{entered} false collisions in {hours:.3f} h, the weighed load {weighed}, and motion without a load {none}.
-
-## False collisions and errors
-
-25 loads for each arm, 9 s each, without contact. *Collisions* counts false collisions.
-"""
-
-
-def markdown(carrying: Sequence[dict], pushed: Sequence[dict], command: str) -> str:
-    """The page."""
-    lines = [
-        INTRO.format(command=command, pairs=PAIRS, contacts=CONTACTS, hard=HARD, strong=STRONG, after_s=AFTER_S),
-        *head(
-            "arm | constants | monitor | hard detected | strong detected | weak detected | delay, ms: median, 90 % "
-            "| false collisions"
-        ),
-    ]
-    over = over_arms(pushed)
-    for one in [*pushed, *over]:
-        delays = "–"
-        if one["delays_s"]:
-            delays = joined(1e3 * np.quantile(one["delays_s"], [0.5, 0.9]), ".0f", ", ")
+def tables(carrying: Sequence[dict], pushed: Sequence[dict]) -> list[str]:
+    """Detected pushes, then false collisions and errors."""
+    lines = head(
+        "arm | constants | monitor | hard detected | strong | weak | delay, ms: median, 90 % | false collisions"
+    )
+    for one in [*pushed, *over_arms(pushed)]:
         counts = ["/".join(map(str, one[name])) for name in GRADES]
         false = f"{one['collisions']} in {one['hours']:.3f} h"
+        delays = quantiles_ms(one["delays_s"], (0.5, 0.9))
         lines.append(table_row(one["arm"], one["constants"], one["monitor"], *counts, delays, false))
-    lines += [reading(over), *head("arm | constants | monitor | collisions | tau_ext, RMS, Nm | usual limits, Nm")]
+    lines += ["", *head("arm | constants | monitor | collisions | tau_ext, RMS, Nm | usual limits, Nm")]
     for one in carrying:
-        rms, limits = (joined(one[name], by=" ") for name in ("rms_nm", "limit_nm"))
+        rms_nm, limits = (joined(one[name], by=" ") for name in ("rms_nm", "limit_nm"))
         false = f"{one['collisions']} in {one['hours']:.3f} h"
-        lines.append(table_row(one["arm"], one["constants"], one["monitor"], false, rms, limits))
-    return "\n".join(lines) + "\n"
-
-
-def reading(over: Sequence[dict]) -> str:
-    """What the table of pushes shows over all arms."""
-    of = {(row["constants"], row["monitor"]): row for row in over}
-    (detected, hard), (bare, _) = (of["true", name]["hard"] for name in ("load set", "no load"))
-    entered, weighed, none = (of["off", name] for name in ("load set", "load as weighed", "no load"))
-    return READING.format(
-        detected=detected,
-        hard=hard,
-        bare=bare,
-        entered=entered["collisions"],
-        hours=entered["hours"],
-        weighed=weighed["collisions"],
-        none=none["collisions"],
-    )
+        lines.append(table_row(one["arm"], one["constants"], one["monitor"], false, rms_nm, limits))
+    return lines
 
 
 def over_arms(pushed: Sequence[dict]) -> list[dict]:

@@ -1,20 +1,24 @@
 """Faults that `tauext check` finds: injected faults, faults named, false findings on good data.
 
-    python benchmarks/check_faults.py --out docs/results/check        # the tables there; half an hour on one core
-    python benchmarks/check_faults.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
+    python benchmarks/check_faults.py OUT [--backlash]        # half an hour on one core
+    python benchmarks/check_faults.py OUT --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
 Every way of tests/check_cases.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
 there). Other arms and drives (`SETTINGS` there) are good data. Of each recording in --data, real ones, whatever is
-found is listed.
+found is listed. --backlash: servos of tests/made_servos.py, two bodies over a gap with friction, gravity, a position
+controller and 4096 counts a turn, at 50 Hz; tau is the drive's torque, or made of goal and position as an import does.
+OUT/check.md gets the tables.
 """
 
 import argparse
 import re
-import shlex
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -31,11 +35,15 @@ from check_cases import (
     parallel,
     scara,
 )
-from common import arguments, head, table_row
+from common import arguments, head, table_row, write_tables
 from made_arms import Part, six_axis, urdf
 from made_recordings import made_motion
+from made_servos import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
 
+from tauext import _core
 from tauext.check.examine import Diagnosis, examine
+from tauext.data.drive_signal import Play, play_of
+from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.robot.read import load_tree
 from tauext.sim.collect import simulate_recording
@@ -50,16 +58,8 @@ UNIT_CODES = ("effort-scale", "effort-motor-side")
 """What is to be found with a model where the effort is a current, or before the gear."""
 
 
-class Lines(list):
-    """Printed as they come, and kept."""
-
-    def say(self, line: str = "") -> None:
-        self.append(line)
-        print(line, flush=True)
-
-
 def main() -> None:
-    parser = arguments(__doc__)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--minutes", type=float, default=1.2, help="of the data that are broken")
     parser.add_argument("--good-minutes", type=float, default=12.0, help="long enough for no finding at all")
     parser.add_argument("--arms", default="six,seven,scara,parallel,rig", help="whose recordings are broken")
@@ -68,41 +68,28 @@ def main() -> None:
     parser.add_argument("--urdf", type=Path, nargs="*", default=[], help="arms whose recordings are broken, too")
     parser.add_argument("--data", type=Path, nargs="*", default=[], help="real recordings, each checked alone")
     parser.add_argument("--robot", type=Path, help="of the real recordings")
-    parser.add_argument("--out", type=Path, help="folder for the tables as README.md")
+    parser.add_argument("--backlash", action="store_true", help="estimate the backlash of simulated servos, too")
     options = parser.parse_args()
-    lines = Lines()
-    lines.say("# Faults in recordings and robot files\n")
-    lines.say("Faults put into good data, and what `tauext check` reports.\n")
-    lines.say(f"    python benchmarks/check_faults.py {shlex.join(sys.argv[1:])}\n")
-    lines.say(
-        f"Each fault is in {options.minutes:g} minutes of recordings. Good data are {options.good_minutes:g} minutes "
-        "long. Faults of one joint are\nin the second joint. *Other findings* do not follow from the fault. In `scara` "
-        "the second joint turns about a vertical\naxis, so gravity shows neither its scale nor its zero position."
-    )
+    lines = head("arm | faults reported | other findings | findings on good data | not reported")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        top = len(lines)
-        arms = [*filter(None, options.arms.split(",")), *options.urdf]
-        summary = [print_faults(lines, str(arm), folder, options) for arm in arms]
+        for arm in [*filter(None, options.arms.split(",")), *options.urdf]:
+            lines.append(print_faults(str(arm), folder, options))
         if options.settings:
-            print_settings(lines, folder, options)
+            lines += ["", *head("arm | with a model | without a model")]
+            lines += [setting_row(one, folder) for one in (*SETTINGS, *CURRENTS)]
     for path in options.data:
-        lines.say(f"\n## {path.stem}\n")
+        print(f"\n{path.stem}")
         for f in examine([load_recording(path)], options.robot).findings:
-            lines.say(f"- {f.severity} `{f.code}` {f.joint or ''}: {f.evidence}")
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        lines[top:top] = [
-            "",
-            *head("arm | faults reported | other findings | findings on good data | not reported"),
-            *summary,
-        ]
-        (options.out / "README.md").write_text("\n".join(lines) + "\n")
+            print(f"- {f.severity} `{f.code}` {f.joint or ''}: {f.evidence}")
+    if options.backlash:
+        lines += ["", *backlash_tables()]
+    write_tables(options.out, lines, name="check")
 
 
-def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespace) -> str:
-    """The table of one arm; returns the arm's row of the summary."""
-    lines.say(f"\n## {Path(arm).stem}\n\n| fault | reported as | joints | other findings |\n|---|---|---|---|")
+def print_faults(arm: str, folder: Path, options: argparse.Namespace) -> str:
+    """Print the table of one arm; returns the arm's row of the summary."""
+    print("\n".join(["", *head(f"{Path(arm).stem}: fault | reported as | joints | other findings")]))
     named = tried = others = false = 0
     missed = []
     case = make_case(arm, folder, options.minutes, 0)
@@ -122,30 +109,21 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
         missed += [] if found else [fault.name]
         joints = ", ".join(dict.fromkeys(f.joint or "all" for f in diagnosis.findings if f.code == fault.code))
         told = ", ".join(sorted({f"{f.code} ({f.joint})" for f in besides}))
-        lines.say(table_row(fault.name, fault.code if found else "NOT REPORTED", joints, told))
-    lines.say()
+        print(table_row(fault.name, fault.code if found else "NOT REPORTED", joints, told), flush=True)
     for seed in range(options.seeds):
         good = make_case(arm, folder, options.good_minutes, seed)
         findings = [f for f in examine(good.made.recordings, good.urdf).findings if f.code != "too-short"]
         false += len(findings)
         for f in findings:
-            lines.say(f"- good data, seed {seed}: {f.severity} `{f.code}` {f.joint}: {f.evidence}")
+            print(f"- good data, seed {seed}: {f.severity} `{f.code}` {f.joint}: {f.evidence}")
     return table_row(Path(arm).stem, f"{named} of {tried}", others, false, "; ".join(missed) or "none")
 
 
-def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> None:
-    lines.say("\n## Other arms and drives\n")
-    lines.say(
-        f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, `tauext check` reports currents and "
-        "torques before the gear as such,\nwhich is right. The thresholds for stuck efforts, drift and unlabelled "
-        "contacts were set on these data; those of the\nother checks were not.\n"
-    )
-    lines.say("\n".join(head("arm | with a model | without a model")))
-    for setting in (*SETTINGS, *CURRENTS):
-        expected = UNIT_CODES if setting in CURRENTS else ()
-        path, recordings = good_data(setting, folder, SETTING_MINUTES)
-        told = [told_findings(examine(recordings, robot), expected) for robot in (path, None)]
-        lines.say(table_row(setting.name, *told))
+def setting_row(setting: Setting, folder: Path) -> str:
+    """Findings on good data of another arm or drive, with a model and without."""
+    expected = UNIT_CODES if setting in CURRENTS else ()
+    path, recordings = good_data(setting, folder, SETTING_MINUTES)
+    return table_row(setting.name, *(told_findings(examine(recordings, robot), expected) for robot in (path, None)))
 
 
 def good_data(setting: Setting, folder: Path, minutes: float) -> tuple[Path, list]:
@@ -182,6 +160,64 @@ def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
     else:
         urdf_file(path, {"six": six_axis, "scara": scara, "parallel": parallel}[arm]())
     return Case(made_motion(load_tree(path), minutes, RATE_HZ, seed), path, minutes, RATE_HZ)
+
+
+# --- Backlash of simulated servos.
+
+
+DEGREE = np.pi / 180
+SERVO_HZ = 50.0
+PLAYS = (0.0, 0.3, 0.5, 0.8, 1.0, 1.3, 1.5)
+SERVOS = {
+    "friction alone": Servo(),
+    "gravity equal to friction": Servo(gravity_nm=0.1),
+    "motor friction equal to link friction": Servo(motor_friction_nm=0.1),
+    "a third of the friction behind the backlash": Servo(link_friction_nm=0.03),
+    "gravity ten times friction": Servo(gravity_nm=1.0),
+    "encoder behind the backlash": Servo(encoder="link"),
+    "elastic friction over 1.1 degrees": Servo(bend_rad=0.01),
+}
+
+
+def backlash_tables() -> list[str]:
+    """Estimated width ± standard error in degrees; in parentheses the travel after which half of the friction acts."""
+    servos = [replace(servo, play_rad=play * DEGREE) for servo in SERVOS.values() for play in PLAYS]
+    driven = [drive(servos, 120.0, SERVO_HZ, seed) for seed in range(3)]
+    lines: list[str] = []
+    for what, made in (("the drive", False), ("goal and position", True)):
+        lines += ["", *head(" | ".join([f"torque from {what}", *(f"{play:g}°" for play in PLAYS)]))]
+        for k, (name, servo) in enumerate(SERVOS.items()):
+            recordings = [recording(part(one, k), servo, made) for one in driven]
+            lines.append(table_row(name, *(width(play_of(recordings, j)) for j in range(len(PLAYS)))))
+    return lines
+
+
+def part(driven: Driven, k: int) -> Driven:
+    """Of the case k alone."""
+    columns = slice(k * len(PLAYS), (k + 1) * len(PLAYS))
+    names = ("goal", "q", "dq", "duty", "torque")
+    return replace(driven, **{name: np.ascontiguousarray(getattr(driven, name)[:, columns]) for name in names})
+
+
+def recording(driven: Driven, servo: Servo, made: bool) -> Recording:
+    if not made:
+        return recorded(driven, driven.torque)
+    constants = _core.ServoConstants(
+        volts=1.0, ohm=1.0, back_emf_v_s=1 / NO_LOAD_RAD_S, nm_per_ampere=STALL_NM, most_duty=1.0, count_rad=COUNT_RAD,
+        duty_per_rad=servo.duty_per_rad,
+    )  # fmt: skip
+    settings = _core.ServoSettings(
+        _core.TorqueFrom.goal, [constants] * len(PLAYS), velocity_steps=10, sample_period_ns=round(1e9 / SERVO_HZ)
+    )
+    t_ns = np.round(driven.t_s * 1e9).astype(np.int64)
+    _, tau = _core.ServoInput(settings).recording(t_ns, driven.q, q_des=driven.goal)
+    return recorded(driven, tau)
+
+
+def width(play: Play) -> str:
+    if play.width_rad > 0:
+        return f"{play.width_rad / DEGREE:.2f} ± {play.error_rad / DEGREE:.2f}"
+    return f"({play.lost_rad / DEGREE:.2f})" if play.lost_rad > 0 else "–"
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python benchmarks/commission.py OUT --arm offset_wrist [--no-model] [--plan loads|calm|week|first] [--hours H]
                                         [--touch-every MINUTES] [--seed 0]
-    python benchmarks/commission.py OUT --tables      OUT.md: the page of all results in OUT
+    python benchmarks/commission.py OUT --tables      OUT/days.md: tables of all results in OUT
 
 Plan `loads`: four parts of --hours (6), each after a pause of two hours and from a cold start: bare, with one load,
 with a heavier one, with another tool. Plan `calm`: the first part, and nothing touches the arm. Plan `week`: seven
@@ -21,7 +21,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, replace
@@ -32,7 +31,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 
 import numpy as np
-from common import arguments, head, joined, table_row, tauext, write_page
+from common import arguments, commit, head, joined, save_json, table_row, tauext, write_tables
 from unseen.working import NAMES, STRETCH_S, Part, Working, working
 
 from tauext import _core
@@ -411,7 +410,7 @@ def main() -> None:
     parser.add_argument("--touch-every", type=float, default=10.0, help="minutes, default: %(default)s; 0: never")
     parser.add_argument("--disk-gb", type=float, default=2.0, help="bound of the folder, default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of arm, motion and touches")
-    parser.add_argument("--tables", action="store_true", help="write OUT.md from the results in OUT")
+    parser.add_argument("--tables", action="store_true", help="write OUT/days.md from the results in OUT")
     options = parser.parse_args()
     if options.tables:
         results = []
@@ -419,8 +418,8 @@ def main() -> None:
             results.append(one := json.loads(path.read_text()))
             if (options.out / path.stem).is_dir():
                 one["false_by_part"] = false_by_part(options.out / path.stem, one)
-                path.write_text(json.dumps(one, indent=1) + "\n")
-        write_page(options.out.with_suffix(".md"), tables(results))
+                save_json(one, path)
+        write_tables(options.out, tables(results), name="days")
         return
     base = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
     name = f"{base}-{options.touch_every:g}" if options.plan == "first" else base
@@ -456,28 +455,10 @@ def main() -> None:
             "training_s": sum(took for what, took in simulation.training_s if what == "train"),
             "work_s": sum(took for _, took in simulation.training_s),
         }
-        (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+        save_json(result, options.out / f"{name}.json")
     simulation.sink.close()
     result["all"] = simulation.trained_on()
-    (options.out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
-
-
-INTRO = """\
-Made by `benchmarks/commission.py`. palletizer and offset_wrist are arms of the [trial on unseen
-arms](../unseen-arms/README.md): motor currents, a URDF whose masses are off by up to 20 %, friction that falls by 10 to
-15 % within minutes of every cold start, programs with abrupt stops. The rig's friction falls by 15 %, the SO-101's by
-30 %. Half of the stretches of ten minutes repeat one of four programs, the others move as never before. **Something
-touches the arm once in ten minutes, and nobody says so**: impacts of 20 to 150 N, pushes and holds of 10 to 60 N at any
-place of a link, many of them below every limit.
-
-The parts of an arm: bare, with a load in the hand, with twice that load, with another tool; of a week: its days. Each
-begins cold after a pause of two hours. Alarms without a touch are answered `nothing`, questions with `learn yes` after
-two minutes; touches are never answered. *Bundle after* counts from the start of a part, or from the answer to its
-question. A training takes the simulated time that it took here. Alarms are acknowledged after two seconds, so that a
-changed arm raises many until its first bundle monitors; in the command, one alarm stands for up to ten
-minutes. The tables contain the parts that were run, of the arms that were run. Plans other than `first` were run by
-earlier versions (commits at the end): each joint promised alone, suspects were fewer, and the rig's friction was not
-yet fitted to a recording of the paper's arm (Coulomb 9.5/5.5 N m in all poses).""".splitlines()
+    save_json(result, options.out / f"{name}.json")
 
 
 def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
@@ -505,8 +486,7 @@ def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
 
 def tables(results: list[dict[str, Any]]) -> list[str]:
     """The page of all results."""
-    lines = ["# Simulated days of `tauext commission`", "", *INTRO, ""]
-    lines += head(
+    lines = head(
         "arm | part | received [h] | bundle after [min] | touches detected | false before that bundle | other false "
         "| in [h] | asked"
     )
@@ -534,31 +514,6 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
                     "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
                     joined(found["limits"], ".2g"),
                 ))  # fmt: skip
-        lines += [
-            "",
-            "The command renews its limits at 1, 2, 3 and 4 h of calibration; the separate commands use all of it.",
-        ]
-        calm = {called(one): one for one in compared if one["plan"] == "calm"}
-        compared = [one for one in compared if one["plan"] == "loads"]
-        if pairs := [(one, calm[called(one)]) for one in compared if called(one) in calm]:
-            lines += ["", "## Effect of the touches on the limits", ""]
-            lines += head("arm | limits for sliding, with touches [N m] | the same without touches [N m]")
-            for pair in pairs:
-                limits = [joined(one["compared"]["commission"]["limits"], ".2g") for one in pair]
-                lines.append(table_row(called(pair[0]), *limits))
-        lines += ["", "## Touches while learning, first part", ""]
-        lines += head(
-            "arm | touched, in training recordings [s] | trained on [s] | beyond a limit [s] | trained on [s] | "
-            "suspects | of them touches"
-        )
-        for one in compared:
-            found = one["learning"]
-            beyond = (f"{found[name]:.2f}" if one["model"] else "–" for name in ("beyond_s", "beyond_trained_on_s"))
-            lines.append(table_row(
-                called(one), f"{found['touched_s']:.2f}", f"{found['trained_on_s']:.2f}", *beyond,
-                found["suspects"], found["suspects_touches"],
-            ))  # fmt: skip
-        lines += ["", "Without a model, limits are in A, so touches cannot be compared with them."]
     if firsts := sorted((one for one in results if one["plan"] == "first"), key=first_order):
         lines += rates_of_touches(firsts)
     if weeks := [one for one in results if one["plan"] == "week"]:
@@ -594,16 +549,7 @@ def first_order(one: dict[str, Any]) -> tuple[str, float]:
 
 def rates_of_touches(firsts: list[dict[str, Any]]) -> list[str]:
     """Tables of the first hour at several rates of touches."""
-    lines = [
-        "",
-        "## Rates of touches",
-        "",
-        "The first hour, from the same seed with and without touches. Detections and false collisions are those of",
-        "the last bundle on an hour of new motion. *Beyond a limit*: touched time in recordings of training and",
-        "calibration with a true torque beyond a limit of the untouched arm, and how much of it is used. *Lost*: free",
-        "motion that is left out with suspects.",
-        "",
-    ]
+    lines = ["", "## Rates of touches", ""]
     lines += head(
         "arm | a touch every | touches detected | false collisions | in [h] | promised an hour | limits for sliding "
         "[N m, A without a model] | suspects | of them touches | beyond a limit [s] | used [s] | lost"
@@ -620,16 +566,6 @@ def rates_of_touches(firsts: list[dict[str, Any]]) -> list[str]:
             f"{learned['lost_share']:.2%}",
         ))  # fmt: skip
     return lines
-
-
-def commit() -> str:
-    """The commit of this code, with `+` if files differ from it; `?` without Git."""
-    git = ["git", "-C", str(Path(__file__).parent)]
-    try:
-        found = subprocess.run([*git, "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return "?"
-    return found.stdout.strip()
 
 
 def called(one: dict[str, Any]) -> str:

@@ -1,17 +1,20 @@
-"""What the benchmarks share: options, tauext's commands, Markdown tables, collisions on a time axis, the machine."""
+"""The harness of the benchmarks: options, tauext's commands, workers, checkpoints, tables, and what a run is of."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from datetime import date
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,12 +24,27 @@ COLLISION = 2
 EPISODE_S = 0.5
 """Alarms less than this apart count as one collision."""
 
+# --- Options.
 
-def arguments(doc: str | None, *paths: str) -> argparse.ArgumentParser:
-    """A parser described by the first line of a script's docstring, with these positional paths."""
-    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+
+def arguments(
+    doc: str | None, *paths: str, arms: Sequence[str] = (), seed: int | None = None, workers: int = 0
+) -> argparse.ArgumentParser:
+    """A parser described by a script's docstring.
+
+    Args:
+        paths: names of positional paths.
+        arms, seed, workers: defaults of --arms, --seed and --workers; without one there is no such option.
+    """
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in paths:
         parser.add_argument(name, type=Path)
+    if arms:
+        parser.add_argument("--arms", nargs="+", default=list(arms), help=f"default: {' '.join(arms)}")
+    if seed is not None:
+        parser.add_argument("--seed", type=int, default=seed, help="of everything that is drawn, default: %(default)s")
+    if workers:
+        parser.add_argument("--workers", type=int, default=workers, help="processes, default: %(default)s")
     return parser
 
 
@@ -41,22 +59,11 @@ def type_arguments(doc: str | None, arms: int, type_seed: int = 1) -> argparse.A
 
 def loop_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the loop's core and priority."""
-    parser.add_argument("--core", type=int, help="as for the command")
-    parser.add_argument("--priority", type=int, help="as for the command")
+    parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
+    parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
 
 
-def loop_flags(options: argparse.Namespace) -> list[str]:
-    """The given ones as words of the command."""
-    return [f"--{name}={value}" for name in ("core", "priority") if (value := getattr(options, name)) is not None]
-
-
-def flags(given: argparse.Namespace, usual: dict[str, object]) -> str:
-    """The options that differ from these defaults, as they stand on a command line."""
-    other = {name: getattr(given, name) for name in usual if getattr(given, name) != usual[name]}
-    return "".join(
-        f" --{name.replace('_', '-')} {f'{value:g}' if isinstance(value, float) else value}"
-        for name, value in other.items()
-    )
+# --- Commands, workers, checkpoints.
 
 
 def tauext(
@@ -96,6 +103,30 @@ def in_parallel(workers: int | None, function: Callable[..., T], jobs: Iterable[
         return [one.result() for one in [pool.submit(function, *job) for job in jobs]]
 
 
+def checkpoint(path: Path, make: Callable[[], Any], *newer_than: Path) -> Any:
+    """Content of a JSON file; made and written unless it exists and is newer than these files."""
+    if path.exists() and all(path.stat().st_mtime > other.stat().st_mtime for other in newer_than):
+        return json.loads(path.read_text())
+    content = make()
+    save_json(content, path)
+    return content
+
+
+def save_json(content: Any, path: Path) -> None:
+    """Write JSON under a temporary name, then rename: a list a line an element."""
+    from tauext.files.atomic_write import atomic_write
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(content, indent=1)
+    if isinstance(content, list):
+        text = "[\n" + ",\n".join(map(json.dumps, content)) + "\n]"
+    with atomic_write(path) as part:
+        part.write_text(text + "\n")
+
+
+# --- Tables.
+
+
 def head(columns: str) -> list[str]:
     """First two lines of a Markdown table whose columns are separated by ` | `."""
     return [f"| {columns} |", "|---" * (columns.count(" | ") + 1) + "|"]
@@ -106,51 +137,58 @@ def table_row(*cells: object) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def write_section(out: Path, intro: str, name: str, section: str | Iterable[str]) -> None:
-    """Write OUT/NAME.inc, and OUT/README.md with the sections of all runs in OUT."""
-    write_page(out / f"{name}.inc", section)
-    sections = [path.read_text() for path in sorted(out.glob("*.inc"))]
-    (out / "README.md").write_text("\n".join([intro, *sections]))
-
-
-def write_page(path: Path, lines: str | Iterable[str]) -> None:
-    """Write a page and print it."""
-    text = lines if isinstance(lines, str) else "\n".join(lines) + "\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    print(text)
-
-
-def replace_section(page: Path, heading: str, lines: Iterable[str]) -> None:
-    """Replace a page's last section, from its heading to the end, by these lines."""
-    text, found, _ = page.read_text().partition(f"\n{heading}\n")
-    if not found:
-        raise SystemExit(f"{page}: has no section {heading!r}")
-    page.write_text("\n".join([text, heading, "", *lines]).rstrip() + "\n")
-    print(page)
-
-
-def runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end of each run of true samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
-
-
-def collisions_begin(held_alarm: np.ndarray, t_ns: np.ndarray) -> np.ndarray:
-    """Stamps [ns] at which collisions began, those less than EPISODE_S apart counted as one."""
-    at = t_ns[np.flatnonzero(held_alarm == COLLISION)]
-    return at[np.append(True, np.diff(at) >= EPISODE_S * 1e9)] if len(at) else at
-
-
 def joined(values: Iterable[float], form: str = ".2f", by: str = " · ") -> str:
     """Numbers in one cell, joint by joint."""
     return by.join(format(value, form) for value in values)
 
 
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+def quantiles_ms(delays_s: Sequence[float], shares: Sequence[float] = (0.5, 0.95)) -> str:
+    """Quantiles of delays in ms; a dash of none."""
+    return joined(1e3 * np.quantile(delays_s, shares), ".0f", ", ") if len(delays_s) else "–"
+
+
+def share_interval(found: int, of: int) -> tuple[float, float]:
+    """95 % interval of a share [Clopper and Pearson], in percent."""
+    from scipy.stats import beta
+
+    low = 0.0 if found == 0 else beta.ppf(0.025, found, of - found + 1)
+    high = 1.0 if found == of else beta.ppf(0.975, found + 1, of - found)
+    return 100 * float(low), 100 * float(high)
+
+
+def write_tables(out: Path, lines: Iterable[str], content: Any = None, name: str = "tables") -> None:
+    """Write OUT/NAME.md, tables below the command and what it ran on, and print it; with content also OUT/NAME.json."""
+    words = shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    write_page(out / f"{name}.md", [f"    {words}", "", f"{about_run()}.", "", *lines])
+    if content is not None:
+        save_json(content, out / f"{name}.json")
+
+
+def write_page(path: Path, lines: Iterable[str]) -> None:
+    """Write a text and print it."""
+    text = "\n".join(lines) + "\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    print(text)
+
+
+# --- What a run is of.
+
+
+def about_run() -> str:
+    """Date, commit, machine."""
+    from tauext.files.provenance import machine
+
+    return f"{date.today():%-d %B %Y}, commit {commit()}, {machine()}"
+
+
+def commit() -> str:
+    """The commit of this code, with `+` if files differ from it; `?` without Git."""
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+"]
+    try:
+        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "?"
 
 
 def compiler_flags() -> str:
@@ -174,3 +212,30 @@ def other_processes_s() -> tuple[float, float]:
     here, second = os.times(), os.sysconf("SC_CLK_TCK")
     own = here.user + here.system + here.children_user + here.children_system
     return sum(ticks[:3]) / second - own, (ticks[7] if len(ticks) > 7 else 0) / second
+
+
+def free_port() -> int:
+    """A port of this computer that nothing listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+# --- Signals.
+
+
+def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end of each run of true samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
+
+
+def collisions_begin(held_alarm: np.ndarray, t_ns: np.ndarray) -> np.ndarray:
+    """Stamps [ns] at which collisions began, those less than EPISODE_S apart counted as one."""
+    at = t_ns[np.flatnonzero(held_alarm == COLLISION)]
+    return at[np.append(True, np.diff(at) >= EPISODE_S * 1e9)] if len(at) else at
+
+
+def rms(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Root of the mean square; NaN is left out."""
+    return np.sqrt(np.nanmean(np.square(values), axis=axis))

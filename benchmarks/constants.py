@@ -6,13 +6,12 @@ Every arm of a seed has masses off by up to 20 % from its robot file and centres
 0.5 to 1.5 kg (benchmarks/unseen/arms.py). Constants are fitted to two minutes of currents: `unknown`, `given` within
 10 %, or `tool missing`: unknown, and the file lacks the tool. Of the first --trained seeds, bundles of recipe prior are
 trained, too; each weighs LOADS loads and answers to PUSHES pushes on its last link, as trained and after `tauext load
---known-kg` (`weighed`). OUT/LABEL.json gets every value, OUT/constants.json and OUT/README.md the tables of all labels.
+--known-kg` (`weighed`). OUT/LABEL.json gets every value, OUT/constants.json and .md the tables of all labels.
 The method was fixed on arms ur5 and panda.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import arguments, head, table_row, write_page
+from common import arguments, head, save_json, table_row, write_tables
 from unseen.arms import Maker, TrueArm, direction, fresh_makers, makers, true_arm
 from unseen.loads import FIRST_S, KNOWN_KG, KNOWN_S, WARM_S, WINDOW_S, Carried, with_load
 from unseen.simulation import RATE_HZ, draw_motion, simulate, touched_point
@@ -49,22 +48,18 @@ LOADS, PUSHES = 4, 8
 GIVEN_TO = 0.1
 KINDS = ("unknown", "given", "tool missing")
 WHATS = ("constant", "mass", "centre", "force")
-LABELS = {
-    "before": "`before`: errors by the curvature of the evidence and 5 % common to all; masses without the constants'.",
-    "after": "`after`: errors of the constants contain those of the robot file, and masses those of the constants.",
-}
-NEWLINE = "\n"
+LABELS = ("before", "after")
+"""`before`: errors by the curvature of the evidence and 5 % common to all; masses without the constants'.
+`after`: errors of the constants contain those of the robot file, and masses those of the constants."""
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS))
+    parser = arguments(__doc__, "models", "out", arms=ARMS)
     parser.add_argument("--seeds", type=int, default=6, help="of constants, an arm")
     parser.add_argument("--trained", type=int, default=2, help="of these seeds, with masses and forces")
     parser.add_argument("--label", default="after", choices=LABELS, help="of the code that runs")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = rows_of(options, options.label)
+    path = options.out / f"{options.label}.json"
     rows: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
     for name in options.arms:
         maker = (makers(options.models) | fresh_makers())[name]
@@ -73,17 +68,12 @@ def main() -> None:
             if (name, seed) in done:
                 continue
             rows += of_arm(maker, seed, seed < options.trained)
-            path.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
-    labels = {label: json.loads(path.read_text()) for label in LABELS if (path := rows_of(options, label)).exists()}
+            save_json(rows, path)
+    labels = {
+        label: json.loads(path.read_text()) for label in LABELS if (path := options.out / f"{label}.json").exists()
+    }
     lines = summary(labels)
-    (options.out / "constants.json").write_text("[\n" + ",\n".join(map(json.dumps, lines)) + "\n]\n")
-    write_page(options.out / "README.md", markdown(labels, lines))
-
-
-def rows_of(options: argparse.Namespace, label: str) -> Path:
-    """The file of every value."""
-    path: Path = options.out / f"{label}.json"
-    return path
+    write_tables(options.out, tables(lines), lines, "constants")
 
 
 def of_arm(maker: Maker, seed: int, trained: bool) -> Iterator[dict[str, Any]]:
@@ -241,31 +231,10 @@ def figures(what: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def markdown(labels: dict[str, list[dict[str, Any]]], lines: list[dict[str, Any]]) -> str:
-    """The page."""
+def tables(lines: list[dict[str, Any]]) -> list[str]:
+    """By group of arms, then by arm as trained without constants."""
     by_group, by_arm = ([table_line(one) for one in lines if (one["arms"] in GROUPS) == grouped] for grouped in (1, 0))
-    return f"""# Errors of torque constants, masses and forces
-
-Written by `python benchmarks/constants.py MODELS OUT`; every figure is in [constants.json](constants.json).
-
-Simulated arms of [unseen arms](../unseen-arms/README.md), another one a seed: masses off by up to 20 % from the robot
-file and centres of mass by up to 2 cm, with a tool of 0.5 to 1.5 kg. Two minutes of currents determine the constants.
-
-- `unknown`: no constant is given; `given`: constants right within {GIVEN_TO:.0%}, which training corrects; `tool
-  missing`: unknown, and the file lacks the tool; `weighed`: after `tauext load --known-kg {KNOWN_KG}`.
-- Masses: loads of 0.5 to 3 kg, a window of {WINDOW_S:g} s. Forces: along the true direction of a push of 20 to 45 N at
-  a known point of the last link; pushes with a blind direction are left out. Centres are in mm.
-- *Error*: RMS of value / truth - 1 (of the logarithm for constants). *Reported*: RMS of the standard error reported.
-  *Within two*: share of errors within two reported standard errors; 95 % for normal errors that are known exactly.
-{"".join(f"- {words}{NEWLINE}" for label, words in LABELS.items() if label in labels)}
-The method was fixed on the arms {" and ".join(DEVELOPED_ON)}; the others were run once.
-
-{NEWLINE.join([*head(COLUMNS), *by_group])}
-
-Every arm, as trained without constants:
-
-{NEWLINE.join([*head(COLUMNS.replace("arms", "arm")), *by_arm])}
-"""
+    return [*head(COLUMNS), *by_group, "", *head(COLUMNS.replace("arms", "arm")), *by_arm]
 
 
 def table_line(of: dict[str, Any]) -> str:

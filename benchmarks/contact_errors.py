@@ -3,34 +3,118 @@
     python benchmarks/contact_errors.py OUT [--arms rig seven ...] [--draws 6] [--seed 0] [--unseen UNSEEN/ARM ...]
 
 Simulated arms move, are grabbed at a random point of a random link, stop at the collision alarm, are pulled back and
-forth for 1 to 10 s, released, stand, and move on. Bundles are trained briefly (pushed_arms.py; recipe prior, exact
-model). UNSEEN/ARM: what benchmarks/unseen_arms.py made: arms with a wrong URDF and motor currents, hit and pushed while
-they move; its bundle urdf-prior.tauext is judged. OUT gets bundles, draws, contact_errors.json and README.md; what is
-there is used again, so that another version judges the same draws.
+forth for 1 to 10 s, released, stand, and move on. Bundles are trained briefly (recipe prior, exact model). UNSEEN/ARM:
+what benchmarks/unseen_arms.py made: arms with a wrong URDF and motor currents, hit and pushed while they move; their
+urdf-prior.tauext is judged. OUT gets bundles, draws, contact_errors.json and .md; what is there is used again, so that
+another version judges the same draws.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
-from common import arguments, head, in_parallel, table_row, write_page
-from pushed_arms import PRACTICE, PRACTICE_S, Hand, practice_recording
+from common import arguments, head, in_parallel, rms, table_row, write_tables
 
 from tauext import _core
-from tauext.config import PAPER_CASES
+from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import ARMS, GearedArm
+from tauext.sim.collect import SETTLE_S
 from tauext.sim.plant import Mover, Plant
+from tauext.sim.rig import draw_motion, measure, roll_out
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
+
+# --- Free motion to train on, and a hand that pulls.
+
+
+PRACTICE_S = 60.0
+"""Length of a recording that a bundle is trained on."""
+
+
+class Practice(NamedTuple):
+    """How a bundle is trained."""
+
+    recordings: int
+    config: TrainConfig
+
+
+def prior_recipe(ripples: int) -> TrainConfig:
+    little_reserve = AlarmConfig(friction_reserve=0.1)
+    return TrainConfig(recipe="prior", alarm=little_reserve, prior=PriorConfig(most_ripples=ripples))
+
+
+PRACTICE = {"rig": Practice(8, prior_recipe(2)), "seven": Practice(6, prior_recipe(0))}
+"""By arm; a search for ripples in seven joints would take longer than everything else."""
+
+
+def practice_recording(arm: GearedArm, seconds: float, seed: int, number: int) -> Recording:
+    """Recording `number` of the arm's free motion around its home; the same arguments give the same samples."""
+    moving, measuring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed, spawn_key=(number,)).spawn(2))
+    settle, samples = round(SETTLE_S * arm.rate_hz), round(seconds * arm.rate_hz)
+    q_des, dq_des = draw_motion(arm.motion, len(arm.joints), samples + settle, arm.rate_hz, moving)
+    q_des += arm.home
+    controls = np.stack([q_des, dq_des], axis=2).reshape(len(q_des), -1)
+    truth = roll_out(arm, arm.model, q_des[0], controls).after(settle)
+    measured = measure(arm, truth, np.zeros_like(truth.q), measuring)
+    return Recording(
+        name=f"practice-{number:03d}",
+        joints=arm.joints,
+        t_ns=np.arange(samples, dtype=np.int64) * round(1e9 / arm.rate_hz),
+        **{signal: measured[signal] for signal in ("q", "dq", "tau")},
+        rate_hz=float(arm.rate_hz),
+        torque_timing="held",
+        source=f"sim {arm.name}",
+        robot_sha256=hashlib.sha256(arm.xml.encode()).hexdigest(),
+        provenance={"seed": seed, "number": number},
+    )
+
+
+STIFFNESS_N_M, LARGEST_N = 250.0, 80.0
+DAMPING_N_S_M = {"rig": 15.0, "seven": 10.0}
+
+
+@dataclass
+class Hand:
+    """A point of a link that a spring pulls towards a target, as a person's arm would."""
+
+    joint: int
+    """Joint that carries the link."""
+    local_m: np.ndarray
+    """The grabbed point in the link's frame (3,)."""
+    target_m: np.ndarray
+    """In the base frame (3,)."""
+
+    @classmethod
+    def grab(cls, plant: Plant, joint: int, point_m: np.ndarray) -> Hand:
+        """Take hold of a point, in the base frame; it does not pull yet."""
+        origin, rotation = plant.body_pose(joint)
+        return cls(joint, rotation.T @ (point_m - origin), np.array(point_m, float))
+
+    def force_n(self, plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+        """Force on the link, at most LARGEST_N, and where it acts, (3,) each, in the base frame."""
+        origin, rotation = plant.body_pose(self.joint)
+        point = origin + rotation @ self.local_m
+        jacobian = np.zeros((3, plant.model.nv))
+        mujoco.mj_jac(plant.model, plant.data, jacobian, None, point, self.joint + 1)
+        damping = DAMPING_N_S_M[plant.arm.name.split("-")[0]]
+        force = STIFFNESS_N_M * (self.target_m - point) - damping * (jacobian @ plant.data.qvel)
+        return force * min(1.0, LARGEST_N / max(float(np.linalg.norm(force)), 1e-9)), point
+
+
+# --- Arms that are grabbed, pulled and released.
+
 
 PHASES = ("free motion", "first second of the push", "pressed while stopped", "released, still stopped", "moving again")
 BEFORE_S, STAND_S, AFTER_S = 4.0, 3.0, 4.0
@@ -63,12 +147,9 @@ CASES: dict[str, tuple[Callable[[], GearedArm], int]] = {
 
 
 def main() -> None:
-    parser = arguments(__doc__, "out")
-    parser.add_argument("--arms", nargs="+", choices=tuple(CASES), default=list(CASES))
+    parser = arguments(__doc__, "out", arms=tuple(CASES), seed=0, workers=os.cpu_count() or 1)
     parser.add_argument("--draws", type=int, default=6)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--unseen", type=Path, nargs="+", default=[])
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
     for folder in options.unseen:
         for needed in ("urdf-prior.tauext", "urdf/contacts-1.parquet", "csv/contacts-1.truth.npz"):
@@ -80,8 +161,7 @@ def main() -> None:
     in_parallel(options.workers, draw_of, jobs)
     rows = [row for name in options.arms for row in judged(name, options.out, options.seed, options.draws)]
     rows += [row for folder in options.unseen for row in judged_unseen(folder)]
-    (options.out / "contact_errors.json").write_text(json.dumps(rows, indent=1) + "\n")
-    write_page(options.out / "README.md", markdown(rows))
+    write_tables(options.out, table(rows), rows, "contact_errors")
 
 
 def thinned(recording: Recording, by: int) -> Recording:
@@ -244,8 +324,14 @@ def tabulated(
         error = tau_ext[at] - true[at]
         for j, joint in enumerate(joints):
             e, s = error[:, j], sigma[at, j]
-            row = {"arm": name, "phase": title, "joint": joint, "true_nm": rms(true[at, j]), "error_nm": rms(e)}
-            row |= {"sigma_nm": rms(s), "free_sigma_nm": rms(free_sigma[at, j])}
+            row = {
+                "arm": name,
+                "phase": title,
+                "joint": joint,
+                "true_nm": float(rms(true[at, j])),
+                "error_nm": float(rms(e)),
+            }
+            row |= {"sigma_nm": float(rms(s)), "free_sigma_nm": float(rms(free_sigma[at, j]))}
             row["within_free"] = float(np.mean(np.abs(e) <= 2 * free_sigma[at, j]))
             row["within"] = [float(np.mean(np.abs(e) <= times * s)) for times in (1, 2, 3)]
             rows.append(row)
@@ -258,11 +344,7 @@ def recording_of(arm: GearedArm, kept: np.lib.npyio.NpzFile) -> Recording:
     return Recording(name="drawn", joints=arm.joints, **signals, **meta)
 
 
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def markdown(rows: list[dict]) -> str:
+def table(rows: list[dict]) -> list[str]:
     """A row an arm and phase: the least and the most of its joints."""
     columns = "true, N m | error | free-motion sigma | within 2, % | standard error | within 1, % | 2 | 3"
     lines = head(f"arm | phase | {columns}")
@@ -278,7 +360,7 @@ def markdown(rows: list[dict]) -> str:
         cells += [both([row["sigma_nm"] for row in of], ".2f")]
         cells += [both([100 * row["within"][k] for row in of], ".0f") for k in range(3)]
         lines.append(table_row(arm, title, *cells))
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@
 
 BUNDLE: of recipe prior or tauext, with limits, trained on DATASET, which the virtual rig made with its default settings
 and calibration recordings; the last of these are used. What follows friction that is off at once is judged beside none.
-docs/results/drift holds the tables that it prints.
 """
 
 import os
@@ -12,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from common import arguments, collisions_begin, head, joined, table_row
+from common import arguments, collisions_begin, head, joined, rms, table_row
 
 from tauext import _core
 from tauext.config import DriftConfig
@@ -105,7 +104,7 @@ def print_errors(title: str, bundle: _core.Bundle, signals: Signals) -> None:
         said = estimate(bundle, signals, tracker)
         healthy = said["health"] == OK
         last = healthy & (np.arange(len(healthy)) >= 2 * len(healthy) // 3)
-        rmse = [joined(np.sqrt((said["tau_ext"][rows] ** 2).mean(axis=0)), by="/") for rows in (healthy, last)]
+        rmse = [joined(rms(said["tau_ext"][rows], axis=0), by="/") for rows in (healthy, last)]
         errors.append(" → ".join(rmse))
         begun = collisions_begin(said["held_alarm"], signals[0])
         alarms.append(str(len(begun)))

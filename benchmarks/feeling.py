@@ -2,16 +2,13 @@
 
     python benchmarks/feeling.py OUT [--seed 0]
 
-Leader, wire and follower are simulated: two arms of an SO-101's size in MuJoCo (felt/arm.py), servos as they were
-identified (felt/arm.py), 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10 N/mm. tau_ext is tauext's
-own: OUT/data gets free motion of the follower with its bundle; what is there is used again. OUT/README.md gets the
-tables, OUT/press.png and OUT/taps.png the pictures, OUT/feeling.json the numbers; those of docs/results/feeling are
-one run of these. Some 4 minutes of one core.
+Leader, wire and follower are simulated (leader.py): 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10
+N/mm. tau_ext is tauext's own: OUT/data gets free motion of the follower with its bundle; what is there is used again.
+OUT gets feeling.md, feeling.json and press.png. Some 4 minutes of one core.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,9 +16,24 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import arguments, write_page
-from felt.arm import GEARS, HANDS, TICK_S, Gears, Hand, Wall
-from felt.session import Course, MonitorSenses, Wish, free_motion, moves, press, run, taps, train
+from common import arguments, head, joined, table_row, write_tables
+from leader import (
+    GEARS,
+    HANDS,
+    TICK_S,
+    Course,
+    Gears,
+    Hand,
+    MonitorSenses,
+    Wall,
+    Wish,
+    free_motion,
+    moves,
+    press,
+    run,
+    taps,
+    train,
+)
 from tauext_lerobot.leader_feedback import EnergyTank, FeedbackSettings, LeaderFeedback, free_motion_sigmas
 
 from tauext._core import Bundle
@@ -40,8 +52,7 @@ CAP_NM = 1.0
 
 
 def main() -> None:
-    parser = arguments(__doc__, "out")
-    parser.add_argument("--seed", type=int, default=0, help="of the motion: training, validation and test")
+    parser = arguments(__doc__, "out", seed=0)
     options = parser.parse_args()
     bundle = train(options.out / "data", options.seed, SILENT)
     tau_ext, sigma = free_motion(options.out / "data", bundle)
@@ -70,10 +81,8 @@ def main() -> None:
         "press": presses,
         "taps": [asdict(swing(course)) for course in tapped],
     }
-    (options.out / "feeling.json").write_text(json.dumps(numbers, indent=1) + "\n")
     draw(courses[GEARS[1].name, HANDS[0].name, 3], TABLE, options.out / "press.png")
-    draw(tapped, TABLE, options.out / "taps.png")
-    write_page(options.out / "README.md", page(numbers))
+    write_tables(options.out, tables(numbers), numbers, "feeling")
 
 
 def press_session(
@@ -102,7 +111,7 @@ def free_session(bundle: Bundle, settings: FeedbackSettings, seed: int, hand: Ha
     }
 
 
-# --- What a session shows, the page and its pictures.
+# --- What a session shows, tables and a picture.
 
 
 FIRST_S, LAST_S = (3.0, 5.0), (10.0, 12.0)
@@ -146,113 +155,36 @@ def swing(course: Course) -> Swing:
     return Swing(float(np.ptp(z[first])), float(np.ptp(z[last])), float(given[-1]), float(given.max()), float(felt))
 
 
-# --- The page.
+# --- Tables.
 
 
-HEAD = """# Force feedback at the leader's hand
-
-Everything on this page is simulated; nothing ran on hardware. For how to use leader feedback, see [servo
-arms](../../servo-arms.md).
-
-    python benchmarks/feeling.py OUT --seed {seed}
-
-A hand guides a leader arm. A follower arm follows it by position control and reaches a table with a stiffness
-of 10 N/mm. The link runs at 50 ticks a second and delays signals by 1 to 3 ticks in each direction.
-
-- **Arms**: the size of an SO-101, three joints, 12-bit encoders.
-- **Follower**: STS3215 servos at 7.4 V, as identified by Rhoban's BAM: motor, position loop at P = 16,
-  friction that grows with the load.
-- **tau_ext**: estimated by tauext from position and goal alone, with a bundle trained on 10 minutes of free
-  motion. Its observer adds 50 ms to the delay of the link.
-- **Leader**: its motors produce the commanded torque, and the hand carries its weight. Its gears are those of
-  the follower (*STS3215*) or have almost no friction (*light*). Light gears are the harder case.
-- **Hands**: spring, damper and mass. Two fingers: 50 N/m, 2 N s/m, 0.1 kg; loose: 150, 6, 0.3; firm: 400, 20,
-  0.5.
-- **Feedback**: gain 1, at most {cap:g} N m, an energy tank of {tank:g} mJ that refills at 2 mW at rest. The
-  dead band is {sigmas} standard errors (pan, lift, elbow), 1.5 times the largest value in the validation
-  recordings.
-
-## Free motion
-
-Neither training nor the choice of the dead band used this motion. The link delays by 2 ticks in each
-direction.
-
-| gears | hand | minutes | largest tau_ext, N m: pan, lift, elbow | largest leader torque, N m | ticks with feedback |
-|---|---|---|---|---|---|
-"""
-AFTER_FREE = """
-On two earlier draws, one tick in 12 minutes had feedback, of 5 and 10 mN m. Since then the dead band narrows
-no faster than the observer's memory fades. The draws above are different ones.
-"""
-PRESS = """
-## Pressing on the table
-
-Within one second the hand moves its target {deep:.0f} cm below the surface of the table, and holds it there
-for 10 s.
-
-- **Swing**: peak to peak of the leader's hand along the vertical, in seconds 3 to 5 → 10 to 12.
-- **Energy**: the largest net energy that the leader's motors had delivered to the hand at any time. A real
-  wall delivers none.
-- **Share**: the leader's torque divided by the table's torque at the end. It is below 100 % because of the
-  dead band, and where the torque reaches its cap.
-
-| gears | hand | ticks each way | swing, mm: no tank | tank | energy, mJ: no tank | tank | share: no tank | tank |
-|---|---|---|---|---|---|---|---|---|
-"""
-TAIL = """
-{verdict}
-
-![Height of both hands, torque and energy of a press, without and with the tank](press.png)
-
-The figure shows two fingers on light gears with 3 ticks each way. The table is grey. Without the tank the
-leader swings up within two seconds.
-
-## Tapping
-
-Two fingers on light gears with 3 ticks each way tap {hz:g} times a second. The motors delivered up to
-{taps_free:.0f} mJ without the tank and {taps_kept:.0f} mJ with it. With the tank, feedback after the first
-tap is close to zero: a torque that arrives while the hand moves away only delivers energy.
-
-![Height of both hands, torque and energy of taps, without and with the tank](taps.png)
-"""
-
-
-def page(numbers: dict[str, Any]) -> str:
-    """README.md."""
-    sigmas = ", ".join(f"{value:.1f}" for value in numbers["dead_band_sigmas"])
-    text = HEAD.format(seed=numbers["seed"], cap=numbers["cap_nm"], tank=1000 * numbers["tank_j"], sigmas=sigmas)
+def tables(numbers: dict[str, Any]) -> list[str]:
+    """Free motion, presses, taps."""
+    lines = head("gears | hand | minutes | largest tau_ext, N m | largest leader torque, N m | ticks with feedback")
     for row in numbers["free"]:
-        errors = ", ".join(f"{value:.2f}" for value in row["most_tau_ext_nm"])
-        torque = f"{row['most_torque_nm']:.3f}" if row["ticks_felt"] else "0"
-        text += f"| {row['gears']} | {row['hand']} | {row['minutes']:g} | {errors} | {torque} | {row['ticks_felt']} |\n"
-    text += AFTER_FREE + PRESS.format(deep=100 * numbers["below_m"])
-    pairs = []
-    for gears, hand, delay, *pair in numbers["press"]:
-        free, kept = (Swing(**measured) for measured in pair)
-        pairs.append((free, kept))
-        swings = " | ".join(f"{one.first_mm:.1f} → {one.last_mm:.1f}" for one in (free, kept))
-        given = " | ".join(f"{1000 * one.most_given_j:.0f}" for one in (free, kept))
-        felt = " | ".join(f"{100 * one.felt:.0f} %" for one in (free, kept))
-        text += f"| {gears} | {hand} | {delay} | {swings} | {given} | {felt} |\n"
-    taps_free, taps_kept = (1000 * Swing(**measured).most_given_j for measured in numbers["taps"])
-    return text + TAIL.format(verdict=verdict(pairs), hz=numbers["tap_hz"], taps_free=taps_free, taps_kept=taps_kept)
+        errors = joined(row["most_tau_ext_nm"], by=", ")
+        cells = (row["gears"], row["hand"], f"{row['minutes']:g}", errors, f"{row['most_torque_nm']:.3f}")
+        lines.append(table_row(*cells, row["ticks_felt"]))
+    pairs = "swing, mm: no tank | tank | energy, mJ: no tank | tank | share: no tank | tank"
+    lines += ["", *head(f"gears | hand | ticks each way | {pairs}")]
+    presses = [(row[:3], [Swing(**measured) for measured in row[3:]]) for row in numbers["press"]]
+    for what, pair in presses:
+        swings = [f"{one.first_mm:.1f} → {one.last_mm:.1f}" for one in pair]
+        given, felt = [f"{1000 * one.most_given_j:.0f}" for one in pair], [f"{100 * one.felt:.0f} %" for one in pair]
+        lines.append(table_row(*what, *swings, *given, *felt))
+    for k, name in enumerate(("without", "with")):
+        swings = [pair[k] for _, pair in presses]
+        growing, swinging = sum(one.grows for one in swings), sum(not one.settles for one in swings)
+        tapped = 1000 * Swing(**numbers["taps"][k]).most_given_j
+        lines += [
+            "",
+            f"{name} the tank: {growing} of {len(swings)} presses grow, {swinging} swing by 3 mm or more at the end "
+            f"(at most {max(one.last_mm for one in swings):.1f} mm); taps get {tapped:.0f} mJ.",
+        ]
+    return lines
 
 
-def verdict(pairs: list[tuple[Swing, Swing]]) -> str:
-    """The summary of the table of presses."""
-    (free, kept), n = zip(*pairs, strict=True), len(pairs)
-    swinging, growing = sum(not one.settles for one in free), sum(one.grows for one in free)
-    with_tank = sum(not one.settles for one in kept)
-    grown = sum(one.grows for one in kept)
-    worst = max(one.last_mm for one in kept)
-    return (
-        f"With the tank, {grown or 'none'} of {n} presses grow, and {with_tank or 'none'} still swing by 3 mm or more "
-        f"at the end (at most {worst:.1f} mm). Without\nit, {swinging} of {n} keep swinging, {growing} of them more "
-        "than at first. Only the torque cap bounds them."
-    )
-
-
-# --- The pictures.
+# --- The picture.
 
 
 LEADER, FOLLOWER = "#1f6fb4", "#c8501e"

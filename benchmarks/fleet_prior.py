@@ -4,34 +4,21 @@
 
 Simulated arms of one type (unseen.arms): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
 the type's), tool, torque constants (8 % about those of the data sheet) and ripple's size and phase are each arm's own.
-MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles, a section for
-each type and README.md with all sections; existing files are used again. docs/results/fleet-prior has two types.
+MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and TYPE.md; existing files are
+used again.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import (
-    COLLISION,
-    collisions_begin,
-    flags,
-    head,
-    runs,
-    table_row,
-    tauext,
-    trained,
-    type_arguments,
-    write_section,
-)
+from common import COLLISION, collisions_begin, head, runs, table_row, tauext, trained, type_arguments, write_tables
 from unseen.arms import Maker, arm_of, makers
-from unseen.recordings import Take, make_dataset, told_constants
-from unseen.results import STRONG, nearest, truth_of
+from unseen.recordings import STRONG, Take, make_dataset, nearest, told_constants, truth_of
 
 from tauext import _core
 from tauext.data.dataset import load_split
@@ -97,8 +84,7 @@ def main() -> None:
             for way, (_, how) in WAYS.items()
         }
         rows.append(judge(maker, NEW_SEED + k, folder, data, bundles))
-    lines = markdown(rows, options, json.loads(prior.read_text()))
-    write_section(options.out, INTRO, f"{len(maker.joints)}-{options.type}", lines)
+    write_tables(options.out, table(rows), name=options.type)
 
 
 def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Path]) -> dict:
@@ -166,36 +152,9 @@ def contacts(recording: Recording) -> list[tuple[int, int]]:
     return [] if recording.contact is None else runs(recording.contact == 1)
 
 
-INTRO = """# A new arm with a fleet prior
-
-A new arm of a known type is trained on one minute of its own motion with a [fleet prior](../../fleets.md). This
-page compares that with one minute alone and with ten minutes alone.
-
-Each simulated fleet has one type of arm: links, gears and drives are shared. Friction of each joint (0.7 to 1.3 of
-the type's), tool, torque constants (8 % about those of the data sheet) and ripple are each arm's own. All three
-bundles of a new arm are tested on the same four minutes of free motion and 50 contacts, at other times of its day.
-
-- **Error**: RMS of tau_ext without contact, divided by that after ten minutes; mean over joints.
-- **Limit**: the mean limit in force, with the same division.
-- **Strong**: contacts whose torque at some joint is at least three times the error after ten minutes.
-- **False**: false collisions, with the minutes of free motion in parentheses.
-
-All torques are true torques.
-"""
-
-
-def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> list[str]:
-    """The section of one type."""
-    given = flags(options, {"type": "ur5", "type_seed": 1, "arms": 10, "minutes": 6, "new": 6})
-    lines = [
-        f"## {options.type}",
-        "",
-        f"    python benchmarks/fleet_prior.py MODELS OUT{given}",
-        "",
-        f"{len(prior['arms'])} arms in the fleet, {options.minutes:g} minutes each, and {len(rows)} new arms.",
-        "",
-        *head("new arm | trained on | error | limit | detected | of strong | false (minutes)"),
-    ]
+def table(rows: Sequence[dict]) -> list[str]:
+    """A row a new arm and way, and their medians."""
+    lines = head("new arm | trained on | error | limit | detected | of strong | false (minutes)")
     for k, arm in enumerate(rows):
         for way, (words, _) in WAYS.items():
             one = arm["outcomes"][way]

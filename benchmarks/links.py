@@ -5,7 +5,7 @@
 
 MODELS: folder of the robot files. UNSEEN: what `benchmarks/unseen_arms.py` wrote; a bundle is trained on each arm's
 datasets where OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes
-instead of cylinders, too. OUT gets the bundles, links.json and README.md.
+instead of cylinders, too. OUT gets the bundles, links.json and links.md.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, table_row, trained, write_page
+from common import arguments, head, table_row, trained, write_tables
 from scipy.optimize import minimize
 from unseen.arms import Maker, arm_of, makers
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
 from unseen.surfaces import SURFACES, Part, capsules_of, draw_touch, triangles_of
-from wrench import WARM_S, as_text, logged, told
+from wrench import WARM_S, logged, short, told
 
 from tauext import _core
 from tauext.monitor.places import STATED, PlaceChange, PlaceFinder, run_of
@@ -30,11 +30,9 @@ from tauext.robot.read import load_tree
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "unseen", "out")
-    parser.add_argument("--arms", nargs="+", default=["panda", "kinova", "seven_axis"])
+    parser = arguments(__doc__, "models", "unseen", "out", arms=("panda", "kinova", "seven_axis"), seed=0)
     parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict] = []
@@ -42,12 +40,7 @@ def main() -> None:
         rows += judged(ready(options.models, options.unseen, options.out, name), options)
     for name, _, model in (one.partition("=") for one in options.meshes):
         rows += judged(meshed(ready(options.models, options.unseen, options.out, name), Path(model)), options)
-    (options.out / "links.json").write_text(as_text(rows))
-    meshes = [f"{one.partition('=')[0]}=ROBOT" for one in options.meshes]
-    words = " ".join(["python benchmarks/links.py MODELS UNSEEN OUT --arms", *options.arms])
-    words += " ".join(["", "--meshes", *meshes]) if meshes else ""
-    text = markdown(rows, f"{words} --touches {options.touches} --seed {options.seed}")
-    write_page(options.out / "README.md", text)
+    write_tables(options.out, tables(rows), short(rows), "links")
 
 
 def judged(arm: Arm, options: argparse.Namespace) -> list[dict]:
@@ -331,99 +324,47 @@ class Bayes:
         return told / told.sum()
 
 
-# --- The page.
+# --- Tables.
 
 
 AT_FLANGE = 0.5
 WITHIN_DEG, FROM_N, LAST_LINKS = 30.0, 20.0, 3
 
 
-def markdown(rows: list[dict], command: str) -> str:
-    arms = list(dict.fromkeys(row["arm"] for row in rows if row["shapes"] == GIVEN))
-    held = [row for row in rows if row["flange"] and row["shapes"] == GIVEN]
-    every, rows = rows, [row for row in rows if not row["flange"] and row["shapes"] == GIVEN]
-    text = f"""# Which link is touched, and where
-
-Written by `{command}`. Every touch is in [links.json](links.json).
-
-**Data.** Simulated arms of [unseen arms](../unseen-arms/README.md). The bundles are trained by recipe prior on twelve
-minutes of motion. Links are cylinders (`benchmarks/unseen/surfaces.py`). The method's constants were tuned on arm ur5
-alone, those of guessed shapes on ur5 and kinova. The other arms were run twice, before and after axes that are
-parallel got a spread, which was chosen on these two.
-
-**Touches.** Every link is touched equally often, anywhere on its surface, within {np.degrees(CONE_RAD):.0f} degrees of
-the normal. A touch lasts 1.2 s, in motion or at rest. Its force is {RATIOS[0]:g} to {RATIOS[1]:g} times the limit of
-the joint that exceeds its limit most, within {FORCES_N[0]:g} to {FORCES_N[1]:g} N. The result is the monitor's last one
-within {SAID_AT_S:g} s after the alarm.
-
-**Reference.** `Bayes` is given the cylinders, the distribution of the touches and this arm's errors, fitted to the
-evaluated touches themselves. It is a reference, not a usable method. *Stated*: the most probable link has a probability
-of {STATED:.0%} or more. *Right*: the touched link is the most probable one; *among two*: one of the two most probable.
-
-| arm | touches | alarms | right | Bayes | among two | Bayes | stated | of those right | Bayes stated | right |
-|---|---|---|---|---|---|---|---|---|---|---|
-"""
-    for arm in [*arms, None]:
-        text += links_line(arm or "**all**", [row for row in rows if arm in (None, row["arm"])])
-    text += "\nBy the largest ratio of the true torque to its joint's limit:\n\n"
-    text += (
-        "| ratio | touches with an alarm | right | Bayes right | stated | of those right |\n|---|---|---|---|---|---|\n"
+def tables(rows: list[dict]) -> list[str]:
+    """Links, links by strength, confusions, forces at the flange, places, shapes."""
+    every = [row for row in rows if not row["flange"]]
+    held, rows = (
+        [row for row in rows if row["flange"] == flange and row["shapes"] == GIVEN] for flange in (True, False)
     )
+    arms = [*dict.fromkeys(row["arm"] for row in rows), "**all**"]
+
+    def of(arm: str, some: list[dict]) -> list[dict]:
+        return [row for row in some if arm in ("**all**", row["arm"])]
+
+    lines = head(
+        "arm | touches | alarms | right | Bayes | among two | Bayes | stated | of those right | Bayes stated | right"
+    )
+    lines += [links_line(arm, of(arm, rows)) for arm in arms]
+    lines += ["", *head("ratio | touches with an alarm | right | Bayes right | stated | of those right")]
     for low, high in ((0, 2), (2, 4), (4, 7), (7, 99)):
-        some = [row for row in rows if row["seen"] and low <= row["ratio"] < high]
-        if some:
+        if some := [row for row in rows if row["seen"] and low <= row["ratio"] < high]:
             ours, bayes = (Told(padded(some), by) for by in ("probability", "bayes"))
-            text += f"| {low} to {high} | {len(some)} | {ours.first:.0%} | {bayes.first:.0%} "
-            text += f"| {ours.stated:.0%} | {ours.sure:.0%} |\n"
-    text += "\nTouched link (rows) and most probable link (columns):\n"
-    for arm in arms:
-        text += confusion(arm, [row for row in rows if row["arm"] == arm and row["seen"]])
-    text += f"""
-Touches on other links, if the application assumes a force at the origin of the last link's frame. `Monitor.force`
-rejects the assumption if `consistent` is below {REJECTED:g}; `PlaceModel.find(frame=...)` rejects it if the probability
-is below {AT_FLANGE:g}. The right half of the table is the share of true forces at that point, in any direction, that
-are wrongly rejected.
-
-| arm | on other links | by consistency | by probability | at the point | by consistency | by probability |
-|---|---|---|---|---|---|---|
-"""
-    for arm in [*arms, None]:
-        text += flange_line(
-            arm or "**all**", *([row for row in some if arm in (None, row["arm"])] for some in (rows, held))
-        )
-    text += f"""
-Place on a given link, for touches of {FROM_N:g} N or more within {WITHIN_DEG:g} degrees of the normal on the last
-{LAST_LINKS} links: distance from the true point, reported spread, and error of the force's magnitude.
-
-| arm | touches | distance, cm: median | 90 % | spread, cm | force error, N |
-|---|---|---|---|---|---|
-"""
-    for arm in [*arms, None]:
-        text += place_line(arm or "**all**", [row for row in rows if arm in (None, row["arm"]) and row["seen"]])
-    return text + shapes_section([row for row in every if not row["flange"]])
-
-
-def shapes_section(rows: list[dict]) -> str:
-    """Links and places by what the bundle knows of the shapes."""
-    text = f"""
-## Guessed shapes
-
-The same touches, if the bundle is given the cylinders as capsules (*{GIVEN}*, all tables above), has no shapes
-(*{GUESSED}*), or has capsules of 5 cm radius from joint to joint (*{THIN}*: a guess without a spread, to compare with).
-Arms with *meshes* are touched on the collision meshes of their robot file; the bundle is given the capsules that an
-import fits to them, or nothing.
-*Link or run*: a link, or a run of up to three neighbouring links, has {STATED:.0%}; *of these right*: the touched link
-is in it. *Distance* and *spread*: of the place on the touched link, touches of {FROM_N:g} N or more within
-{WITHIN_DEG:g} degrees of the normal, median.
-
-"""
-    columns = ("arm", "shapes", "alarms", "right", "among two", "stated", "of these right", "link or run")
-    text += "\n".join([*head(" | ".join([*columns, "of these right", "distance, cm", "spread, cm"])), ""])
-    for arm in [*dict.fromkeys(row["arm"] for row in rows), None]:
+            shares = (f"{share:.0%}" for share in (ours.first, bayes.first, ours.stated, ours.sure))
+            lines.append(table_row(f"{low} to {high}", len(some), *shares))
+    for arm in arms[:-1]:
+        lines += confusion(arm, [row for row in of(arm, rows) if row["seen"]])
+    columns = "on other links | by consistency | by probability | at the point | by consistency | by probability"
+    lines += ["", *head(f"arm | {columns}"), *(flange_line(arm, of(arm, rows), of(arm, held)) for arm in arms)]
+    lines += ["", *head("arm | touches | distance, cm: median | 90 % | spread, cm | force error, N")]
+    lines += [place_line(arm, [row for row in of(arm, rows) if row["seen"]]) for arm in arms]
+    columns = "stated | of these right | link or run | of these right | distance, cm | spread, cm"
+    lines += ["", *head(f"arm | shapes | alarms | right | among two | {columns}")]
+    for arm in [*dict.fromkeys(row["arm"] for row in every), "**all**"]:
         for shapes in (GIVEN, MESHES, GUESSED, THIN):
-            some = [row for row in rows if arm in (None, row["arm"]) and row["shapes"] == shapes and row["seen"]]
-            text += shapes_line(arm or "**all**", shapes, some) if some else ""
-    return text
+            some = [row for row in of(arm, every) if row["shapes"] == shapes and row["seen"]]
+            lines += [shapes_line(arm, shapes, some)] if some else []
+    return lines
 
 
 def shapes_line(arm: str, shapes: str, rows: list[dict]) -> str:
@@ -435,9 +376,7 @@ def shapes_line(arm: str, shapes: str, rows: list[dict]) -> str:
     placed = [row for row in rows if row["force_n"] >= FROM_N and row["angle_deg"] <= WITHIN_DEG]
     off, spread = (100 * np.median([row[key] for row in placed]) for key in ("off_m", "spread_m"))
     shares = (told.first, told.two, told.stated, told.sure, len(held) / len(rows), np.mean(held))
-    return (
-        table_row(arm, shapes, len(rows), *(f"{share:.0%}" for share in shares), f"{off:.1f}", f"{spread:.1f}") + "\n"
-    )
+    return table_row(arm, shapes, len(rows), *(f"{share:.0%}" for share in shares), f"{off:.1f}", f"{spread:.1f}")
 
 
 class Told:
@@ -465,17 +404,17 @@ def links_line(name: str, rows: list[dict]) -> str:
     seen = padded([row for row in rows if row["seen"]])
     ours, bayes = Told(seen, "probability"), Told(seen, "bayes")
     told = (ours.first, bayes.first, ours.two, bayes.two, ours.stated, ours.sure, bayes.stated, bayes.sure)
-    return table_row(name, len(rows), len(seen), *(f"{share:.0%}" for share in told)) + "\n"
+    return table_row(name, len(rows), len(seen), *(f"{share:.0%}" for share in told))
 
 
-def confusion(arm: str, rows: list[dict]) -> str:
+def confusion(arm: str, rows: list[dict]) -> list[str]:
     links = len(rows[0]["probability"])
     table = np.zeros((links, links), dtype=int)
     for one in rows:
         table[one["link"], int(np.argmax(one["probability"]))] += 1
     lines = ["", *head(" | ".join([arm, *(str(k + 1) for k in range(links))]))]
     lines += [table_row(k + 1, *(one or "" for one in counts)) for k, counts in enumerate(table)]
-    return "\n".join([*lines, ""])
+    return lines
 
 
 def flange_line(name: str, rows: list[dict], held: list[dict]) -> str:
@@ -485,7 +424,7 @@ def flange_line(name: str, rows: list[dict], held: list[dict]) -> str:
         rejected = np.mean([row["flange_rejected"] for row in some])
         improbable = np.mean([row["at_flange"] < AT_FLANGE for row in some])
         text += f" | {len(some)} | {rejected:.0%} | {improbable:.0%}"
-    return text + " |\n"
+    return text + " |"
 
 
 def place_line(name: str, rows: list[dict]) -> str:
@@ -500,7 +439,7 @@ def place_line(name: str, rows: list[dict]) -> str:
     spread = np.median([row["spread_m"] for row in placed]) * 100
     force = np.median([abs(row["said_n"] - row["force_n"]) for row in placed])
     median, most = np.quantile(off, (0.5, 0.9))
-    return table_row(name, len(placed), *(f"{one:.1f}" for one in (median, most, spread, force))) + "\n"
+    return table_row(name, len(placed), *(f"{one:.1f}" for one in (median, most, spread, force)))
 
 
 if __name__ == "__main__":

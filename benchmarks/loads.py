@@ -1,37 +1,29 @@
 """What arms carry, weighed by their own joints: arms of the trial on unseen arms, with loads that they do not know.
 
-    python benchmarks/loads.py MODELS OUT [--arms ur5 panda ... rig] [--seed 0]
+    python benchmarks/loads.py MODELS OUT [--arms ur5 panda ...] [--seed 0]
 
-Each arm, and the virtual rig, is trained on nine minutes without a load, with constants of its currents that are true,
-and again with ones off by up to 10 %. Then it moves with 25 loads of 0.5 to 3 kg within 10 cm of its last joint's
-origin (the rig: of its tip), two windows of 4 s each; with a weight of 2.805 kg that is known; and with a constant
-force on its last link. OUT/README.md and OUT/loads.json get the tables; those of docs/results/loads are of this
-command. What is there is used again.
+Each arm is trained on nine minutes without a load, with constants of its currents that are true, and again with ones
+off by up to 10 %. Then it moves with 25 loads of 0.5 to 3 kg within 10 cm of its last joint's origin, two windows of 4
+s each; with a weight of 2.805 kg that is known; and with a constant force on its last link. OUT/loads.md and
+OUT/loads.json get the tables. What is there is used again.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
 import numpy as np
-from common import arguments, head, in_parallel, joined, table_row, trained, write_page
-from unseen.arms import Maker, makers, true_arm, with_ball
+from common import arguments, head, in_parallel, joined, table_row, trained, write_tables
+from unseen.arms import Maker, makers, true_arm
 from unseen.loads import (
-    FARTHEST_M,
     FIRST_S,
     KNOWN_KG,
-    KNOWN_S,
-    LOADS,
-    PUSHES,
     TRAIN,
     WINDOW_S,
     WINDOWS,
@@ -41,20 +33,13 @@ from unseen.loads import (
 )
 from unseen.recordings import description, import_csv, simulate_takes
 
-from tauext import Bundle, _core
+from tauext import Bundle
 from tauext.bundle.bundle_file import load_bundle
-from tauext.data.dataset import Split, save_split
-from tauext.data.recording import Recording
-from tauext.data.recording_file import load_recording, save_recording
-from tauext.data.servo import FROM_AMPERES
+from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 from tauext.monitor.known_load import corrected_bundle, weigh_constants
 from tauext.monitor.weighing import LoadEstimate, NamedFrame, identify, load_frame, mass_error, see
-from tauext.sim.collect import SETTLE_S
-from tauext.sim.config import RigConfig
-from tauext.sim.rig import arm_xml, build_scene, draw_motion, joint_names, measure, roll_out
 
-RIG = "rig"
 WRONG = 0.1
 KINDS = {"true": ["--fit-torque-constants", "False"], "off": []}
 """Torque constants, and the ones given to training; training corrects constants of currents unless they are given."""
@@ -71,26 +56,21 @@ class Subject:
     wrong: np.ndarray
     """Where constants are off: those that are believed over the true ones."""
     frame: Callable[[Bundle], NamedFrame]
-    axes: tuple[int, ...] = (0, 1, 2)
-    """Along which its motion can tell a centre of mass."""
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis", RIG])
+    parser = arguments(__doc__, "models", "out", arms=("ur5", "panda", "kinova", "seven_axis"), seed=0)
     parser.add_argument("--true-only", nargs="*", default=[], help="of these, arms whose constants are never off")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     outcomes: list[Weighed] = []
     factors: dict[str, dict] = {}
     for name in options.arms:
         folder = options.out / name
         kinds = ["true"] if name in options.true_only else list(KINDS)
-        known = None if name == RIG else makers(options.models)[name]
         settings = folder / "true.toml"
         folder.mkdir(parents=True, exist_ok=True)
         settings.write_text(f"torque_share = {TRUE_TO}\n")
-        subject = an_arm(known, folder, options.seed, kinds) if known else the_rig(folder, options.seed)
+        subject = an_arm(makers(options.models)[name], folder, options.seed, kinds)
         for kind in kinds:
             stated = ["--config", settings] if kind == "true" else []
             trained(folder / f"data-{kind}", folder / f"{kind}.tauext", *KINDS[kind], *stated)
@@ -102,10 +82,7 @@ def main() -> None:
             if (folder / f"off-{kind}.tauext").exists():
                 outcomes += weigh(folder, f"off, {kind}", folder / f"off-{kind}.tauext", subject)
     facts = summary(outcomes) | {"factors": factors}
-    (options.out / "loads.json").write_text(json.dumps(facts, indent=1) + "\n")
-    asked = f"python benchmarks/loads.py MODELS OUT --arms {' '.join(options.arms)}"
-    asked += f" --true-only {' '.join(options.true_only)}" if options.true_only else ""
-    write_page(options.out / "README.md", markdown(outcomes, factors, asked))
+    write_tables(options.out, tables(facts["weighed"], factors), facts, "loads")
 
 
 def an_arm(maker: Maker, folder: Path, seed: int, kinds: list[str]) -> Subject:
@@ -115,13 +92,6 @@ def an_arm(maker: Maker, folder: Path, seed: int, kinds: list[str]) -> Subject:
     for kind in kinds:
         dataset(maker, folder, seed, kind, folder / f"data-{kind}", list(takes))
     return Subject(maker.name, takes, wrong_constants(maker, seed), lambda bundle: load_frame(bundle, maker.joints[-1]))
-
-
-def the_rig(folder: Path, seed: int) -> Subject:
-    """The virtual rig, whose recordings hold torques; believed constants scale them."""
-    wrong = np.random.default_rng([seed, 98]).uniform(1 - WRONG, 1 + WRONG, len(RigConfig().links))
-    make_rig(folder, seed, {"true": np.ones_like(wrong), "off": wrong})
-    return Subject(RIG, rig_carried(seed), wrong, lambda _: tip(), PLANE)
 
 
 def wrong_constants(maker: Maker, seed: int) -> np.ndarray:
@@ -169,7 +139,7 @@ def weigh(folder: Path, label: str, path: Path, subject: Subject) -> list[Weighe
             except TauextError:
                 outcomes.append(Weighed.refused(subject.name, label, name, truth))
                 continue
-            outcomes.append(Weighed.of(subject.name, label, name, truth, found, subject.axes))
+            outcomes.append(Weighed.of(subject.name, label, name, truth, found))
     return outcomes
 
 
@@ -195,137 +165,6 @@ def correct(folder: Path, subject: Subject) -> dict:
         "errors": known.errors.tolist(),
         "shows": known.shows.tolist(),
     }
-
-
-# --- The virtual rig with something at its tip.
-
-
-PLANE = (0, 2)
-"""Axes of the tip's frame in which the arm moves: nothing tells where a load is across them."""
-MJCF_AXES = (1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0)
-"""Of the robot file's body in the frame of its link, z of which is along the joint's axis, +y: row by row."""
-SIDEWAYS = 0.3
-"""Most of a push's direction that is along gravity: that would be a load."""
-
-
-def tip() -> NamedFrame:
-    """The end of the last link, axes as in the robot file."""
-    links = RigConfig().links
-    return NamedFrame(_core.LoadFrame(len(links) - 1, list(MJCF_AXES), [0.0, -links[-1].length_m, 0.0]), "the tip")
-
-
-def rig_carried(seed: int) -> dict[str, Carried]:
-    """As `carried` of the other arms, in the tip's frame; centres and forces lie in the plane of motion."""
-    rng = np.random.default_rng([seed, 500])
-    takes = {}
-    for k in range(LOADS):
-        com = in_plane(rng) * rng.uniform(0, FARTHEST_M)
-        mass, radius = float(rng.uniform(0.5, 3.0)), float(rng.uniform(0.02, 0.06))
-        takes[f"load-{k:02d}"] = Carried(mass, tuple(com.tolist()), radius)
-    takes["known"] = Carried(KNOWN_KG, tuple((in_plane(rng) * 0.06).tolist()))
-    for k in range(PUSHES):
-        across = np.array([rng.choice([-1.0, 1.0]), 0.0, rng.uniform(-SIDEWAYS, SIDEWAYS)])
-        across /= np.linalg.norm(across)
-        takes[f"push-{k}"] = Carried(0.0, (0.0, 0.0, 0.0), 0.0, float(rng.uniform(10, 40)), tuple(across.tolist()))
-    return takes
-
-
-def in_plane(rng: np.random.Generator) -> np.ndarray:
-    x, z = rng.standard_normal(2)
-    return np.array([x, 0.0, z]) / np.hypot(x, z)
-
-
-def make_rig(folder: Path, seed: int, wrong: dict[str, np.ndarray]) -> None:
-    """Write a dataset for each kind of constants, its torques times what the constants are wrong by."""
-    carried = rig_carried(seed)
-    takes: dict[str, tuple[float, Carried | None]] = {take.name: (60 * take.minutes, None) for take in TRAIN}
-    for name, what in carried.items():
-        takes[name] = (KNOWN_S if name == "known" else FIRST_S + WINDOWS * WINDOW_S + 0.1, what)
-    missing = [kind for kind in wrong if not (folder / f"data-{kind}" / "split.json").exists()]
-    if not missing:
-        return
-    (folder / "csv").mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor() as pool:
-        made = list(pool.map(lambda k: record(seed, k, *takes[list(takes)[k]]), range(len(takes))))
-    for kind in missing:
-        data = folder / f"data-{kind}"
-        data.mkdir(parents=True, exist_ok=True)
-        robot = arm_xml(RigConfig())
-        (data / "robot.xml").write_text(robot)
-        for name, signals in zip(takes, made, strict=True):
-            save_recording(as_recording(name, signals, wrong[kind], robot), data / f"{name}.parquet")
-        train = tuple(f"{take.name}.parquet" for take in TRAIN)
-        save_split(Split(train, (), tuple(f"{name}.parquet" for name in carried)), data)
-    for name, what in carried.items():
-        (folder / "csv" / f"{name}.truth.json").write_text(json.dumps(asdict(what)) + "\n")
-
-
-def record(seed: int, number: int, seconds: float, what: Carried | None) -> dict[str, np.ndarray]:
-    """Measured signals of the rig on a motion of its own, with what it carries or what pushes its tip."""
-    config = RigConfig()
-    moving, measuring = (np.random.default_rng([seed, 600, number, k]) for k in range(2))
-    settle = round(SETTLE_S * config.rate_hz)
-    q_des, dq_des = draw_motion(
-        config.motion, len(config.links), settle + round(seconds * config.rate_hz), config.rate_hz, moving
-    )
-    scene = build_scene(config, "pulses")
-    if what is not None and what.mass_kg > 0:
-        add_load(scene, config, what)
-    push = np.zeros((len(q_des), 3 * len(config.links)))
-    if what is not None and what.push_n > 0:
-        push[:, -3:] = wrench_at_tip(config, q_des, what)
-    drives = np.stack([q_des, dq_des], axis=2).reshape(len(q_des), -1)
-    truth = roll_out(config, scene, q_des[0], np.hstack([drives, push])).after(settle)
-    return measure(config, truth, np.zeros_like(truth.q), measuring)
-
-
-def add_load(scene: mujoco.MjModel, config: RigConfig, what: Carried) -> None:
-    """Fix a ball to the last link."""
-    body = scene.body(f"link{len(config.links)}").id
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, scene.body_iquat[body])
-    own_m, mass_kg, load_kg = scene.body_ipos[body].copy(), float(scene.body_mass[body]), what.mass_kg
-    load_m = np.array(what.com_m) + [0.0, 0.0, config.links[-1].length_m]
-    inertia = turn.reshape(3, 3) @ np.diag(scene.body_inertia[body]) @ turn.reshape(3, 3).T
-    both_kg, both_m, inertia = with_ball(mass_kg, own_m, inertia, load_kg, load_m, what.radius_m)
-    sizes, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
-    scene.body_mass[body], scene.body_ipos[body] = both_kg, both_m
-    scene.body_inertia[body], scene.body_iquat[body] = sizes, quat
-    mujoco.mj_setConst(scene, mujoco.MjData(scene))
-
-
-def wrench_at_tip(config: RigConfig, q_des: np.ndarray, what: Carried) -> np.ndarray:
-    """Of a force along a direction of the base: fx, fz and torque about +y in the last link's frame, (samples, 3).
-
-    The drives keep the arm within milliradians of its setpoints, so these turn the force.
-    """
-    angle = q_des.sum(axis=1)
-    x, z = what.push_n * what.direction[0], what.push_n * what.direction[2]
-    along_x, along_z = np.cos(angle) * x - np.sin(angle) * z, np.sin(angle) * x + np.cos(angle) * z
-    return np.stack([along_x, along_z, config.links[-1].length_m * along_x], axis=1)
-
-
-def as_recording(name: str, signals: dict[str, np.ndarray], wrong: np.ndarray, robot: str) -> Recording:
-    """With torques as a controller logs them that believes in wrong constants."""
-    config = RigConfig()
-    samples = len(signals["q"])
-    return Recording(
-        name=name,
-        joints=tuple(joint_names(config)),
-        t_ns=np.arange(samples, dtype=np.int64) * round(1e9 / config.rate_hz),
-        q=signals["q"],
-        dq=signals["dq"],
-        tau=signals["tau"] * wrong,
-        contact=np.zeros(samples, dtype=np.int8),
-        rate_hz=float(config.rate_hz),
-        torque_timing="held",
-        source=f"virtual rig {config.name}",
-        robot_sha256=hashlib.sha256(robot.encode()).hexdigest(),
-        provenance={"torque": FROM_AMPERES},
-    )
 
 
 # --- Tables.
@@ -356,12 +195,8 @@ class Weighed:
     com_error_m: float = np.nan
 
     @classmethod
-    def of(
-        cls, arm: str, kind: str, recording: str, truth: Carried, found: LoadEstimate, axes: Sequence[int] = (0, 1, 2)
-    ) -> Weighed:
-        """Axes: those of the load frame along which the arm's motion shows a centre of mass."""
-        off = float(np.linalg.norm((found.com_m - truth.com_m)[list(axes)]))
-        error = float(np.linalg.norm(found.com_error_m[list(axes)]))
+    def of(cls, arm: str, kind: str, recording: str, truth: Carried, found: LoadEstimate) -> Weighed:
+        off, error = (float(np.linalg.norm(one)) for one in (found.com_m - truth.com_m, found.com_error_m))
         return cls(arm, kind, recording, truth, found.verdict, found.mass_kg, mass_error(found), off, error)
 
     @classmethod
@@ -431,34 +266,12 @@ def summary(outcomes: Sequence[Weighed]) -> dict:
     return {"weighed": facts}
 
 
-def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str) -> str:
-    """The page."""
-    facts = summary(outcomes)["weighed"]
-    lines = [
-        "# Weighing loads",
-        "",
-        f"Written by `{command}`. Every figure is in",
-        "[loads.json](loads.json).",
-        "",
-        "Simulated arms of [unseen arms](../unseen-arms/README.md): a wrong model, friction that depends on history,",
-        "load and temperature, and motor currents as torques. Training: nine minutes of motion without a load. Test:",
-        "25 loads an arm of 0.5 to 3 kg, within 10 cm of the last joint's origin, two windows of 4 s each, in any",
-        "motion, pauses and creep included.",
-        "",
-        "A mass is right within 5 % or 0.1 kg, whichever is larger. A centre of mass is right within 2 cm for loads",
-        "of 1 kg or more and within 4 cm below. A mass is *certain* if twice its reported standard error is within",
-        "that tolerance; a centre is certain if its reported standard error is.",
-        "",
-        "The [virtual rig](../../paper.md) has two joints, a correct model and measured torques that wrong constants",
-        "scale. Its loads are within 10 cm of the tip, in the plane of motion. The motion does not show the centre",
-        "across that plane, so centres are judged in the plane.",
-        "",
-        *head(
-            "constants | arm | windows | mass | centre | both | mass certain | mass right where certain "
-            "| centre certain | centre right where certain | mass error, median (68 %) "
-            "| mass within two standard errors"
-        ),
-    ]
+def tables(facts: dict, factors: dict[str, dict]) -> list[str]:
+    """Masses and centres, verdicts, factors."""
+    lines = head(
+        "constants | arm | windows | mass | centre | both | mass certain | mass right where certain | centre certain "
+        "| centre right where certain | mass error, median (68 %) | mass within two standard errors"
+    )
     for kind, arms in facts.items():
         for arm, f in arms.items():
             mass, where = ("–" if f[key] is None else f"{f[key]:.0%}" for key in ("mass_where_told", "com_where_told"))
@@ -467,23 +280,17 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
             told = [f"{f['mass_told']:.0%}", mass, f"{f['com_told']:.0%}", where]
             off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})", f"{f['within_2_errors']:.0%}"]
             lines.append(table_row(TITLES[kind], name, f["windows"], *shares, *told, *off))
-    lines += ["", "Verdicts for windows with loads, and for constant forces of 10 to 40 N across gravity:", ""]
-    lines += head("constants | arm | loads | forces")
+    lines += ["", *head("constants | arm | loads | forces")]
     for kind, arms in facts.items():
         for arm, f in arms.items():
             counts = (", ".join(f"{n} {v}" for v, n in sorted(f[key].items())) for key in ("verdicts", "pushes"))
             lines.append(table_row(TITLES[kind], arm, *counts))
-    lines += ["", *factor_lines(factors)]
-    return "\n".join(lines) + "\n"
+    return [*lines, "", *factor_lines(factors)]
 
 
 def factor_lines(factors: dict[str, dict]) -> list[str]:
     """Factors found with a known weight, and the true ones."""
-    lines = [
-        "True factors of the trained arm's torques, and factors found with a known 2.805 kg in 40 s of motion:",
-        "",
-        *head("arm | true | one factor | joint by joint (in brackets: the common factor)"),
-    ]
+    lines = head("arm | true | one factor | joint by joint (in brackets: the common factor)")
     for arm, f in factors.items():
         true = joined(f["left"], ".3f")
         if "refused" in f:

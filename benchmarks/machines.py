@@ -8,7 +8,7 @@ this processor can run gets a process. The noise stands for the others: every sa
 1 + 1e-13 normal, --draws times for short recordings and --few times for others. All are judged on the same recordings.
 
 DIR holds real recordings, as of real_arms.py. OUT gets datasets, a JSON file a training (used again where it is
-there) and README.md; that of docs/results/machines is one of these.
+there) and machines.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from common import ROOT, arguments, head, table_row, write_page
+from common import COLLISION, EPISODE_S, ROOT, arguments, head, table_row, write_tables
 from real_arms import prepare
 from tauext_fleet.prior import ODD, make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
@@ -42,7 +42,6 @@ from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.evaluate.free_motion import count_episodes
 from tauext.evaluate.injected import estimate_recording
-from tauext.files.provenance import machine
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.find_kinematics import REFINED, KinematicSample, directions
 from tauext.fit.prior_terms import own_terms
@@ -71,7 +70,6 @@ SETTINGS: dict[str, dict[str, str]] = {
 """Each is what some processor would use by itself; the last has none of the wide instructions."""
 AT_A_TIME = 10
 """Draws of a process."""
-COLLISION, EPISODE_S = 2, 0.5
 TAKES = (
     Take("train-1", "train", 1.2),
     Take("train-2", "train", 1.2, 3, 180),
@@ -117,13 +115,12 @@ CASES = {
 
 
 def main() -> None:
-    parser = arguments(__doc__, "out")
+    parser = arguments(__doc__, "out", workers=1)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of real recordings")
     parser.add_argument("--sets", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--settings", nargs="+", choices=tuple(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--few", type=int, default=3)
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--work", nargs=3, metavar=("HOW", "FIRST", "LAST"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
@@ -148,11 +145,7 @@ def main() -> None:
     with ThreadPoolExecutor(options.workers) as pool:
         for _ in pool.map(lambda job: start(options.out, *job), jobs):
             pass
-    given = f" --draws {options.draws} --few {options.few}"
-    given += f" --settings {' '.join(options.settings)}" if options.settings != list(SETTINGS) else ""
-    given += f" --sets {' '.join(options.sets)}" if options.sets != list(CASES) else ""
-    text = page(options.out, options.sets, kernels, f"python benchmarks/machines.py OUT{given}")
-    write_page(options.out / "README.md", text)
+    write_tables(options.out, tables(options.out, options.sets, kernels), name="machines")
 
 
 def start(out: Path, how: str, first: int, last: int, sets: Sequence[str]) -> None:
@@ -341,24 +334,15 @@ def of_fleet(arms: Sequence[Path], out: Path) -> dict:
     return {"decisions": text, "limits": limits, "l1": rest, "collisions": None}
 
 
-def page(out: Path, sets: Sequence[str], kernels: dict[str, str | None], command: str) -> str:
-    """Both tables in Markdown."""
-    lines = ["# Training on other processors", "", f"Written by `{command}` on {machine()}.", ""]
-    lines += head("setting | kernels")
+def tables(out: Path, sets: Sequence[str], kernels: dict[str, str | None]) -> list[str]:
+    """Kernels of the settings; a row a set."""
+    lines = head("setting | kernels")
     lines += [table_row(name, one or "this processor cannot run it") for name, one in kernels.items()]
-    lines += [
-        "",
-        "Settings with the same kernels run once. Spread is the largest value divided by the smallest, less 1, over",
-        "settings and draws; for limits and the L1 error in free motion, it is that of the worst joint. Collisions",
-        "are alarm episodes in recordings with and without contacts.",
-        "",
-        *head("set | trainings | decisions that differ | limits | L1 error | collisions"),
-    ]
+    lines += ["", *head("set | trainings | decisions that differ | limits | L1 error | collisions")]
     for name in sets:
         runs = {file.stem: json.loads(file.read_text()) for file in sorted((out / "runs" / name).glob("*.json"))}
-        if runs:
-            lines.append(row(name, runs))
-    return "\n".join(lines) + "\n"
+        lines += [row(name, runs)] if runs else []
+    return lines
 
 
 def row(name: str, runs: dict[str, dict]) -> str:

@@ -5,8 +5,7 @@
 DATASET: folders of `tauext import`, as benchmarks/unseen_arms.py makes them, or anyone's. For each split, pieces of
 PIECE_S are drawn at random from its recordings without contacts until they have the minutes; a bundle is trained on
 them (recipe prior). It is judged on the rest of these recordings, at least GAP_S away from any piece, and on its
-labelled contacts. OUT/minutes_limits.json keeps every split, and one that is there is not run again; OUT/README.md gets
-the table of docs/results/minutes-limits.
+labelled contacts. OUT keeps every split, and one that is there is not run again; OUT/minutes_limits.md gets the table.
 """
 
 from __future__ import annotations
@@ -16,11 +15,10 @@ import json
 import os
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, table_row, write_page
+from common import arguments, checkpoint, head, in_parallel, quantiles_ms, table_row, write_tables
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, EventsConfig, TrainConfig
@@ -31,7 +29,6 @@ from tauext.errors import TrainingError
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.events import EventMeasures, Labels
 from tauext.evaluate.injected import estimate_recording
-from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
@@ -42,33 +39,25 @@ LEAST_S = 8.0
 
 
 def main() -> None:
-    parser = arguments(__doc__, "out")
+    parser = arguments(__doc__, "out", seed=0, workers=os.cpu_count() or 1)
     parser.add_argument("datasets", type=Path, nargs="+")
     parser.add_argument("--minutes", type=float, nargs="+", default=[1, 4, 8])
     parser.add_argument("--splits", type=int, default=3)
     parser.add_argument("--piece-s", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    file = options.out / "minutes_limits.json"
-    done = json.loads(file.read_text()) if file.exists() else {}
-    jobs = {
-        f"{data} {minutes:g} min, split {options.seed + k}": (data, minutes, options.seed + k)
+    jobs = [
+        (options.out, data, minutes, options.seed + k, options.piece_s)
         for k in range(options.splits)
         for minutes in options.minutes
         for data in options.datasets
-    }
-    with ProcessPoolExecutor(options.workers) as pool:
-        running = {
-            name: pool.submit(one_split, *job, options.piece_s) for name, job in jobs.items() if name not in done
-        }
-        for name, result in running.items():
-            done[name] = result.result()
-            print(name, done[name], flush=True)
-            with atomic_write(file) as part:
-                part.write_text(json.dumps(done, indent=1) + "\n")
-    write_page(options.out / "README.md", markdown([done[name] for name in jobs]))
+    ]
+    write_tables(options.out, table(in_parallel(options.workers, row_of, jobs)), name="minutes_limits")
+
+
+def row_of(out: Path, data: Path, minutes: float, seed: int, piece_s: float) -> dict:
+    """The row of one split, kept in OUT."""
+    name = f"{data.parent.name}-{data.name}-{minutes:g}-{seed}.json"
+    return checkpoint(out / name, lambda: one_split(data, minutes, seed, piece_s))
 
 
 def one_split(folder: Path, minutes: float, seed: int, piece_s: float) -> dict:
@@ -130,8 +119,8 @@ def span(recording: Recording, from_s: float, to_s: float) -> Recording:
     return between(recording, int(first), int(last), f"{recording.name}-{from_s:.0f}")
 
 
-def markdown(rows: Sequence[dict]) -> str:
-    """The table of docs/results/minutes-limits: splits of one arm and length together, and all of a length."""
+def table(rows: Sequence[dict]) -> list[str]:
+    """Splits of one arm and length together, and all of a length."""
     lines = head(
         "arm | minutes | splits | false alarms promised | observed | ratio (least to most) | detected | delay, ms"
     )
@@ -146,11 +135,11 @@ def markdown(rows: Sequence[dict]) -> str:
             each = [row["false"] / row["promised"] for row in of]
             contacts, found = sum(row["contacts"] for row in of), sum(row["detected"] for row in of)
             delays = [row["delay_s"] for row in of if row["delay_s"] is not None]
-            delay = f"{1e3 * np.median(delays):.0f}" if delays else ""
+            delay = quantiles_ms(delays, (0.5,))
             ratio = f"{false / promised:.2f} ({min(each):.2f} to {max(each):.2f})"
             detected = f"{found}/{contacts}" if contacts else ""
             lines.append(table_row(arm, f"{minutes:g}", len(of), f"{promised:.1f}", false, ratio, detected, delay))
-    return "\n".join([*lines, ""])
+    return lines
 
 
 if __name__ == "__main__":

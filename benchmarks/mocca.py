@@ -16,10 +16,9 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from common import ROOT, arguments, head, joined, runs, table_row, write_page
+from common import ROOT, arguments, head, joined, runs, share_interval, table_row, write_page
 from matplotlib import pyplot as plt
 from mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
-from scipy.stats import beta
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, OK
@@ -178,9 +177,7 @@ def error_cells(errors: np.ndarray) -> list[str]:
 
 
 def share(found: int, of: int) -> str:
-    low = 0.0 if found == 0 else beta.ppf(0.025, found, of - found + 1)
-    high = 1.0 if found == of else beta.ppf(0.975, found + 1, of - found)
-    return f"{found} of {of} ({100 * low:.0f} to {100 * high:.0f} %)"
+    return "{} of {} ({:.0f} to {:.0f} %)".format(found, of, *share_interval(found, of))
 
 
 def recipe_row(words: str, tested: Tested, limits_nm: np.ndarray, promised: str) -> str:

@@ -21,7 +21,6 @@ import gc
 import importlib
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -32,10 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, compiler_flags, other_processes_s
-
-from tauext import __version__
-from tauext.files.provenance import machine
+from common import ROOT, about_run, arguments, compiler_flags, head, other_processes_s, save_json, table_row
 
 TOLERANCE = 1e-5
 """Of outputs, scaled: each library has its own sigmoid, tanh and order of additions."""
@@ -43,9 +39,24 @@ OPSET, IR_VERSION = 17, 8
 """Old enough for every ONNX Runtime that 'tauext[bench]' allows."""
 PRIORITY = 80
 WARM_UP_CALLS = 200
-ESTIMATE_P50_US = {2: 1.0, 7: 1.5}
-ESTIMATE_P99_9_US, BOTH_P50_US = 10.0, 12.0
-ANSWER_RATIO, BOTH_RATIO = 100.0, 3.0
+QUANTILES = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
+PARTS = {
+    "monitor": ("monitor", "estimate"),
+    "monitor, advance": ("monitor", "advance"),
+    "monitor, both": ("monitor", "both"),
+    "network alone": ("network", "answer"),
+    "network alone, both": ("network", "both"),
+    "monitor, paced": ("paced", "estimate"),
+    "monitor, paced, advance": ("paced", "advance"),
+}
+"""Rows of what monitor_bench measures without optional parts."""
+TRAINED_PARTS = {
+    "monitor": "free motion",
+    "contact": "contact",
+    "weighing": "weighing",
+    "expecting": "expecting a load",
+    "paced": "paced",
+}
 
 Way = Callable[[], np.ndarray]
 
@@ -67,7 +78,7 @@ class Network:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--bench", type=Path, default=ROOT / "build/cpp/monitor_bench", help="default: %(default)s")
     parser.add_argument("--joints", type=int, nargs="+", default=[2, 7], help="default: 2 7")
     parser.add_argument("--steps", type=int, default=1_000_000, help="samples back to back in a round (%(default)s)")
@@ -76,7 +87,7 @@ def main() -> None:
     parser.add_argument("--calls", type=int, default=20_000, help="of each library in a round (%(default)s)")
     parser.add_argument("--arms", nargs="+", choices=("rig", "seven"), default=[], help="trained bundles as well")
     parser.add_argument("--out", type=Path, help="folder of --arms' bundles")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="every number of every round")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="every number")
     options = parser.parse_args()
     if min(options.rounds, options.steps, options.calls) < 1 or options.paced_s < 0:
         parser.error("--rounds, --steps and --calls must be at least 1, --paced-s at least 0")
@@ -84,84 +95,54 @@ def main() -> None:
         parser.error("--arms needs --out, a folder for bundles")
     if not os.access(options.bench, os.X_OK):
         parser.error(f"there is no {options.bench}: make build")
-
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # the core that monitor_bench takes, too
-    libraries = {"ONNX Runtime": onnx_runtime(), "PyTorch": pytorch()}
-    about = {
-        "machine": machine(), "python": platform.python_version(), "numpy": np.__version__, "tauext": __version__,
-        "flags": compiler_flags(),
-    }  # fmt: skip
-    print(f"{about['machine']}, Python {about['python']}, NumPy {about['numpy']}")
-    print(f"tauext {__version__}: {about['flags']}, instruction set chosen at run time")
-    for name, library in libraries.items():
-        print(f"{name} {library.version}" if isinstance(library, Library) else f"{name}: {library}")
-    print(f"{options.rounds} rounds in turns; a round: {options.steps} samples, {options.calls} calls of a library\n")
-
-    results = {}
+    found = {"ONNX Runtime": onnx_runtime(), "PyTorch": pytorch()}
+    libraries = {name: one for name, one in found.items() if isinstance(one, Library)}
+    print(f"{about_run()}; {compiler_flags()}")
+    print("; ".join(f"{n} {x.version}" if isinstance(x, Library) else f"{n}: {x}" for n, x in found.items()))
+    print(f"{options.rounds} rounds in turns of {options.steps} samples and {options.calls} calls of a library; us\n")
     before = other_processes_s()
-    for joints in options.joints:
-        results[joints] = one_arm(joints, options, {n: x for n, x in libraries.items() if isinstance(x, Library)})
-        show(joints, results[joints])
+    results = {joints: one_arm(joints, options, libraries) for joints in options.joints}
     trained = {arm: trained_arm(arm, options) for arm in options.arms}
-    show_trained(trained)
-    after = other_processes_s()
-    others_s, stolen_s = (after[k] - before[k] for k in range(2))
-    print(f"meanwhile other processes took {others_s:.1f} s of processor time and the host kept {stolen_s:.1f} s for")
-    print("itself: both lengthen the tails")
-
+    others_s, stolen_s = (after - b for after, b in zip(other_processes_s(), before, strict=True))
+    print(f"\nmeanwhile other processes took {others_s:.1f} s of processor time, the host {stolen_s:.1f} s")
     if options.json:
-        versions = {n: x.version if isinstance(x, Library) else x for n, x in libraries.items()}
-        run = {"steps": options.steps, "rounds": options.rounds, "calls": options.calls, "paced_s": options.paced_s}
-        everything = {"machine": about, "libraries": versions, "run": run, "joints": results, "arms": trained}
-        everything["meanwhile"] = {"others_s": others_s, "stolen_s": stolen_s}
-        options.json.write_text(json.dumps(everything, indent=1) + "\n")
+        save_json({"about": about_run(), "joints": results, "arms": trained}, options.json)
 
 
 def one_arm(joints: int, options: argparse.Namespace, libraries: dict[str, Library]) -> dict:
-    """Every way in turns; medians over the rounds, and what each round gave."""
+    """Every way in turns; medians over the rounds, printed as a table."""
     network = dumped(options.bench, joints)
     ways: dict[str, Way] = {}
-    differences = {}
     for name, library in libraries.items():
         for how, way in library.ways(network).items():
-            differences[how] = float(np.abs(way().reshape(-1) - network.answer).max())
-            if not differences[how] <= TOLERANCE:
-                sys.exit(f"{how}, {joints} joints: its output differs from the core's by {differences[how]:.1e}")
+            difference = float(np.abs(way().reshape(-1) - network.answer).max())
+            if not difference <= TOLERANCE:
+                sys.exit(f"{how}, {joints} joints: its output differs from the core's by {difference:.1e}")
             ways[how] = way
         if library.empty_call:
             ways[f"{name}, empty graph"] = library.empty_call
-
     rounds: list[dict] = []
     for _ in range(options.rounds):
         core = core_says(options.bench, joints, options.steps, options.paced_s)
-        rounds.append({"core": core, "libraries": {name: measured(way, options.calls) for name, way in ways.items()}})
-
-    core = merged([one["core"] for one in rounds])
-    times = {name: merged([one["libraries"][name] for one in rounds]) for name in ways}
-    fastest = {}
-    for name in libraries:
-        of_library = [how for how in differences if how.startswith(name)]
-        fastest[name] = min(of_library, key=lambda how: times[how]["p50_ns"])
-    result = {"core": core, "libraries": times, "fastest": fastest, "differences": differences, "rounds": rounds}
-    result["ratios"] = ratios(result)
-    result["bounds"] = bounds(joints, result)
-    return result
-
-
-PARTS = {
-    "monitor": "free motion",
-    "contact": "contact",
-    "weighing": "weighing",
-    "expecting": "expecting a load",
-    "paced": "paced",
-}
+        rounds.append({"core": core} | {name: measured(way, options.calls) for name, way in ways.items()})
+    found = merged(rounds)
+    core = found["core"]
+    rows = {name: core[part][what] for name, (part, what) in PARTS.items() if core[part]}
+    rows |= {"window computed anew": core["recomputed_window"]} | {name: found[name] for name in ways}
+    ours = rows["network alone"]["p50_ns"]
+    print("\n".join(head(f"{joints} joints | p50 | p99 | p99.9 | max | p50 over the network's answer")))
+    for name, times in rows.items():
+        print(table_row(name, *(f"{times[key] / 1e3:.2f}" for key in QUANTILES), f"{times['p50_ns'] / ours:.1f}"))
+    if unhealthy := sum(part["samples_not_ok"] for part in (core["monitor"], core["paced"]) if part):
+        print(f"health was not ok at {unhealthy} samples: these times are not those of the whole chain")
+    return found
 
 
 def trained_arm(arm: str, options: argparse.Namespace) -> dict:
-    """Every part of monitor_bench on a trained bundle; medians over the rounds."""
-    from contact_errors import CASES, train
-    from pushed_arms import practice_recording
+    """Every part of monitor_bench on a trained bundle; medians over the rounds, printed as a table."""
+    from contact_errors import CASES, practice_recording, train
 
     options.out.mkdir(parents=True, exist_ok=True)
     bundle, motion = train(arm, options.out), options.out / f"{arm}.f64"
@@ -169,17 +150,13 @@ def trained_arm(arm: str, options: argparse.Namespace) -> dict:
         free = practice_recording(CASES[arm][0](), 60.0, 0, 50)  # not one of those that the bundle was trained on
         np.hstack([free.q, free.dq, free.tau]).astype("<f8").tofile(motion)
     words = (options.bench, 2, options.steps, options.paced_s, bundle, motion)
-    return merged([core_says(*words) for _ in range(options.rounds)])
-
-
-def show_trained(trained: dict[str, dict]) -> None:
-    for arm, core in trained.items():
-        print(f"trained bundle of {arm}, us{'':{max(0, 20 - len(arm))}}estimate p50     p99.9   advance p50     p99.9")
-        for part, what in PARTS.items():
-            if core[part]:
-                times = (core[part][name][key] for name in ("estimate", "advance") for key in ("p50_ns", "p99_9_ns"))
-                print(f"  {what:38}" + "".join(f"{ns / 1e3:12.2f}" for ns in times))
-        print(flush=True)
+    core = merged([core_says(*words) for _ in range(options.rounds)])
+    print("\n".join(["", *head(f"trained bundle of {arm} | estimate p50 | p99.9 | advance p50 | p99.9")]))
+    for part, what in TRAINED_PARTS.items():
+        if core[part]:
+            times = (core[part][name][key] for name in ("estimate", "advance") for key in ("p50_ns", "p99_9_ns"))
+            print(table_row(what, *(f"{ns / 1e3:.2f}" for ns in times)))
+    return core
 
 
 def core_says(bench: Path, *arguments: object) -> dict:
@@ -298,7 +275,7 @@ def measured(way: Way, calls: int) -> dict[str, float]:
     """Times of single calls, as monitor_bench takes and sums them up; without the garbage collector."""
     ns = np.zeros(WARM_UP_CALLS + calls, np.int64)
     clock = time.perf_counter_ns
-    fifo = real_time(True)
+    real_time(True)
     gc.disable()
     breath = clock()
     for k in range(len(ns)):
@@ -316,26 +293,16 @@ def measured(way: Way, calls: int) -> dict[str, float]:
     def quantile(p: float) -> int:
         return int(ns[max(1, int(np.ceil(p * calls))) - 1])
 
-    return {
-        "count": calls,
-        "mean_ns": float(ns.mean()),
-        "p50_ns": quantile(0.5),
-        "p99_ns": quantile(0.99),
-        "p99_9_ns": quantile(0.999),
-        "max_ns": int(ns[-1]),
-        "over_deadline": int((ns > 1_000_000).sum()),
-        "fifo": fifo,
-    }
+    return {"p50_ns": quantile(0.5), "p99_ns": quantile(0.99), "p99_9_ns": quantile(0.999), "max_ns": int(ns[-1])}
 
 
-def real_time(wanted: bool) -> bool:
-    """Whether this process now stands where it was wanted: in SCHED_FIFO or in the usual class."""
+def real_time(wanted: bool) -> None:
+    """Put this process into SCHED_FIFO, where that is granted, or back into the usual class."""
     try:
         policy, priority = (os.SCHED_FIFO, PRIORITY) if wanted else (os.SCHED_OTHER, 0)
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except (AttributeError, OSError):
-        return False
-    return True
+        pass
 
 
 def merged(rounds: list) -> object:
@@ -357,95 +324,6 @@ def merged(rounds: list) -> object:
     if isinstance(first, str) or all(one == first for one in rounds):
         return first
     return statistics.median(rounds)
-
-
-def ratios(result: dict) -> dict[str, dict[str, float]]:
-    """Median time of each other way over ours: the network alone, like with like, and the whole monitor."""
-    core = result["core"]
-    ours = {
-        "network answer": core["network"]["answer"],
-        "network both": core["network"]["both"],
-        "monitor estimate": core["monitor"]["estimate"],
-        "monitor both": core["monitor"]["both"],
-    }
-    others = {name: result["libraries"][way]["p50_ns"] for name, way in result["fastest"].items()}
-    empty = result["libraries"].get("ONNX Runtime, empty graph")
-    if empty:
-        others["ONNX Runtime less an empty graph"] = others["ONNX Runtime"] - empty["p50_ns"]
-    others["recomputed window"] = core["recomputed_window"]["p50_ns"]
-    return {name: {what: ns / times["p50_ns"] for what, times in ours.items()} for name, ns in others.items()}
-
-
-def bounds(joints: int, result: dict) -> list[dict]:
-    """What tauext promises of its time, and whether it held."""
-    monitor, onnx = result["core"]["monitor"], result["ratios"].get("ONNX Runtime")
-    found = []
-
-    def expect(what: str, value: float | None, bound: float, at_least: bool = False) -> None:
-        held = None if value is None else bool(value >= bound if at_least else value <= bound)
-        found.append({"what": what, "value": value, "bound": bound, "at_least": at_least, "held": held})
-
-    if joints in ESTIMATE_P50_US:
-        expect("estimate() p50 [us]", monitor["estimate"]["p50_ns"] / 1e3, ESTIMATE_P50_US[joints])
-    expect("estimate() p99.9 [us]", monitor["estimate"]["p99_9_ns"] / 1e3, ESTIMATE_P99_9_US)
-    expect("estimate() and advance() p50 [us]", monitor["both"]["p50_ns"] / 1e3, BOTH_P50_US)
-    expect("ONNX Runtime / network's answer", onnx and onnx["network answer"], ANSWER_RATIO, True)
-    expect("ONNX Runtime / its answer and advance", onnx and onnx["network both"], BOTH_RATIO, True)
-    return found
-
-
-def show(joints: int, result: dict) -> None:
-    core = result["core"]
-    granted = [
-        f"{what} {'yes' if core[key] else 'no'}"
-        for what, key in (("SCHED_FIFO", "fifo"), ("memory locked", "memory_locked"))
-    ]
-    print(
-        f"{joints} joints: F {core['inputs']}, H {core['hidden']}, {core['window_steps']} steps of {core['stride']} "
-        f"samples of {core['sample_period_ns'] / 1e6:g} ms, {core['lanes']} lanes, compiler {core['compiler']}"
-    )
-    print(f"core {core['core']}, {', '.join(granted)}; reading the clock adds {core['clock']['p50_ns']:.0f} ns to each")
-    print(f"{'us':42}{'p50':>9}{'p99':>9}{'p99.9':>9}{'max':>10}{'missed':>8}")
-
-    def line(name: str, times: dict, note: str = "") -> None:
-        numbers = "".join(f"{times[key] / 1e3:9.2f}" for key in ("p50_ns", "p99_ns", "p99_9_ns"))
-        print(f"{name:42}{numbers}{times['max_ns'] / 1e3:10.1f}{times['over_deadline']:8}{note}")
-
-    for name, part, first in (
-        ("monitor", core["monitor"], "estimate"),
-        ("network alone", core["network"], "answer"),
-        ("monitor, network period", core["monitor_network_period"], "estimate"),
-        ("monitor, paced", core["paced"], "estimate"),
-    ):
-        if part:
-            line(f"{name}: {first}", part[first])
-            line("  advance", part["advance"])
-            line("  both", part["both"])
-    if core["paced"]:
-        line("  late wake-up", core["paced"]["wake_up_lateness"])
-        late, left_out = core["paced"]["missed_deadlines"], core["paced"]["ticks_left_out"]
-        print(f"  steps that ended after the next was due: {late}; ticks left out: {left_out}")
-    line("window computed anew", core["recomputed_window"])
-    for name, times in result["libraries"].items():
-        difference = result["differences"].get(name)
-        line(name, times, "" if difference is None else f"   differs by {difference:.0e}")
-    unhealthy = [
-        part["samples_not_ok"] for part in (core["monitor"], core["monitor_network_period"], core["paced"]) if part
-    ]
-    if any(unhealthy):
-        print(f"health was not ok at {sum(unhealthy)} samples: these times are not those of the whole chain")
-
-    columns = list(next(iter(result["ratios"].values())))
-    print(f"\n{'p50 over our p50 of':42}" + "".join(f"{name:>18}" for name in columns))
-    for name, values in result["ratios"].items():
-        print(f"{name:42}" + "".join(f"{values[column]:18.1f}" for column in columns))
-    print()
-    for bound in result["bounds"]:
-        sign = ">=" if bound["at_least"] else "<="
-        value = "not measured" if bound["value"] is None else f"{bound['value']:.2f}"
-        verdict = {True: "held", False: "MISSED", None: ""}[bound["held"]]
-        print(f"{bound['what']:42}{value:>12} {sign} {bound['bound']:g}  {verdict}")
-    print(flush=True)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@
 
 DATASET: the panda_mindlab recordings as `benchmarks/real_arms.py` imports them (runs/real-arms/panda/data; a file a
 link, with labels and the robot's own estimate). BUNDLES: its folder bundles (observer.tauext, bandpass.tauext). OUT
-gets README.md. Nothing is tuned here: links are found by the observer's bundle, whose standard error is that of its own
-limits. The other two estimates get the standard error of their samples without a touch. Shapes are those of the
+gets panda_touches.md. Nothing is tuned here: links are found by the observer's bundle, whose standard error is that of
+its own limits. The other two estimates get the standard error of their samples without a touch. Shapes are those of the
 simulated Panda, guesses, and with --meshes those of a Panda's robot file whose meshes are there.
 """
 
@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, runs, table_row, write_page
+from common import arguments, head, runs, table_row, write_tables
 from links import GIVEN, GUESSED, THIN, thin_capsules
 from unseen.surfaces import SURFACES, capsules_of
 
@@ -58,7 +58,7 @@ def main() -> None:
         tables[title] = by_shapes(arm, shapes, recordings, told, own=name == "observer")
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
     tables["the robot's own estimate"] = by_shapes(arm, shapes, recordings, own, own=False)
-    write_page(options.out / "README.md", markdown(tables, " --meshes ROBOT" if options.meshes else ""))
+    write_tables(options.out, markdown(tables), name="panda_touches")
 
 
 FINGERS = "5 cm capsules and fingers"
@@ -142,59 +142,21 @@ def table_of(bundle: _core.Bundle, recordings: dict[str, Recording], told: dict[
     }
 
 
-def markdown(tables: dict[str, dict[str, dict]], words: str) -> str:
-    text = f"""# Touches on a standing Panda
-
-Written by `python benchmarks/panda_touches.py DATASET BUNDLES OUT{words}`.
-
-Hand touches of [tactileGestureDetection](https://github.com/MindLabZHAW/tactileGestureDetection) (MIT). The arm stands
-in one pose. A touch lasts 0.3 to 0.7 s; each file has touches on one link; forces are unknown. The torque is `tau_J`,
-the signal of the arm's joint torque sensors: it contains no friction of motor and gear.
-
-Recipes observer and bandpass need no motion; their bundles are trained on three of the files. The observer's standard
-error is the one stored in its bundle. The other two estimates get the standard error of their samples between
-touches. Link shapes are the cylinders of the simulated Panda, except where noted. A touch in line with an axis, or near
-one, does not show which side of the axis was touched.
-
-A band-pass distorts the direction of a touch over time. tauext therefore refuses links, forces and kinds of touch for
-bundles with residual filters; they are shown here for comparison only.
-
-"""
-    text += f"""Links by what is known of the shapes. *{GIVEN}*: the cylinders. *{GUESSED}*: the robot file without
-meshes. *{THIN}*: a guess without a spread, from joint to joint, to compare with. *{FINGERS}*: the same, but the boxes
-of the two fingers, which need no mesh, count as the whole last link. *Meshes*: capsules of the robot file's meshes.
-*Stated*: a link has {STATED:.0%} or more; *link or run*: it, or a run of up to three neighbouring links, has. Nothing
-was tuned on these touches; the guess was run on them twice, before and after axes that are parallel got a spread, which
-was chosen on simulated arms.
-
-"""
+def markdown(tables: dict[str, dict[str, dict]]) -> list[str]:
+    """By estimate and shapes, then touched and most probable links."""
     columns = ("estimate", "shapes", "touches", "right", "among two", "stated", "of these right", "link or run")
-    lines = head(" | ".join([*columns, "of these right"]))
+    lines = head(" | ".join([*columns, "of these right", "own joint over three standard errors"]))
     for by, kinds in tables.items():
         for kind, one in kinds.items():
-            confusion, counts = one["confusion"], (one[key] for key in ("two", "stated", "sure", "runs", "in runs"))
+            confusion = one["confusion"]
+            counts = (one[key] for key in ("two", "stated", "sure", "runs", "in runs", "own"))
             lines.append(table_row(by, kind, confusion.sum(), np.trace(confusion), *counts))
-    text += "\n".join([*lines, "", ""])
-    for (by, kind), one in ((key, tables[key[0]][key[1]]) for key in shown(tables)):
-        confusion = one["confusion"]
-        count, right = confusion.sum(), np.trace(confusion)
-        text += f"## {by[0].upper()}{by[1:]}{'' if kind == GIVEN else f', shapes {kind}'}\n\n"
-        text += (
-            f"The touched link is the most probable one in {right} of {count} touches, and among the first two in "
-            f"{one['two']}. A link has a probability of 90% or more {one['stated']} times; {one['sure']} of these are "
-            f"right. In {one['own']} of {count} touches, the torque of the link's own joint exceeds "
-            "three standard errors.\n\n"
-        )
-        lines = head(" | ".join(["touched", *(str(k + 1) for k in range(7))]))
-        lines += [table_row(k, *(n or "" for n in confusion[k - 1])) for k in sorted(set(TOUCHED.values()))]
-        text += "\n".join([*lines, "", ""])
-    return text
-
-
-def shown(tables: dict[str, dict[str, dict]]) -> list[tuple[str, str]]:
-    """Estimates and shapes with a section of their own."""
-    first = next(iter(tables))
-    return [(first, GIVEN), (first, GUESSED), *((by, GIVEN) for by in tables if by != first)]
+    for by, kinds in tables.items():
+        for kind in (GIVEN, GUESSED):
+            lines += ["", f"{by}, {kind}", "", *head(" | ".join(["touched", *(str(k + 1) for k in range(7))]))]
+            confusion = kinds[kind]["confusion"]
+            lines += [table_row(k, *(n or "" for n in confusion[k - 1])) for k in sorted(set(TOUCHED.values()))]
+    return lines
 
 
 if __name__ == "__main__":

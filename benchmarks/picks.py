@@ -4,8 +4,7 @@
 
 Each arm is trained on nine minutes of ordinary motion and eight of picks of nothing. Then it picks loads of 0.5 to 3 kg
 off tables, suddenly and gradually, moves with them and puts them down; and it is hit within such a window, without a
-load and with one in hand. OUT/README.md and OUT/picks.json get the tables; those of docs/results/picks are of this
-command. What is there is used again.
+load and with one in hand. OUT/picks.md and OUT/picks.json get the tables. What is there is used again.
 """
 
 from __future__ import annotations
@@ -20,12 +19,11 @@ from typing import Any
 
 import numpy as np
 from carrying import APART_S, FIRST_S, load_of
-from common import arguments, in_parallel, table_row, trained, write_page
+from common import arguments, head, in_parallel, quantiles_ms, table_row, trained, write_tables
 from unseen.arms import Maker, makers, true_arm
 from unseen.loads import TRAIN
-from unseen.picks import GRADUAL_S, SUDDEN_S, WINDOW_S, write_pick
-from unseen.recordings import description, import_csv, simulate_takes
-from unseen.results import STRONG
+from unseen.picks import WINDOW_S, write_pick
+from unseen.recordings import STRONG, description, import_csv, simulate_takes
 
 from tauext import Monitor, Recording, load_bundle
 from tauext.data.recording_file import load_recording
@@ -35,10 +33,8 @@ EMPTY = 24
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=["ur5", "panda"])
+    parser = arguments(__doc__, "models", "out", arms=("ur5", "panda"), seed=0)
     parser.add_argument("--picks", nargs="+", type=int, default=[80, 80], help="of each arm; as many collisions")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     outcomes: list[Outcome] = []
     for name, picks in zip(options.arms, options.picks, strict=True):
@@ -50,10 +46,7 @@ def main() -> None:
         free = errors(bundle, data, [f"empty-{k:03d}" for k in range(EMPTY)])
         jobs = [(name, bundle, data, folder / "csv", take, free) for take in names(takes)]
         outcomes += in_parallel(os.cpu_count(), watch, jobs)
-    counts = " ".join(map(str, options.picks))
-    asked = f"python benchmarks/picks.py MODELS OUT --arms {' '.join(options.arms)} --picks {counts}"
-    (options.out / "picks.json").write_text(json.dumps(summary(outcomes)) + "\n")
-    write_page(options.out / "README.md", markdown(outcomes, asked))
+    write_tables(options.out, tables(outcomes), [_rounded(asdict(one)) for one in outcomes], "picks")
 
 
 def plan(picks: int) -> dict[str, int]:
@@ -245,53 +238,8 @@ def errors(path: Path, data: Path, takes: list[str]) -> list[float]:
 # --- Tables of the trial.
 
 
-INTRODUCTION = f"""\
-# Picks and places
-
-Written by `{{asked}}`. Every take is in
-[picks.json](picks.json).
-
-Simulated arms of [unseen arms](../unseen-arms/README.md): a wrong model, friction that depends on history, load and
-temperature, and motor currents as torques. Training: seventeen minutes, nine of ordinary motion and eight of picks
-without a load. The limits promise 1 false alarm in 7 to 8 minutes, no more.
-
-Test: loads of 0.5 to 3 kg are lifted off a table, moved and put down on a table. Half of them come off within
-{SUDDEN_S:g} s, the others over {GRADUAL_S[0]:g} to {GRADUAL_S[1]:g} s. The gripper calls `expect_load({WINDOW_S:g},
-{AT_MOST_KG:g})` at the grasp and `expect_load({WINDOW_S:g}, 0)` just before the load is put down. The reference calls
-`set_load` when the load hangs freely and `clear_load` when the table begins to carry it, both at the exact time. A
-third monitor gets no announcements.
-
-The method was fixed on the ur5. Two rules were added afterwards. After the first run on the panda, a load must explain
-half of the residual. After the first run on the kinova, an adopted load is weighed on with all later motion.
-
-| arm | picks and places | false collisions in the windows | elsewhere | elsewhere, exact `set_load` \
-| without announcements | hours |
-|---|---|---|---|---|---|---|"""
-WEIGHED = """
-Estimated masses. An estimate is right within 5 % or 0.1 kg, whichever is larger; the error is the one at the end of
-the window.
-
-| arm | right after the window | right before it is put down | error, median | error, 90 % | \
-within two standard errors | not adopted | not cleared at the end |
-|---|---|---|---|---|---|---|---|"""
-COLLISIONS = f"""
-Collisions in the same windows: impacts, pushes and holds anywhere on the arm except its first link. The arm carries no
-load during a pick and carries one during a release. *Strong*: the torque at some joint is {STRONG:g} times the error in
-free motion or more. Contacts within {np.degrees(np.arccos(DOWN)):.0f} degrees of gravity are listed apart, because the
-joints cannot distinguish them from a load while they last. *Found*: an alarm at most 0.7 s after the contact's end.
-*With it*: among the contacts that the same monitor finds without the window.
-
-| arm | contacts | found without the window | of these with it | delay without it, ms: median, 90 % \
-| delay with it, ms | largest extra delay |
-|---|---|---|---|---|---|---|"""
-
-
 def right(found_kg: float, true_kg: float) -> bool:
     return abs(found_kg - true_kg) <= max(0.05 * true_kg, 0.1)
-
-
-def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    return [_rounded(asdict(one)) for one in outcomes]
 
 
 def _rounded(facts: dict[str, Any]) -> dict[str, Any]:
@@ -299,12 +247,21 @@ def _rounded(facts: dict[str, Any]) -> dict[str, Any]:
     return {key: round(value, 4) if isinstance(value, float) else value for key, value in whole.items()}
 
 
-def markdown(outcomes: Sequence[Outcome], asked: str) -> str:
+def tables(outcomes: Sequence[Outcome]) -> list[str]:
     arms = list(dict.fromkeys(one.arm for one in outcomes))
     groups = [(arm, [one for one in outcomes if one.arm == arm]) for arm in arms] + [("**all**", list(outcomes))]
     picks = [(arm, [one for one in group if one.truth["contact"] is None]) for arm, group in groups]
-    lines = [*INTRODUCTION.format(asked=asked).splitlines(), *(_picks(arm, group) for arm, group in picks)]
-    lines += [*WEIGHED.splitlines(), *(_masses(arm, group) for arm, group in picks), *COLLISIONS.splitlines()]
+    false = "false collisions in the windows | elsewhere | elsewhere, exact `set_load` | without announcements"
+    lines = [*head(f"arm | picks and places | {false} | hours"), *(_picks(arm, group) for arm, group in picks), ""]
+    lines += head(
+        "arm | right after the window | right before it is put down | error, median | error, 90 % "
+        "| within two standard errors | not adopted | not cleared at the end"
+    )
+    lines += [*(_masses(arm, group) for arm, group in picks), ""]
+    lines += head(
+        "arm | contacts | found without the window | of these with it | delay without it, ms: median, 90 % "
+        "| delay with it, ms | largest extra delay"
+    )
     for words, chosen in (
         ("strong", lambda one: one.strength >= STRONG and not one.down),
         ("weak", lambda one: one.strength < STRONG and not one.down),
@@ -314,7 +271,7 @@ def markdown(outcomes: Sequence[Outcome], asked: str) -> str:
             hit = [one for one in group if one.truth["contact"] is not None and chosen(one)]
             if hit:
                 lines.append(_hits(f"{arm}, {words}", hit))
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _picks(arm: str, group: Sequence[Outcome]) -> str:
@@ -342,7 +299,7 @@ def _hits(label: str, hit: Sequence[Outcome]) -> str:
     if not found:
         return f"| {label} | {len(hit)} | {len(plain)} | 0 | | | |"
     delays = [[getattr(one, name) for one in found] for name in ("plain_delay_s", "delay_s")]
-    quantiles = ["{:.0f}, {:.0f}".format(*1e3 * np.percentile(one, [50, 90])) for one in delays]
+    quantiles = [quantiles_ms(one, (0.5, 0.9)) for one in delays]
     more = max(one.delay_s - one.plain_delay_s for one in found)
     return table_row(label, len(hit), len(plain), len(found), *quantiles, f"{more:.2f} s")
 

@@ -1,16 +1,22 @@
 """From a sample's reception to a callback, in the Python loop and, with the C++ example, in a control loop.
 
     python benchmarks/reaction.py [--seconds 60] [--core 1] [--priority 80] [--example build/examples/01_control_loop]
+    python benchmarks/reaction.py --stop [--seconds 60] [--core 1] [--priority 80]
 
 Seven joints at 1 kHz with a network of the paper's size and random weights. A thread of its own puts a sample into a
 SampleQueue every millisecond, as a source of a robot does; the loop takes it, runs the monitor and calls a sink. Half
 a second apart a push of 50 ms raises a contact; its reaction is a Python function in a process of its own.
 Reported: sample to sink, sample to the reaction's start, in µs; samples lost. The aim is p99 <= 2 ms of the first.
+
+--stop: each contact sends `stop` to a stand-in of a UR's dashboard server in another process, on a connection that was
+opened before. Reported: time until the stand-in has received the command, and until the confirmation. Network,
+controller and the arm's braking come on top.
 """
 
 from __future__ import annotations
 
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -18,16 +24,18 @@ from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
-from common import arguments
+from common import ROOT, arguments, loop_arguments
 from seven_axis import bundle, motion
 
 from tauext import _core
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
-from tauext.monitor.reactions import start_reactions
+from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
+from tauext.monitor.sink import Event
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 from tauext.sources.reader import SampleQueue
+from tauext.sources.ur_dashboard import Dashboard
 
 PERIOD_NS = 1_000_000
 AIM_P99_US = 2000.0
@@ -38,17 +46,20 @@ PUSH_NM = 100.0
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="default: %(default)s")
-    parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
-    parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
+    loop_arguments(parser)
     parser.add_argument("--example", type=Path, help="01_control_loop, built (examples/README.md)")
+    parser.add_argument("--stop", action="store_true", help="measure the stop of a UR arm instead")
     options = parser.parse_args()
+    settings = LoopSettings(core=options.core, priority=options.priority)
+    if options.stop:
+        measure_stop(options.seconds, settings)
+        return
     watching = bundle_with_contacts()
     source, timing = Ticking(options.seconds), Timing()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "called.py").write_text("def react(facts):\n    pass\n")
         with chdir(folder):
             reactions = start_reactions([Reaction("callback", ("contact",), python="called:react")], source, [])
-    settings = LoopSettings(core=options.core, priority=options.priority)
     loop = Loop(watching, source, [timing], reactions, settings=settings)
     loop.note = print
     loop.run()
@@ -64,6 +75,34 @@ def main() -> None:
             watching.save(str(path))
             print(f"C++, {options.example.name}:", flush=True)
             subprocess.run([options.example, path, f"{options.seconds:g}"], check=True)
+
+
+def measure_stop(seconds: float, settings: LoopSettings) -> None:
+    """From a sample's reception to the stop of a UR arm, through a stand-in of its dashboard server."""
+    with subprocess.Popen(
+        [sys.executable, ROOT / "tests" / "made_ur.py"], stdout=subprocess.PIPE, text=True
+    ) as controller:
+        dashboard = Dashboard("127.0.0.1", int(controller.stdout.readline()))
+        dashboard.check()
+        received_ns, confirmed = [], Latencies()
+
+        def stop(event: Event) -> None:
+            dashboard.stop()
+            received_ns.append(event.received_ns)
+            confirmed.add(time.monotonic_ns() - event.received_ns)
+
+        reactions = Reactions([ReactionThread(Reaction("stop", ("contact",), stop=True), stop)])
+        loop = Loop(bundle_with_contacts(), Ticking(seconds), [], reactions, settings=settings)
+        loop.note = print
+        loop.run()
+        reactions.end()
+        controller.terminate()
+        sent = Latencies()
+        for at_ns, began_ns in zip(map(int, controller.stdout.read().split()), received_ns, strict=True):
+            sent.add(at_ns - began_ns)
+    print(f"{loop.samples:,} samples, {len(received_ns)} stops, {reactions.threads[0].count.failed} failed")
+    print(f"sample to command at the controller  {sent.text()}")
+    print(f"sample to confirmation               {confirmed.text()}")
 
 
 class Timing:

@@ -1,15 +1,14 @@
-"""Recordings of real arms in docs/results/real-arms: every step is a tauext command; finished steps are not repeated.
+"""Recordings of real arms: every step is a tauext command; finished steps are not repeated.
 
 python benchmarks/real_arms.py OUT [--data DIR] [--only ARM ...]   runs the steps in OUT/ARM, a minute or two
-python benchmarks/real_arms.py OUT --keep                          also writes the pages of docs/results/real-arms
+python benchmarks/real_arms.py OUT --keep                          also writes the figures of docs/results/real-arms
 
 DIR holds the recordings (--data). Each arm's description is docs/results/real-arms/ARM/arm.toml; other descriptions of
-it are made from that one. OUT/ARM/output/ keeps each step's output.
+it are made from that one. OUT/ARM/tables.md gets the tables, OUT/ARM/output/ each step's output.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import shlex
@@ -21,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, head, runs, table_row
+from common import ROOT, arguments, head, runs, table_row, write_tables
 
 from tauext.bundle.estimates import load_estimates
 from tauext.data.recording_file import load_recording
@@ -209,7 +208,6 @@ def output_of(folder: Path, begins: str) -> str:
 
 
 KEPT = ROOT / "docs" / "results" / "real-arms"
-LONGEST_OUTPUT = 14  # lines of output kept for each command except check
 
 
 @dataclass(frozen=True)
@@ -390,42 +388,19 @@ def carry_out(name: str, folder: Path) -> None:
         path.write_text(run.stdout)
 
 
-def page(name: str, folder: Path) -> str:
-    """An arm's page: tables, figures, and every command with its output."""
-    arm = ARMS[name]
-    parts = [
-        f"# {name}\n\nWritten by `python benchmarks/real_arms.py`. [Real arms](../README.md) explains the results."
-    ]
-    tables = arm.tables(folder)
-    parts += [tables] if tables else []
-    parts += [f"![{figure}]({figure})" for figure in arm.figures]
-    parts.append("## Commands and their output")
-    for command, bare in zip(arm.commands, plain(arm.commands), strict=True):
-        lines = [line for line in file_of(folder, bare).read_text().splitlines() if line and line[0] != "{"]
-        lines = [line for line in lines if not re.match(r"(evaluate|train \w+): ", line)]
-        if not bare.startswith("check") and len(lines) > LONGEST_OUTPUT:
-            lines = [*lines[: LONGEST_OUTPUT - 4], f"... ({len(lines) - LONGEST_OUTPUT + 1} lines)", *lines[-3:]]
-        status = f"\n(exit status {command[0]})" if command != bare else ""
-        parts.append("```text\n$ tauext " + "\n".join([bare, *lines]) + status + "\n```")
-    return "\n\n".join(parts) + "\n"
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of the recordings")
     parser.add_argument("--only", nargs="+", choices=tuple(ARMS), default=tuple(ARMS))
-    parser.add_argument("--keep", action="store_true", help=f"put pages and figures into {KEPT.relative_to(ROOT)}")
+    parser.add_argument("--keep", action="store_true", help=f"put figures into {KEPT.relative_to(ROOT)}")
     options = parser.parse_args()
     for name in options.only:
         folder = options.out.resolve() / name
         prepare(name, options.data, folder)
         carry_out(name, folder)
-        kept = KEPT / name if options.keep else folder
-        (kept / "README.md").write_text(page(name, folder))
+        write_tables(folder, [ARMS[name].tables(folder)])
         for figure, make in ARMS[name].figures.items():
-            make(folder, kept / figure)
-        print(kept / "README.md")
+            make(folder, (KEPT / name if options.keep else folder) / figure)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ and after one that a monitor kept the minute for.
 
 BUNDLE: of recipe prior, with limits from calibration recordings, trained on a dataset that the virtual rig made with
 its default settings. MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets what the unseen arms take (used
-again where it is there), a file a row (used again where it is newer than the bundle) and README.md; that of
-docs/results/refit is one of these. Rows are of the same motion, and none of it is the minute that was fitted.
+again where it is there), a file a row (used again where it is newer than the bundle) and refit.md. Rows are of the same
+motion, and none of it is the minute that was fitted.
 """
 
 from __future__ import annotations
@@ -14,13 +14,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from common import arguments, collisions_begin, flags, head, in_parallel, joined, runs, table_row, trained, write_page
+from common import (
+    arguments,
+    checkpoint,
+    collisions_begin,
+    head,
+    in_parallel,
+    joined,
+    runs,
+    table_row,
+    trained,
+    write_tables,
+)
 from unseen.arms import Maker, arm_of, makers
-from unseen.recordings import Take, make_dataset, told_constants
-from unseen.results import STRONG, nearest
+from unseen.recordings import STRONG, Take, make_dataset, nearest, told_constants
 
 from tauext import _core
 from tauext.data.dataset import load_split
@@ -96,39 +107,26 @@ class Row:
 
 
 def main() -> None:
-    parser = arguments(__doc__, "bundle", "models", "out")
+    parser = arguments(__doc__, "bundle", "models", "out", seed=0, workers=1)
     parser.add_argument("--hours", type=float, default=1.0, help="of free motion a row, default: %(default)s")
     parser.add_argument("--arms", nargs="*", default=ARMS)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
     jobs = [(options.bundle, options.hours, options.out, change) for change in CHANGES]
     rows = in_parallel(options.workers, row_of, jobs)
     cold = []
     for name in options.arms:
-        maker, told = makers(options.models)[name], options.out / f"{name}.json"
+        maker = makers(options.models)[name]
         data = make_dataset(maker, options.seed, options.out / name, TAKES, options.workers)
         bundle = trained(data, options.out / name / "warm.tauext")
-        if not told.exists() or told.stat().st_mtime < bundle.stat().st_mtime:
-            told.write_text(json.dumps(judge_cold(maker, options.seed, bundle, MORNINGS_S)) + "\n")
-        cold.append(json.loads(told.read_text()))
-    given = flags(options, {"hours": 1.0})
-    given += f" --arms {' '.join(options.arms)}" if options.arms != ARMS else ""
-    command = f"python benchmarks/refit.py BUNDLE MODELS OUT{given}"
-    write_page(
-        options.out / "README.md", [*heading(command), *rig_table(rows), "", *(cold_table(cold) if cold else [])]
-    )
+        facts = partial(judge_cold, maker, options.seed, bundle, MORNINGS_S)
+        cold.append(checkpoint(options.out / f"{name}.json", facts, bundle))
+    write_tables(options.out, [*rig_table(rows), "", *cold_table(cold)], name="refit")
 
 
 def row_of(path: Path, hours: float, out: Path, change: Change) -> Row:
     """The row of a change, from OUT where the same bundle has been judged for so long."""
-    told = out / f"rig {change.words} {hours:g} h.json"
-    if told.exists() and told.stat().st_mtime > path.stat().st_mtime:
-        return Row(**json.loads(told.read_text()))
-    row = judge_rig(path, hours, change)
-    told.write_text(json.dumps(asdict(row)) + "\n")
-    return row
+    file = out / f"rig {change.words} {hours:g} h.json"
+    return Row(**checkpoint(file, lambda: asdict(judge_rig(path, hours, change)), path))
 
 
 def judge_rig(path: Path, hours: float, change: Change) -> Row:
@@ -169,39 +167,12 @@ def judge_rig(path: Path, hours: float, change: Change) -> Row:
 AFTER = "before | after 60 s | after 30 s | inside"
 
 
-def heading(command: str) -> list[str]:
-    """The page's heading and the definitions of its columns."""
-    return [
-        "# Refit after a change of friction",
-        "",
-        f"Written by `{command}`.",
-        "",
-        "`tauext refit` gets 60 s or 30 s of ordinary motion of the changed arm and no other data of it.",
-        "False collisions an hour are then counted on other motion, before (old bundle) and after the refit. On the",
-        f"rig, this motion is recordings of {LENGTH_S:g} s. Each starts a new monitor, whose drift tracker has to find",
-        "the friction again. In one continuous run, false collisions end after 11 s ([drift](../drift/README.md)).",
-        "",
-        "- *Inside*: the running monitor kept the minute (`start_refit`, `finish_refit`) and its motion was fitted.",
-        "- *Meanwhile*: results during that minute; the limits are then raised by 0.4 times the friction of the prior.",
-        "- A collision is *strong* if its true torque, low-passed by the observer's filter, exceeds 1.5 times the",
-        "  limit after the 60 s refit for 20 ms.",
-        "- *Limits*: the factor by which the refit raised each joint's limits.",
-        "- *Promise*: `stands` if the refitted limits still support the promised false alarm rate, `open` if that is",
-        "  unknown.",
-        "",
-    ]
-
-
 def rig_table(rows: Sequence[Row]) -> list[str]:
     """Table of the virtual rig, and whether all rows together keep the promise."""
-    lines = [
-        "## The virtual rig",
-        "",
-        *head(
-            f"change | false collisions an hour: {AFTER} | strong collisions latched: {AFTER} | meanwhile: false "
-            "| strong latched | found: friction, viscous | limits | promise"
-        ),
-    ]
+    lines = head(
+        f"change | false collisions an hour: {AFTER} | strong collisions latched: {AFTER} | meanwhile: false "
+        "| strong latched | found: friction, viscous | limits | promise"
+    )
     for one in rows:
         counted = zip(one.false, one.hours, strict=True)
         false = [f"{count / hours:.2g} ({count} in {hours:.2f} h)" for count, hours in counted]
@@ -232,19 +203,10 @@ def promises(rows: Sequence[Row]) -> list[str]:
 
 def cold_table(rows: Iterable[dict]) -> list[str]:
     """Table of arms that were trained warm."""
-    lines = [
-        "## Unseen arms, trained warm and refitted cold",
-        "",
-        "Friction falls by 10 to 15 % within minutes. The bundles are trained on nine minutes of the warm arm and not",
-        "calibrated. The first minute of the cold arm is fitted; the following minutes are evaluated with the drift",
-        "tracker on. A contact is strong if its torque at some joint is 3 times the held-out error or more. It is",
-        "found if a collision falls within its label.",
-        "",
-        *head(
-            f"arm | hours | false collisions an hour: {AFTER} | strong found: {AFTER} | meanwhile: false "
-            "| friction found | limits"
-        ),
-    ]
+    lines = head(
+        f"arm | hours | false collisions an hour: {AFTER} | strong found: {AFTER} | meanwhile: false "
+        "| friction found | limits"
+    )
     for one in rows:
         rates = [f"{count / one['hours']:.2g} ({count})" for count in one["false"]]
         found = [f"{count}/{one['strong']}" for count in one["found"]]

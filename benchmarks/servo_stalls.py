@@ -1,7 +1,6 @@
-"""Four stalls of a real servo arm, found by supply current and by goal minus position: docs/results/servo-stalls.
+"""Four stalls of a real servo arm, found by supply current and by goal minus position.
 
 python benchmarks/servo_stalls.py OUT [--data DIR] [--splits N] [--only METHOD ...]   every step is a tauext command
-python benchmarks/servo_stalls.py OUT --keep                     writes tables and arm.toml into docs/results
 
 DIR holds the 49 recordings of one SO-101 (github.com/isaac-sim2real/sage, Apache-2.0, joined to Parquet files). A joint
 drives against something four times in single_joint_wrist_roll. Five other motions with large, unexplained position
@@ -11,7 +10,6 @@ ten minutes, are for training. What is finished is not repeated.
 
 from __future__ import annotations
 
-import argparse
 import json
 import random
 import re
@@ -21,12 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from common import ROOT, head, replace_section, table_row, tauext
+from common import ROOT, arguments, head, table_row, tauext, write_tables
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
 
-KEPT = ROOT / "docs" / "results" / "servo-stalls"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 STALLS = "single_joint_wrist_roll"
 UNEXPLAINED = ("prbs_excitation", "static_holding", "step_response", "large_amplitude", "single_joint_elbow")
@@ -233,12 +230,10 @@ def row(source: str, minutes: int, method: str, outcomes: list[Outcome]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "so101_sage")
     parser.add_argument("--splits", type=int, default=3)
     parser.add_argument("--only", nargs="+", choices=tuple(METHODS), default=tuple(METHODS))
-    parser.add_argument("--keep", action="store_true", help=f"put the table into {KEPT.relative_to(ROOT)}")
     options = parser.parse_args()
     out, data = options.out.resolve(), options.data.resolve()
     if not (data / f"{STALLS}.parquet").exists():
@@ -254,28 +249,9 @@ def main() -> None:
             if source == SOURCES[-1]:
                 rows.append(row(source, minutes, CURRENT, [by_current(folder) for folder in folders]))
                 print(rows[-1], flush=True)
-    (out / "table.md").write_text("\n".join(rows) + "\n")
-    if options.keep:
-        keep(out, rows, options.splits)
-
-
-def keep(out: Path, rows: list[str], splits: int) -> None:
-    KEPT.mkdir(parents=True, exist_ok=True)
-    trial = Trial(0, SOURCES[0], MINUTES[1])
-    (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
     columns = "torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
     columns += "promised | false per promised one | predicted by train (upper bound) | better by train, its pushes"
-    motions = []
-    for split in range(splits):
-        names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]
-        motions.append(f"- split {split}: test {', '.join(Path(name).stem for name in names)}")
-        ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
-        motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
-    table = "\n".join([*head(columns), *rows])
-    about = "Rows `paper` and `tauext` are from an earlier run of the same recipes."
-    replace_section(
-        KEPT / "README.md", "## All numbers", (about, "", table, "", "Motions of the splits:", "", *motions)
-    )
+    write_tables(out, [*head(columns), *rows], name="servo_stalls")
 
 
 if __name__ == "__main__":

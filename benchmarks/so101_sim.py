@@ -1,8 +1,6 @@
-"""A simulated SO-101 whose torques are known: errors, contacts found by tauext and by other methods, velocities.
+"""A simulated SO-101 whose torques are known: errors of torques, and contacts found.
 
     python benchmarks/so101_sim.py OUT [--seed 0] [--only simulate bundles tables] [--rates 50 30 100]
-    python benchmarks/deep_torque.py OUT --rate 50    between bundles and tables; needs PyTorch
-    python benchmarks/so101_sim.py OUT --only tables --keep     writes the tables into docs/results/so101-sim
 
 OUT/RATEhz has the recordings, as a servo bus reports them, and the truth. OUT/RATEhz/SOURCE has tauext's results with
 the torque from one source; each step is a tauext command. Existing files are used again.
@@ -10,32 +8,34 @@ the torque from one source; each step is a tauext command. Existing files are us
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import unseen.servo_tables as tables
-from common import ROOT, head, joined, replace_section, table_row, tauext, write_page
+import pyarrow.parquet as pq
+from common import arguments, head, joined, table_row, tauext, write_tables
 from unseen.recordings import Take
-from unseen.servo_recordings import description, write_take
-from unseen.servo_tables import contact_cells
-from unseen.servos import servo_arm, so101
+from unseen.servos import description, servo_arm, so101, write_take
 
-from tauext import _core
+from tauext import _core, estimate_recording
+from tauext.bundle.estimates import COLLISION, Estimates
+from tauext.config import EventsConfig
+from tauext.data.dataset import load_split
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise, judge_latched
+from tauext.evaluate.errors import sensor_reference
+from tauext.evaluate.events import event_time
+from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 
-KEPT = ROOT / "docs" / "results" / "so101-sim"
 RATES_HZ = (50, 30, 100)
 TEN_MINUTES = tuple(Take(f"train-{k}", "train", 5) for k in (1, 2))
 TESTS = tuple(Take(f"free-{k}", "test", 10) for k in range(1, 5))
 TOUCHED = tuple(Take(f"touched-{k}", "collisions", 10, 60) for k in range(1, 4))
 HOUR = tuple(Take(f"train-{k}", "train", 10) for k in range(3, 8))
-UNTOUCHED = Take("untouched-1", "", 10)
-"""The motion of touched-1 that nothing touches: what a contact changes is the difference."""
 TAKES = {take: 10 + number for number, take in enumerate(TEN_MINUTES + TESTS + TOUCHED + HOUR)}
 """With the number of their draws."""
-TAKES[UNTOUCHED] = TAKES[TOUCHED[0]]
 
 
 def tested(rate_hz: int) -> tuple[Take, ...]:
@@ -47,7 +47,7 @@ def simulate(out: Path, seed: int) -> None:
     """All recordings: at every rate those for ten minutes of training, at the first also what an hour needs."""
     maker = so101()
     arm = servo_arm(maker, seed)
-    first = [(RATES_HZ[0], take) for take in (*TEN_MINUTES, *tested(RATES_HZ[0]), UNTOUCHED)]
+    first = [(RATES_HZ[0], take) for take in (*TEN_MINUTES, *tested(RATES_HZ[0]))]
     others = [(rate, take) for rate in RATES_HZ[1:] for take in (*TEN_MINUTES, *tested(rate))]
     for rate, take in [*first, *others, *((RATES_HZ[0], take) for take in HOUR)]:
         folder = out / f"{rate}hz"
@@ -58,17 +58,6 @@ def simulate(out: Path, seed: int) -> None:
 
 
 SOURCES = ("duty", "supply-current", "goal", "linear")
-DEEP = {"duty": "load", "supply-current": "current"}
-"""The signal that the networks of deep_torque.py predict, beside what tauext has from the same register."""
-CONTACT_WORDS = """\
-*Found at 1.5 times the limit*: share of contacts found whose true torque, low-passed by the observer's filter, exceeds
-1.5 times the row's momentary limits for its hold time and 20 ms. *Of all*: share of all contacts, then by the largest
-true torque at a joint. *False*: false alarms in free motion, those within 3 s after a contact, and the hours of
-motion."""
-DEEP_WORDS = """\
-*Found at 1.5 times the limit*: by the limits of tauext's row. A network's limits are its largest errors on the fifth of
-the training data that it was not trained on (factor 1). The second row of a network raises them until it has no more
-false alarms than tauext."""
 STEPS = ("simulate", "bundles", "tables")
 
 
@@ -117,7 +106,7 @@ def make(out: Path, trial: Trial) -> Path:
     """The bundle of a trial; its dataset beside it."""
     data, raw = out / trial.data, out / f"{trial.rate_hz}hz"
     if not (data / "split.json").exists():
-        law = tables.linear_law(raw, [take.name for take in TEN_MINUTES], so101().joints).round(4).tolist()
+        law = linear_law(raw, [take.name for take in TEN_MINUTES], so101().joints).round(4).tolist()
         linear = law if trial.source == "linear" else ()
         arm = data.with_suffix(".toml")
         arm.write_text(description(so101(), trial.takes, trial.source, trial.model, linear))
@@ -138,52 +127,34 @@ def make(out: Path, trial: Trial) -> Path:
     return bundle
 
 
-def write_tables(out: Path, rates: Sequence[int], seed: int, keep: bool) -> None:
-    """Write the tables of all bundles that exist to OUT/tables.md, or into the page in the repository."""
-    lines = [
-        f"Seed {seed}. Networks were trained at 50 Hz only.",
-        "",
-        "### Torque of the motor",
-        "",
-        *torque_tables(out, rates),
-    ]
-    lines += ["", "### Contacts", "", CONTACT_WORDS, "", *contact_tables(out, rates)]
-    lines += ["", "### Networks that predict the motor's signal", "", DEEP_WORDS, "", *deep_tables(out, rates)]
-    lines += ["", "### Velocity", "", *velocity_tables(out, rates, seed)]
-    if keep:
-        replace_section(KEPT / "README.md", "## All tables", lines)
-    else:
-        write_page(out / "tables.md", lines)
-
-
 def torque_tables(out: Path, rates: Sequence[int]) -> list[str]:
     lines = head("torque from | Hz | free motion: RMS error, Nm | joint by joint | in contact | joint by joint")
     joints = so101().joints
     for rate in rates:
         names = [take.name for take in tested(rate)]
         raw = out / f"{rate}hz"
-        law = tables.linear_law(raw, [take.name for take in TEN_MINUTES], joints)
-        linear = {name: law * tables.registers(raw, name, "signed", joints) for name in names}
-        lines.append(tables.torque_row(f"linear law of the current | {rate}", raw, linear))
+        law = linear_law(raw, [take.name for take in TEN_MINUTES], joints)
+        linear = {name: law * registers(raw, name, "signed", joints) for name in names}
+        lines.append(torque_row(f"linear law of the current | {rate}", raw, linear))
         for source in SOURCES[:-1]:
             data = out / Trial(rate, source).data
             if (data / "split.json").exists():
-                torques = {recording.name: recording.tau for recording in tables.tests_of(data)}
-                lines.append(tables.torque_row(f"{source}, the type's constants | {rate}", raw, torques))
+                torques = {recording.name: recording.tau for recording in tests_of(data)}
+                lines.append(torque_row(f"{source}, the type's constants | {rate}", raw, torques))
             if (bundle := out / Trial(rate, source).bundle).exists():
                 factor = np.array(_core.Bundle.load(str(bundle)).observer.nm_per_unit or 1.0)
                 corrected = {name: factor * torque for name, torque in torques.items()}
-                lines.append(tables.torque_row(f"{source}, corrected in training | {rate}", raw, corrected))
+                lines.append(torque_row(f"{source}, corrected in training | {rate}", raw, corrected))
     return lines
 
 
 def contact_tables(out: Path, rates: Sequence[int]) -> list[str]:
     first = "torque from | Hz | model | training, min | recipe | error free, in contact, Nm"
-    lines = head(tables.CONTACT_COLUMNS.format(first=first))
+    lines = head(CONTACT_COLUMNS.format(first=first))
     for trial in trials(rates):
         bundle = out / trial.bundle
         if bundle.exists():
-            verdicts, errors = tables.judged(bundle, out / trial.data)
+            verdicts, errors = judged(bundle, out / trial.data)
             what = (trial.source, trial.rate_hz, "urdf" if trial.model else "none", 60 if trial.hour else 10)
             recipe, wrong = trial.recipe + ", constant limits" * trial.constant, joined(errors, ".3f", ", ")
             lines.append(table_row(*what, recipe, wrong, contact_cells(verdicts, verdicts.strong)))
@@ -191,55 +162,159 @@ def contact_tables(out: Path, rates: Sequence[int]) -> list[str]:
     return lines
 
 
-def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
-    lines = head(tables.CONTACT_COLUMNS.format(first="signal | Hz | method | factor on limits"))
-    shares = []
-    for rate in rates:
-        raw = out / f"{rate}hz"
-        for source, signal in DEEP.items():
-            trial = Trial(rate, source)
-            bundle, data = out / trial.bundle, out / trial.data
-            if not bundle.exists() or not (raw / f"deep-{signal}-goal").exists():
-                continue
-            ours, _ = tables.judged(bundle, data)
-            lines.append(f"| {source} | {rate} | tauext | 1 | {contact_cells(ours, ours.strong)} |")
-            for inputs, words in (("goal", "LSTM on q, dq, goal − q"), ("motion", "LSTM on q, dq")):
-                kept = raw / f"deep-{signal}-{inputs}"
-                if not (kept / f"{tested(rate)[-1].name}.npz").exists():
-                    continue
-                own, factor, equal = tables.deep_verdicts(kept, data, ours.false_free + ours.false_after)
-                lines.append(f"| {source} | {rate} | {words} | 1 | {contact_cells(own, ours.strong)} |")
-                cells = contact_cells(equal, ours.strong)
-                lines.append(f"| {source} | {rate} | {words}, equal false alarms | {factor:.2f} | {cells} |")
-                if rate == RATES_HZ[0]:
-                    within, overall = tables.explained(raw, kept, TOUCHED[0].name, UNTOUCHED.name)
-                    shares.append(f"| {signal} | {words}: predicted share of the signal's change | {overall:.2f} |")
-                    shares.append(f"| {signal} | the same, for signals no larger than in free motion | {within:.2f} |")
-            if rate == RATES_HZ[0]:
-                share = tables.seen_by(bundle, data)
-                shares.append(f"| {source} | tauext: share of the true torque in tau_ext | {share:.2f} |")
-    learned = ["Effect of a contact, at joints with more than 0.1 Nm of contact torque:", ""]
-    return [*lines, "", *learned, "| signal | | share |", "|---|---|---|", *shares]
+# --- Alarms against what is true: one judge for every method.
 
 
-def velocity_tables(out: Path, rates: Sequence[int], seed: int) -> list[str]:
-    rotor = servo_arm(so101(), seed).servos.rotor_kg_m2
-    columns = "Hz | estimator | error in motion, RMS rad/s | lag, ms | standing, RMS rad/s "
-    columns += "| spurious torque, RMS Nm | largest"
-    lines = head(columns)
-    for rate in sorted(rates):
-        names = [take.name for take in TESTS[:2]]
-        lines += tables.velocity_rows(out / f"{rate}hz", names, so101().joints, rate, np.asarray(rotor))
-    return lines
+AFTER_CONTACT_S = 3.0
+"""An alarm so soon after a contact is counted apart: the arm snaps back, and its gears settle."""
+
+
+@dataclass
+class Verdicts:
+    """One method on all test recordings of one rate."""
+
+    peaks_nm: list[float] = field(default_factory=list)
+    """Largest true torque of each contact."""
+    found: list[bool] = field(default_factory=list)
+    strong: list[bool] = field(default_factory=list)
+    """Over 1.5 times the limits of the method that limits are known of, for its hold time and 20 ms."""
+    delays_s: list[float] = field(default_factory=list)
+    false_free: int = 0
+    false_after: int = 0
+    free_hours: float = 0.0
+
+    def add(self, recording: Recording, alarm: np.ndarray, healthy: np.ndarray) -> list[Collision]:
+        """Take in one recording, with contacts or without; says its contacts.
+
+        Args:
+            alarm: (samples,) bool.
+            healthy: (samples,) bool: while a method can say nothing, time is not free.
+        """
+        free = ~event_time(recording, EventsConfig().tolerance_s) & healthy
+        self.free_hours += float(free.sum()) / recording.rate_hz / 3600
+        begun = beginnings(alarm, round(FALSE_ALARM_QUIET_S * recording.rate_hz))
+        since_s = time_since_touch(recording) if recording.contact is not None else np.full(recording.samples, np.inf)
+        false_since_s = since_s[begun[free[begun]]]
+        after = int((false_since_s <= AFTER_CONTACT_S).sum())
+        self.false_after, self.false_free = self.false_after + after, self.false_free + len(false_since_s) - after
+        touches = find_collisions(recording)
+        for touch in touches:
+            window = slice(touch.begin, min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples))
+            rise = first_rise(alarm[window], bool(alarm[touch.begin - 1]))
+            self.peaks_nm.append(float(touch.true_peak_nm.max()))
+            self.found.append(rise is not None)
+            if rise is not None:
+                self.delays_s.append(float(recording.t_ns[window][rise] - recording.t_ns[touch.begin]) * 1e-9)
+        return touches
+
+    def add_estimates(self, recording: Recording, estimates: Estimates, hold_s: float, gain_per_s: float) -> None:
+        """Take in what a bundle said, as a monitor would have latched it."""
+        assert estimates.held_alarm is not None
+        touches = self.add(recording, estimates.held_alarm == COLLISION, estimates.healthy)
+        reference = sensor_reference(recording, gain_per_s)
+        self.strong += [judge_latched(t, recording, estimates, hold_s, reference).strong for t in touches]
+
+    def found_among(self, chosen: Sequence[bool] | np.ndarray) -> tuple[int, int]:
+        """Found, and how many there are, of the contacts that are chosen."""
+        chosen = np.asarray(chosen, dtype=bool)
+        return int(np.array(self.found)[chosen].sum()), int(chosen.sum())
+
+
+# --- Cells.
+
+
+EDGES_NM = (0.02, 0.1, 0.2, 0.4, 0.8, 50.0)
+
+
+def truth(raw: Path, name: str) -> dict[str, np.ndarray]:
+    """True signals of a take at its samples, (samples, joints)."""
+    with np.load(raw / f"{name}.truth.npz") as stored:
+        return dict(stored)
+
+
+def registers(raw: Path, name: str, what: str, joints: Sequence[str]) -> np.ndarray:
+    """What the bus said of a take, (samples, joints)."""
+    table = pq.read_table(raw / f"{name}.parquet", columns=[f"{what}_{joint}" for joint in joints])
+    return np.column_stack([column.to_numpy() for column in table.columns])
+
+
+def linear_law(raw: Path, takes: Sequence[str], joints: Sequence[str]) -> np.ndarray:
+    """The constant of each joint, [N m/A], by which the signed current explains the motor's true torque in free motion
+    best: better than anybody without a torque sensor could fit it."""
+    a = np.concatenate([registers(raw, take, "signed", joints) for take in takes])
+    b = np.concatenate([truth(raw, take)["motor_nm"] for take in takes])
+    return np.asarray((a * b).sum(axis=0) / (a * a).sum(axis=0))
+
+
+def tests_of(data: Path) -> list[Recording]:
+    """Free motion and contacts of a dataset."""
+    split = load_split(data)
+    return [load_recording(data / name) for name in (*split.test, *split.collisions)]
+
+
+def torque_row(name: str, raw: Path, torques: Mapping[str, np.ndarray]) -> str:
+    """RMS error of the motor's torque in free motion and while something touches the arm, joint by joint.
+
+    Args:
+        torques: of every test take, (samples, joints), [N m].
+    """
+    free, touched = [], []
+    for take, torque in torques.items():
+        true = truth(raw, take)
+        touching = (true["tau_ext"] != 0).any(axis=1)
+        error = torque - true["motor_nm"]
+        free.append(error[~touching])
+        touched.append(error[touching])
+    cells = []
+    for errors in (free, touched):
+        square = np.concatenate(errors) ** 2
+        cells += [f"{np.sqrt(square.mean()):.3f}", joined(np.sqrt(square.mean(axis=0)), ".3f")]
+    return table_row(name, *cells)
+
+
+def judged(bundle_path: Path, data: Path) -> tuple[Verdicts, list[float]]:
+    """What a bundle said on the test recordings; RMS of tau_ext less the truth in free motion and in contacts."""
+    bundle, verdicts = _core.Bundle.load(str(bundle_path)), Verdicts()
+    free, touched = [], []
+    for recording in tests_of(data):
+        estimates = estimate_recording(bundle, recording)
+        verdicts.add_estimates(recording, estimates, bundle.hold_s, bundle.observer.gain_per_s)
+        assert recording.tau_ext is not None
+        error = (estimates.tau_ext - recording.tau_ext)[estimates.healthy]
+        touching = (recording.tau_ext != 0).any(axis=1)[estimates.healthy]
+        free.append(error[~touching])
+        touched.append(error[touching])
+    return verdicts, [float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (free, touched)]
+
+
+def contact_cells(verdicts: Verdicts, strong: Sequence[bool]) -> str:
+    """Found of the strong ones, of all, by strength; false alarms; delay."""
+    peaks = np.array(verdicts.peaks_nm)
+    cells = [_share(verdicts.found_among(strong)), _share(verdicts.found_among(np.ones(len(peaks))))]
+    for low, high in zip(EDGES_NM[:-1], EDGES_NM[1:], strict=True):
+        found, of = verdicts.found_among((peaks >= low) & (peaks < high))
+        cells.append(f"{found}/{of}")
+    delays = np.array(verdicts.delays_s)
+    delay = f"{1000 * np.median(delays):.0f}, {1000 * np.quantile(delays, 0.95):.0f}" if len(delays) else "–"
+    return " | ".join([*cells, f"{verdicts.false_free} | {verdicts.false_after} | {verdicts.free_hours:.2f}", delay])
+
+
+def _share(counts: tuple[int, int]) -> str:
+    found, of = counts
+    return f"{found}/{of} ({found / of:.0%})" if of else "0/0"
+
+
+STRENGTHS = " | ".join([f"{a:g} to {b:g} Nm" for a, b in zip(EDGES_NM[:-2], EDGES_NM[1:-1], strict=True)])
+CONTACT_COLUMNS = (
+    "{first} | found at 1.5 times the limit | of all | "
+    f"{STRENGTHS} | over {EDGES_NM[-2]:g} Nm | false | after a contact | in h | delay, ms: median, 95 %"
+)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--seed", type=int, default=0, help="of the arm, its motion and its contacts")
+    parser = arguments(__doc__, "out", seed=0)
     parser.add_argument("--rates", type=int, nargs="+", choices=RATES_HZ, default=list(RATES_HZ))
     parser.add_argument("--only", nargs="+", choices=STEPS, default=list(STEPS))
-    parser.add_argument("--keep", action="store_true", help="write the tables into docs/results/so101-sim")
     options = parser.parse_args()
     out = options.out.resolve()
     if "simulate" in options.only:
@@ -248,7 +323,7 @@ def main() -> None:
         for trial in trials(options.rates):
             make(out, trial)
     if "tables" in options.only:
-        write_tables(out, options.rates, options.seed, options.keep)
+        write_tables(out, [*torque_tables(out, options.rates), "", *contact_tables(out, options.rates)])
 
 
 if __name__ == "__main__":

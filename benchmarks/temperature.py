@@ -5,14 +5,14 @@
 MODELS: as for unseen_arms.py, whose arms these are. OUT/ARM gets recordings, dataset and bundles; what is there is used
 again. Training: twelve minutes from switch-on. Test: four minutes from switch-on, and four after half an hour.
 The floor is what is left of the error where the two parts of each joint's friction have factors of their own in every
-20 s. docs/results/temperature holds the table that it prints.
+20 s.
 """
 
 import os
 from pathlib import Path
 
 import numpy as np
-from common import arguments, collisions_begin, head, joined, table_row, tauext
+from common import arguments, collisions_begin, head, joined, rms, table_row, tauext
 from unseen.arms import makers
 from unseen.recordings import Take, make_dataset
 
@@ -31,10 +31,7 @@ PIECE_S = 20
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=["ur5", "seven_axis"])
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    options = arguments(__doc__, "models", "out", arms=("ur5", "seven_axis"), seed=0).parse_args()
     columns = "temperature | tracker | RMSE of each joint, Nm | ratio | floor | false collisions"
     print("\n".join(head(f"arm, test | {columns}")))
     for name in options.arms:
@@ -62,7 +59,7 @@ def compare(title: str, bundles: dict[str, Path], recording: Path, tracking: boo
             bundle.drift.time_constant_s = 0
         signals = (made.t_ns, made.q, made.dq, made.tau)
         said = _core.estimate(bundle, *signals, os.cpu_count() or 1, made.temperature)
-        rmse = np.sqrt(np.mean(said["tau_ext"][said["health"] == OK] ** 2, axis=0))
+        rmse = rms(said["tau_ext"][said["health"] == OK], axis=0)
         if without is None or floor is None:
             without, floor = rmse, floor_nm(bundle, made)
         alarms = len(collisions_begin(said["held_alarm"], made.t_ns))

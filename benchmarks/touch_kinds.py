@@ -3,8 +3,8 @@
     python benchmarks/touch_kinds.py MODELS OUT [--arms panda kinova ...] [--touches 25] [--seed 12]
 
 Each arm is trained on nine minutes of free motion and then touched, --touches times by each kind. MODELS: folder of
-ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/README.md and OUT/kinds.json get the tables; those of docs/results/kinds
-are of this command. What is there is used again.
+ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/kinds.md and OUT/kinds.json get the tables. What is there is used again.
+The rules were fixed with seeds 0 to 3 and 11.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, in_parallel, table_row, trained, write_page
+from common import arguments, head, in_parallel, table_row, trained, write_tables
 from unseen.arms import Maker, fresh_makers, makers
 from unseen.loads import TRAIN
 from unseen.recordings import description, import_csv, simulate_takes
@@ -31,16 +31,10 @@ ARMS = ("panda", "kinova", "seven_axis", "light_arm", "offset_wrist", "palletize
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS))
+    parser = arguments(__doc__, "models", "out", arms=ARMS, seed=12)
     parser.add_argument("--touches", type=int, default=25, help="of each kind on each arm")
-    parser.add_argument(
-        "--seed", type=int, default=12, help="of arms and touches; the rules were fixed with 0 to 3 and 11"
-    )
     options = parser.parse_args()
     known = makers(options.models) | fresh_makers()
-    command = f"python benchmarks/touch_kinds.py MODELS OUT --touches {options.touches} --seed {options.seed}"
-    command += f" --arms {' '.join(options.arms)}" if tuple(options.arms) != ARMS else ""
     outcomes: list[Watched] = []
     for arm in options.arms:
         folder = options.out / arm
@@ -50,8 +44,7 @@ def main() -> None:
         jobs = [(arm, bundle, data, folder / "csv", name) for name in names(options.touches)]
         outcomes += in_parallel(os.cpu_count(), watch, jobs)
     facts = summary(outcomes)
-    (options.out / "kinds.json").write_text(json.dumps(facts) + "\n")
-    write_page(options.out / "README.md", markdown(facts, command))
+    write_tables(options.out, tables(facts), facts, "kinds")
 
 
 def names(touches: int) -> list[str]:
@@ -191,70 +184,21 @@ def confusion(name: str, facts: dict[str, dict]) -> list[str]:
     return [*lines, ""]
 
 
-INTRO = """# Kinds of touch
-
-How often the monitor reports the right kind of touch (impact, push, clamp, load), and how soon after the alarm.
-
-    {command}
-
-The numbers are in [kinds.json](kinds.json). The kinds are defined on the page [forces](../../forces.md).
-
-## Method
-
-Simulated arms of [unseen arms](../unseen-arms/README.md), each trained on nine minutes of free motion. Every
-touch has a physical cause. The simulated drives do not react to it and continue the motion. The points that are
-touched move at 0.05 to 0.5 m/s.
-
-- **Impact**: a body of 0.5 to 10 kg that bounces off.
-- **Push**: a hand with a spring of 0.2 to 2 N/mm that gives way. Its force rises within 50 to 500 ms.
-- **Clamp**: a wall of 10 to 1000 N/mm; or a body part of 10 to 75 N/mm (the range of ISO/TS 15066 for the human
-  body) against a wall, between two links, or under a press that moves at 10 to 50 mm/s while the arm stands.
-- **Load**: a weight put into the hand.
-
-The thresholds of the rules were set on three arms of type ur5. Failures were inspected on those arms and on
-earlier draws of the arms here (seeds 0, 1, 11 and 13), and the rules were changed twice:
-
-- On six arms of seed 11, the earlier rules reported 7 of 149 clamps as a push (obstacles that the arm slipped
-  off). After the changes it was 1 of 149, and the recall of pushes was 64 %.
-- On five arms of seed 13, they reported 1 of 99 clamps as a push (a press that moved the arm before its torque
-  showed). After the changes it was 0 of 99, and the recall of pushes was 71 %.
-
-On three arms of seed 12 it was 0 of 60 clamps, and 61 % of pushes. The draws below were not inspected before.
-
-## Results
-
-The kind that is reported {deadline_ms:.0f} ms after the alarm. Recall is the share of alarms with the right
-kind.
-"""
-AFTER_KINDS = """\
-The kind is unknown for {unknown:.1%} of the touches with an alarm. Clamps that were reported as a push at any time
-up to the end of the recording: {clamp_push} of {clamps}.
-
-By cause:
-"""
-AFTER_CAUSES = """\
-A slow push on a standing arm looks like a press until its force stops rising. Such a push is reported as a clamp
-or as unknown:
-"""
-
-
-def markdown(facts: dict, command: str) -> str:
-    """The page."""
+def tables(facts: dict) -> list[str]:
+    """By kind, cause, rise of a push, and arm."""
     clamps = facts["kinds"]["clamp"]
     lines = [
-        INTRO.format(command=command, deadline_ms=1e3 * DEADLINE_S),
         *confusion("true kind", facts["kinds"]),
-        AFTER_KINDS.format(unknown=facts["unknown"], clamp_push=clamps["ever_push"], clamps=clamps["alarms"]),
-        *confusion("cause", facts["ways"]),
-        AFTER_CAUSES,
-        *confusion("pushes", facts["pushes"]),
-        "Recall by arm:",
+        f"Unknown: {facts['unknown']:.1%} of the touches with an alarm. Clamps that were reported as a push at any "
+        f"time: {clamps['ever_push']} of {clamps['alarms']}.",
         "",
+        *confusion("cause", facts["ways"]),
+        *confusion("pushes", facts["pushes"]),
         *head(" | ".join(["arm", *KINDS])),
     ]
     for arm, kinds in facts["arms"].items():
         lines.append(table_row(arm, *(f"{f['told'].get(kind, 0)}/{f['alarms']}" for kind, f in kinds.items())))
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 if __name__ == "__main__":

@@ -1,27 +1,28 @@
 """Healthy time, errors and detected collisions of logs with uneven clocks, compared with an even one.
 
-    python benchmarks/uneven_clocks.py OUT [--rates 100 125 500] [--collision-recordings 40] [--tauext COMMAND]
+    python benchmarks/uneven_clocks.py OUT [--rates 100 125 500] [--collision-recordings 40]
 
 The virtual rig's free motion and pulses are sampled on uneven clocks, written as CSV, imported, trained on (recipe
-prior) and evaluated by COMMAND, a tauext program; other versions can be compared by it. OUT/README.md gets the table of
-docs/results/uneven-clocks. Existing rows are used again.
+prior) and evaluated. OUT/uneven_clocks.md gets the table. Existing rows are used again.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from common import head, table_row, write_page
+from common import arguments, checkpoint, head, table_row, tauext, trained, write_tables
 
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.estimates import OK
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 
 SEED = 1
 FREE_MINUTES = 6.0
@@ -46,20 +47,6 @@ column = "contact"
 contact_values = [1]
 free_values = [0]
 cut = false
-"""
-HEALTH = """
-import json, sys
-from tauext import _core
-from tauext.data.dataset import load_dataset
-from tauext.data.recording_file import load_recording
-bundle, data = _core.Bundle.load(sys.argv[1]), load_dataset(sys.argv[2])
-healthy = counted = 0
-for name in data.split.train + data.split.collisions + data.split.test:
-    r = load_recording(data.folder / name)
-    ok = _core.estimate(bundle, r.t_ns, r.q, r.dq, r.tau, 1)["health"] == 1
-    ok = ok[int(ok.argmax()):]
-    healthy, counted = healthy + int(ok.sum()), counted + len(ok)
-print(json.dumps(healthy / counted))
 """
 
 
@@ -110,78 +97,69 @@ def write_csv(recording: Recording, clock: Clock, rate_hz: float, path: Path, rn
     np.savetxt(path, table, "%.9g", ",", header=header, comments="")
 
 
-def row(folder: Path, base: Path, clock: Clock, rate_hz: float, tauext: Path) -> dict:
+def row(folder: Path, base: Path, clock: Clock, rate_hz: float) -> dict:
     """What became of one clock at one rate."""
-    done = folder / "row.json"
-    if done.exists():
-        return json.loads(done.read_text())
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(base / "robot.xml", folder)
     (folder / "arm.toml").write_text(ARM)
     dataset, rng = load_dataset(base), np.random.default_rng(SEED)
-    sets = {"train": dataset.split.train, "test": dataset.split.test, "collisions": dataset.split.collisions}
-    for kind, names in sets.items():
-        for k, loader in enumerate(dataset.loaders(kind)[: len(names)]):
-            write_csv(loader(), clock, rate_hz, folder / f"{kind}{k:03d}.csv", rng)
-    files = sorted(str(path) for path in folder.glob("*.csv"))
-    run(tauext, "import", "--source", *files, "--arm", folder / "arm.toml", "--out", folder / "data")
-    split = {"format": 1}
+    sets = ("train", "test", "collisions")
     for kind in sets:
-        split[kind] = sorted(path.name for path in (folder / "data").glob(f"{kind}*.parquet"))
-    (folder / "data" / "split.json").write_text(json.dumps(split))
-    bundle = folder / "arm.tauext"
-    run(tauext, "train", "--data", folder / "data", "--out", bundle, "--recipe", "prior")
-    run(tauext, "evaluate", "--data", folder / "data", "--bundles", bundle, "--out", folder / "results")
+        for k, loader in enumerate(dataset.loaders(kind)[: len(getattr(dataset.split, kind))]):
+            write_csv(loader(), clock, rate_hz, folder / f"{kind}{k:03d}.csv", rng)
+    data, bundle = folder / "data", folder / "arm.tauext"
+    tauext("import", "--source", *sorted(folder.glob("*.csv")), "--arm", folder / "arm.toml", "--out", data)
+    split = {kind: sorted(path.name for path in data.glob(f"{kind}*.parquet")) for kind in sets}
+    (data / "split.json").write_text(json.dumps({"format": 1} | split))
+    trained(data, bundle)
+    tauext("evaluate", "--data", data, "--bundles", bundle, "--out", folder / "results")
     results = json.loads((folder / "results" / "results.json").read_text())["bundles"][0]
-    python = tauext.parent / "python"
-    said = subprocess.run([python, "-c", HEALTH, bundle, folder / "data"], capture_output=True, text=True, check=True)
     free, latched = results["free_motion"], results["latched"]
-    content = {
+    return {
         "clock": clock.name,
         "rate_hz": rate_hz,
-        "healthy": json.loads(said.stdout),
+        "healthy": healthy(bundle, data),
         "l1_nm": free["l1_nm"],
         "false_collisions": free["false_collisions"],
         "latched": latched["latched"],
         "collisions": latched["collisions"],
         "delay_s": latched["delay_median_s"],
     }
-    done.write_text(json.dumps(content))
-    return content
 
 
-def run(tauext: Path, *arguments: object) -> None:
-    done = subprocess.run([tauext, *map(str, arguments)], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"tauext {arguments[0]} failed: {done.stderr[-600:]}")
+def healthy(path: Path, data: Path) -> float:
+    """Share of the samples after the first healthy one of each recording that are healthy."""
+    bundle, found = load_bundle(path), []
+    for recording in (load_recording(one) for one in sorted(data.glob("*.parquet"))):
+        ok = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1)["health"] == OK
+        found.append(ok[int(ok.argmax()) :])
+    return float(np.concatenate(found).mean())
 
 
 def line(found: dict) -> str:
     l1 = " / ".join("-" if value is None else f"{value:.2f}" for value in found["l1_nm"])
     delay = "-" if found["delay_s"] is None else f"{1e3 * found['delay_s']:.0f}"
     latched = f"{found['latched']} of {found['collisions']}"
-    rate, healthy = f"{found['rate_hz']:g}", f"{found['healthy']:.1%}"
-    return table_row(rate, found["clock"], healthy, l1, latched, delay, found["false_collisions"])
+    rate, share = f"{found['rate_hz']:g}", f"{found['healthy']:.1%}"
+    return table_row(rate, found["clock"], share, l1, latched, delay, found["false_collisions"])
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--rates", type=float, nargs="+", default=[100.0, 125.0, 500.0])
     parser.add_argument("--collision-recordings", type=int, default=40)
-    parser.add_argument("--tauext", type=Path, default=Path(sys.executable).parent / "tauext")
-    args = parser.parse_args()
-    base = args.out / "rig"
+    options = parser.parse_args()
+    base = options.out / "rig"
     if not (base / "split.json").exists():
-        arguments = ("--minutes", FREE_MINUTES, "--collision-recordings", args.collision_recordings, "--seed", SEED)
-        run(args.tauext, "simulate", "--out", base, *arguments)
+        words = ("--minutes", FREE_MINUTES, "--collision-recordings", options.collision_recordings, "--seed", SEED)
+        tauext("simulate", "--out", base, *words)
     lines = head("Hz | clock | healthy | L1 in N m | collisions | delay in ms | false")
-    work = [(rate, number, clock) for rate in args.rates for number, clock in enumerate(CLOCKS)]
-    for rate, number, clock in work:
-        lines.append(line(row(args.out / f"{rate:g}-{number}", base, clock, rate, args.tauext)))
-        print(lines[-1], flush=True)
-    write_page(args.out / "README.md", lines)
+    for rate in options.rates:
+        for number, clock in enumerate(CLOCKS):
+            folder = options.out / f"{rate:g}-{number}"
+            lines.append(line(checkpoint(folder / "row.json", partial(row, folder, base, clock, rate))))
+            print(lines[-1], flush=True)
+    write_tables(options.out, lines, name="uneven_clocks")
 
 
 if __name__ == "__main__":

@@ -4,18 +4,18 @@
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. UNSEEN: what `benchmarks/unseen_arms.py` wrote, whose
 datasets bundles are trained on here: `own`, whose torque constants training found, and `true`, which is given the true
-ones. OUT gets the bundles, wrench.json and README.md; those of docs/results/wrench are of this command. The method was
-fixed on pushes of draw 0 on the Panda; some of the UR5 were inspected.
+ones. OUT gets the bundles, wrench.json and wrench.md. The method was fixed on pushes of draw 0 on the Panda; some of
+the UR5 were inspected.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from common import arguments, head, trained, write_page
+from common import arguments, head, save_json, trained, write_tables
 from scipy.stats import chi2
 from unseen.arms import Maker, TrueArm, arm_of, direction, fresh_makers, makers
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, readings, told_constants
@@ -39,10 +39,8 @@ HELD, THREE_SIGMA = 0.95, 0.9973
 
 
 def main() -> None:
-    parser = arguments(__doc__, "models", "unseen", "out")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS))
+    parser = arguments(__doc__, "models", "unseen", "out", arms=ARMS, seed=0)
     parser.add_argument("--pushes", type=int, default=120, help="an arm")
-    parser.add_argument("--seed", type=int, default=0, help="of the arms, as their datasets have it")
     parser.add_argument("--draw", type=int, default=1, help="of the pushes")
     options = parser.parse_args()
     rows: list[dict] = []
@@ -50,9 +48,8 @@ def main() -> None:
         maker = (makers(options.models) | fresh_makers())[name]
         bundles = {which: bundle_of(maker, options, which) for which in ("own", "true")}
         rows += judged(maker, bundles, options)
-        (options.out / "wrench.json").write_text(as_text(rows))
-    given = f"--arms {' '.join(options.arms)} --pushes {options.pushes} --draw {options.draw}"
-    write_page(options.out / "README.md", markdown(rows, f"python benchmarks/wrench.py MODELS UNSEEN OUT {given}"))
+        save_json(short(rows), options.out / "wrench.json")
+    write_tables(options.out, tables(rows), name="wrench")
 
 
 def bundle_of(maker: Maker, options: argparse.Namespace, which: str) -> _core.Bundle:
@@ -167,17 +164,13 @@ def told_at(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plai
     return row
 
 
-def as_text(rows: list[dict]) -> str:
-    """JSON, a row a line, numbers to four digits."""
-
-    def short(value):
-        if isinstance(value, dict):
-            return {name: short(one) for name, one in value.items()}
-        if isinstance(value, list):
-            return [short(one) for one in value]
-        return float(f"{value:.4g}") if isinstance(value, float) else value
-
-    return "[\n" + ",\n".join(json.dumps(short(row)) for row in rows) + "\n]\n"
+def short(value: Any) -> Any:
+    """The same content with numbers to four digits."""
+    if isinstance(value, dict):
+        return {name: short(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [short(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def error_of(found: np.ndarray, truth: np.ndarray) -> dict:
@@ -187,64 +180,38 @@ def error_of(found: np.ndarray, truth: np.ndarray) -> dict:
     return {"off_n": float(np.linalg.norm(found - truth)), "off_deg": angle}
 
 
+KINDS = {"force": "force at the point", "wrench": "wrench", "kdl": "KDL"}
 COLUMNS = (
     "constants | reported as | pushes | error, N | error, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind"
 )
 
 
-def markdown(rows: list[dict], command: str) -> str:
-    """The tables."""
-    text = f"""# Forces at the flange
-
-Written by `{command}`.
-Every push is in [wrench.json](wrench.json).
-
-Simulated arms of [unseen arms](../unseen-arms/README.md); bundles of recipe prior from twelve minutes of motion. Each
-push is {FORCES_N[0]:g} to {FORCES_N[1]:g} N on the last link, anywhere and in any direction, in motion or at rest. It
-is evaluated {LOOK_S:g} s after it begins.
-
-- `own`: torque constants from training; `true`: the true constants.
-- KDL: the formula of its ChainExternalWrenchEstimator. It is the pseudo-inverse applied to the plain observer's
-  torque, low-passed, with the gears' friction in it.
-- Errors are medians. Sigma is the geometric mean of the half-axes of the force ellipsoid.
-- *In 95 %*: share of true values inside the reported 95 % region. *Blind*: share of pushes in poses with a direction
-  reported as blind; these pushes are included in all columns but the last.
-
-The method was fixed on other pushes on the Panda; some pushes on the UR5 were inspected, too.
-
-{chr(10).join(head(f"arm | {COLUMNS}"))}
-"""
-    arms = list(dict.fromkeys(row["arm"] for row in rows))
-    for arm in [*arms, None]:
+def tables(rows: list[dict]) -> list[str]:
+    """By arm, then by whether the arm moves."""
+    lines = head(f"arm | {COLUMNS}")
+    for arm in [*dict.fromkeys(row["arm"] for row in rows), None]:
         for which in ("own", "true"):
             some = [row for row in rows if row["bundle"] == which and arm in (None, row["arm"])]
-            for kind in ("force", "wrench", "kdl"):
-                text += line(arm or "**all**", which, kind, [row[kind] for row in some])
-    text += f"""
-With a perfect sigma, {1 - THREE_SIGMA:.1%} would be beyond 3 sigma. All arms, while some joint moves and while all
-stand still:
-
-{chr(10).join(head(f"arm is | {COLUMNS}"))}
-"""
+            lines += [line(arm or "**all**", which, kind, [row[kind] for row in some]) for kind in KINDS]
+    lines += ["", *head(f"arm is | {COLUMNS}")]
     for moving in (True, False):
         for which in ("own", "true"):
             some = [row for row in rows if row["bundle"] == which and row["moving"] == moving]
-            for kind in ("force", "wrench") if some else ():
-                text += line("moving" if moving else "standing", which, kind, [row[kind] for row in some])
-    return text
+            name = "moving" if moving else "standing"
+            lines += [line(name, which, kind, [row[kind] for row in some]) for kind in ("force", "wrench") if some]
+    return lines
 
 
 def line(arm: str, which: str, kind: str, said: list[dict]) -> str:
     """Of the table."""
     off, angle = (np.median([one[name] for one in said]) for name in ("off_n", "off_deg"))
-    name = {"force": "force at the point", "wrench": "wrench", "kdl": "KDL"}[kind]
-    start = f"| {arm} | {which} | {name} | {len(said)} | {off:.1f} | {angle:.1f} "
+    start = f"| {arm} | {which} | {KINDS[kind]} | {len(said)} | {off:.1f} | {angle:.1f} "
     if kind == "kdl":
-        return f"{start}| | | | |\n"
+        return f"{start}| | | | |"
     held, blind = (np.mean([bool(one[name]) for one in said]) for name in ("held", "blind"))
     silent = sum(one["beyond_3"] and not one["blind"] for one in said)
     size = np.median([one["sigma_n"] for one in said])
-    return f"{start}| {held:.0%} | {size:.1f} | {blind:.0%} | {silent} ({silent / len(said):.1%}) |\n"
+    return f"{start}| {held:.0%} | {size:.1f} | {blind:.0%} | {silent} ({silent / len(said):.1%}) |"
 
 
 if __name__ == "__main__":

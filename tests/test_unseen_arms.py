@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from unseen import recordings, working
 from unseen.arms import JITTER_SHARE, arm_of, fresh_makers, makers, true_arm
-from unseen.results import Outcome, markdown, nearest, truth_of
+from unseen.recordings import nearest, truth_of
 from unseen.simulation import (
     ACCELERATIONS_RAD_S2,
     RATE_HZ,
@@ -25,6 +25,7 @@ from unseen.simulation import (
     simulate,
 )
 from unseen.surfaces import SURFACES, capsules_of, with_surfaces
+from unseen_arms import Outcome, tables
 
 from tauext.robot.capsules import link_capsules
 from tauext.robot.read import load_tree
@@ -143,14 +144,13 @@ def outcome(arm: str, fresh: bool, recipe: str, found: int, free: int, after: in
 def test_tables_keep_fresh_arms_apart_and_total_each_group():
     old = [outcome("ur5", False, "prior", 3, 0, 1), outcome("panda", False, "prior", 4, 2, 0)]
     new = [outcome("palletizer", True, "prior", 1, 1, 2), outcome("palletizer", True, "friction", 0, 5, 5)]
-    text = markdown([*old, *new], "python made.py")
-    before, after = text.split("## Arms run once, afterwards")
+    before, after = "\n".join(tables([*old, *new])).split("## Arms run once, afterwards")
     assert "## Arms used for development" in before and "palletizer" not in before and "ur5" not in after
     assert "| ur5 | urdf | prior | 3/4 | 3/3 | 2.0 | 0 | 1 |" in before
     assert "| **all** | urdf | prior | 7/8 | 6/6 | 3.0 | 2 | 1 |" in before
     assert "| **all** | urdf | prior | 1/4 | 1/3 | 6.0 | 1 | 2 |" in after
     assert "| **all** | urdf | friction | 0/4 | 0/3 | 20.0 | 5 | 5 |" in after
-    assert "run once" not in markdown(old, "python made.py")
+    assert "run once" not in "\n".join(tables(old))
 
 
 def test_a_label_is_held_against_its_contact_whether_its_take_was_cut_or_not():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -24,6 +24,8 @@ TEMPERATURE_NOISE_K, TEMPERATURE_STEP_K = 0.3, 0.5
 LARGEST_JITTER = 0.4
 """Of the sample period: stamps still increase."""
 KNOWN_TO = 0.1
+STRONG = 3.0
+"""A contact is strong if its torque at some joint is this many times the held-out error."""
 LATER_WARM_S = 60.0
 """How warm the arm is when the test begins: another time of the day, after a minute of work."""
 
@@ -219,3 +221,13 @@ def peak_nm(tau_ext: np.ndarray, contact: Contact) -> np.ndarray:
     """Largest torque of a contact at each joint, (joints,)."""
     rows = slice(round(contact.start_s * RATE_HZ), round(contact.end_s * RATE_HZ) + 1)
     return np.abs(tau_ext[rows]).max(axis=0)
+
+
+def truth_of(recording: str, truths: Mapping[str, Sequence[dict]]) -> Sequence[dict]:
+    """The contacts of the take that a recording is of: the import cuts long ones, TAKE-00, TAKE-01 ..."""
+    return truths[recording if recording in truths else recording.rpartition("-")[0]]
+
+
+def nearest(truth: Sequence[dict], label_s: float) -> dict:
+    """The contact that a label at this time of its take stands for."""
+    return min(truth, key=lambda one: abs(one["label_s"][0] - label_s))

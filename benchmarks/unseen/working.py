@@ -21,8 +21,17 @@ from tauext.sim.servo_arm import COUNTS, ServoArm
 from tauext.sim.source import servo_facts_of_so101
 from unseen.arms import Maker, TrueArm, add_ball, arm_of, fresh_makers, with_ball
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, Take, readings
-from unseen.servo_recordings import DUTY_STEP, SUPPLY_NOISE_A, SUPPLY_STEP_A, TOUCHED_NM, VOLTAGE_STEP_V, draw_touches
-from unseen.servos import servo_arm, simulate_servos, so101
+from unseen.servos import (
+    DUTY_STEP,
+    SUPPLY_NOISE_A,
+    SUPPLY_STEP_A,
+    TOUCHED_NM,
+    VOLTAGE_STEP_V,
+    draw_touches,
+    servo_arm,
+    simulate_servos,
+    so101,
+)
 from unseen.simulation import RATE_HZ, draw_contacts, draw_motion, simulate
 
 STRETCH_S = 600.0

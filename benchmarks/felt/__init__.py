@@ -1,1 +1,0 @@
-"""Leader and follower of benchmarks/feeling.py."""

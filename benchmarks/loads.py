@@ -14,7 +14,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,29 +33,17 @@ from unseen.loads import (
 )
 from unseen.recordings import description, import_csv, simulate_takes
 
-from tauext import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 from tauext.monitor.known_load import corrected_bundle, weigh_constants
-from tauext.monitor.weighing import LoadEstimate, NamedFrame, identify, load_frame, mass_error, see
+from tauext.monitor.weighing import LoadEstimate, identify, load_frame, mass_error, see
 
 WRONG = 0.1
 KINDS = {"true": ["--fit-torque-constants", "False"], "off": []}
 """Torque constants, and the ones given to training; training corrects constants of currents unless they are given."""
 TRUE_TO = 0.01
 """Standard error that is stated of the true ones, as of measured constants: magnets get warm."""
-
-
-@dataclass(frozen=True)
-class Subject:
-    """An arm, and what is known of it when it is weighed with."""
-
-    name: str
-    carried: dict[str, Carried]
-    wrong: np.ndarray
-    """Where constants are off: those that are believed over the true ones."""
-    frame: Callable[[Bundle], NamedFrame]
 
 
 def main() -> None:
@@ -70,28 +58,22 @@ def main() -> None:
         settings = folder / "true.toml"
         folder.mkdir(parents=True, exist_ok=True)
         settings.write_text(f"torque_share = {TRUE_TO}\n")
-        subject = an_arm(makers(options.models)[name], folder, options.seed, kinds)
+        maker = makers(options.models)[name]
+        takes = carried(maker, options.seed)
+        simulate_all(maker, folder, options.seed, list(takes))
         for kind in kinds:
+            dataset(maker, folder, options.seed, kind, folder / f"data-{kind}", list(takes))
             stated = ["--config", settings] if kind == "true" else []
             trained(folder / f"data-{kind}", folder / f"{kind}.tauext", *KINDS[kind], *stated)
-            outcomes += weigh(folder, kind, folder / f"{kind}.tauext", subject)
+            outcomes += weigh(folder, kind, folder / f"{kind}.tauext", maker, takes)
         if name in options.true_only:
             continue
-        factors[name] = correct(folder, subject)
+        factors[name] = correct(folder, maker, options.seed)
         for kind in ("common", "joints"):
             if (folder / f"off-{kind}.tauext").exists():
-                outcomes += weigh(folder, f"off, {kind}", folder / f"off-{kind}.tauext", subject)
+                outcomes += weigh(folder, f"off, {kind}", folder / f"off-{kind}.tauext", maker, takes)
     facts = summary(outcomes) | {"factors": factors}
     write_tables(options.out, tables(facts["weighed"], factors), facts, "loads")
-
-
-def an_arm(maker: Maker, folder: Path, seed: int, kinds: list[str]) -> Subject:
-    """One of the trial on unseen arms; its recordings and datasets are made where they are not there."""
-    takes = carried(maker, seed)
-    simulate_all(maker, folder, seed, list(takes))
-    for kind in kinds:
-        dataset(maker, folder, seed, kind, folder / f"data-{kind}", list(takes))
-    return Subject(maker.name, takes, wrong_constants(maker, seed), lambda bundle: load_frame(bundle, maker.joints[-1]))
 
 
 def wrong_constants(maker: Maker, seed: int) -> np.ndarray:
@@ -121,13 +103,13 @@ def dataset(maker: Maker, folder: Path, seed: int, kind: str, out: Path, names: 
     import_csv(text, files, folder / "csv" / f"arm-{out.name}.toml", out)
 
 
-def weigh(folder: Path, label: str, path: Path, subject: Subject) -> list[Weighed]:
+def weigh(folder: Path, label: str, path: Path, maker: Maker, takes: dict[str, Carried]) -> list[Weighed]:
     """Every window of every load and push."""
     bundle = load_bundle(path)
-    frame = subject.frame(bundle)
+    frame = load_frame(bundle, maker.joints[-1])
     data = folder / f"data-{label.split(',')[0]}"
     outcomes = []
-    for name, truth in subject.carried.items():
+    for name, truth in takes.items():
         if name == "known":
             continue
         seen = see(bundle, load_recording(data / f"{name}.parquet"))
@@ -137,21 +119,21 @@ def weigh(folder: Path, label: str, path: Path, subject: Subject) -> list[Weighe
             try:
                 found = identify(bundle, frame, [part])
             except TauextError:
-                outcomes.append(Weighed.refused(subject.name, label, name, truth))
+                outcomes.append(Weighed.refused(maker.name, label, name, truth))
                 continue
-            outcomes.append(Weighed.of(subject.name, label, name, truth, found))
+            outcomes.append(Weighed.of(maker.name, label, name, truth, found))
     return outcomes
 
 
-def correct(folder: Path, subject: Subject) -> dict:
+def correct(folder: Path, maker: Maker, seed: int) -> dict:
     """The known weight on the arm whose constants are off: the common factor put into the bundle, and those of every
     joint into a new training."""
     bundle = load_bundle(folder / "off.tauext")
     recording = load_recording(folder / "data-off" / "known.parquet")
     constants = np.array(bundle.observer.nm_per_unit or np.ones(bundle.joints))
-    facts: dict = {"left": (1 / (subject.wrong * constants)).tolist()}
+    facts: dict = {"left": (1 / (wrong_constants(maker, seed) * constants)).tolist()}
     try:
-        known = weigh_constants(bundle, subject.frame(bundle), [see(bundle, recording)], KNOWN_KG)
+        known = weigh_constants(bundle, load_frame(bundle, maker.joints[-1]), [see(bundle, recording)], KNOWN_KG)
     except TauextError as error:
         return facts | {"refused": str(error)}
     corrected_bundle(bundle, known).save(str(folder / "off-common.tauext"))

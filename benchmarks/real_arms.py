@@ -319,7 +319,7 @@ ARMS = {
     ),
     "ur10": Arm(
         {"ur10_exciting": UR10_BAG, "ur10_robot.urdf": "models/ur10_robot.urdf"},
-        short_commands("ur10_exciting", ["1 check --data data", *REFUSED]),
+        short_commands("ur10_exciting", ["check --data data", *REFUSED]),
         short_tables("ur10_exciting-test"),
     ),
     "kuka": Arm(

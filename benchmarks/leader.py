@@ -12,6 +12,7 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
+from tauext_lerobot.leader_feedback import LeaderFeedback
 
 from tauext import TrainConfig, estimate_recording, load_dataset, train_bundle
 from tauext._core import Bundle, Health, Monitor, ServoConstants, ServoInput, ServoSettings, TorqueFrom
@@ -21,7 +22,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import servo_facts, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
-from tauext_lerobot.leader_feedback import LeaderFeedback
 from tauext.progress import Reporter
 from tauext.sim.rig import encoder
 

@@ -65,7 +65,12 @@ def test_every_cited_work_is_listed_and_every_listed_work_is_cited():
     text = "".join(page.read_text() for page in sorted((ROOT / "docs" / "method").glob("*.md")))
     references = (ROOT / "docs" / "references.md").read_text()
     listed = re.findall(r"^- \*\*\[(\w+)\]\*\*", references, re.MULTILINE)
-    files = [f for folder in ("src", "cpp", "integrations") for f in (ROOT / folder).rglob("*") if f.suffix in (".py", ".hpp", ".cpp")]
+    files = [
+        f
+        for folder in ("src", "cpp", "integrations")
+        for f in (ROOT / folder).rglob("*")
+        if f.suffix in (".py", ".hpp", ".cpp")
+    ]
     cited = set(KEY.findall(text)).union(*(KEY.findall(file.read_text()) for file in files))
     assert listed == sorted(set(listed)) and len(files) > 200
     assert cited == set(listed)

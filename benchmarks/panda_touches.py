@@ -22,7 +22,7 @@ from unseen.surfaces import SURFACES, capsules_of
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.places import STATED, run_of
+from tauext.monitor.touch_place import STATED, run_of
 from tauext.robot.capsules import body_capsules, link_capsules
 from tauext.robot.read import load_tree, placed_bodies
 

@@ -36,7 +36,7 @@ from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
-from tauext.monitor.places import PlaceChange
+from tauext.monitor.touch_place import PlaceChange
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
 from tauext.train.suspects import Suspect

@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.cli.json_lines import change_facts
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
-from tauext.monitor.places import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
+from tauext.monitor.touch_place import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.sink import Event, EventFinder, Verdict

@@ -108,6 +108,9 @@ class Columns {
     cause_joint_.push_back(static_cast<std::int8_t>(e.cause_joint));
     alarm_.push_back(static_cast<std::uint8_t>(e.alarm));
     held_alarm_.push_back(static_cast<std::uint8_t>(e.held_alarm));
+    alarm_number_.push_back(e.alarm_number);
+    touch_t_ns_.push_back(e.touch_t_ns);
+    touch_over_.push_back(e.touch_over);
     touch_.push_back(static_cast<std::uint8_t>(e.touch));
     alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
     detection_.push_back(e.detection);
@@ -132,6 +135,9 @@ class Columns {
     out["cause_joint"] = to_numpy(std::move(cause_joint_), {N});
     out["alarm"] = to_numpy(std::move(alarm_), {N});
     out["held_alarm"] = to_numpy(std::move(held_alarm_), {N});
+    out["alarm_number"] = to_numpy(std::move(alarm_number_), {N});
+    out["touch_t_ns"] = to_numpy(std::move(touch_t_ns_), {N});
+    out["touch_over"] = to_numpy(std::move(touch_over_), {N});
     out["touch"] = to_numpy(std::move(touch_), {N});
     out["alarm_joint"] = to_numpy(std::move(alarm_joint_), {N});
     out["detection"] = to_numpy(std::move(detection_), {N});
@@ -163,10 +169,10 @@ class Columns {
                                                    {"load_nm", &Estimate::load_nm}}};
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
-  std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
+  std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_, alarm_number_;
   std::vector<double> unfamiliar_, load_kg_, load_error_kg_;
-  std::vector<std::int64_t> load_found_ns_;
-  std::vector<std::uint8_t> health_, alarm_, held_alarm_, touch_, detection_, unseen_, load_phase_;
+  std::vector<std::int64_t> load_found_ns_, touch_t_ns_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, touch_over_, touch_, detection_, unseen_, load_phase_;
   std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
 };
 
@@ -304,6 +310,12 @@ void bind_estimate(nb::module_& m) {
       .def_ro("alarm_joint", &Estimate::alarm_joint,
            "Index of the joint that raised the alarm to its level; -1: no alarm.")
       .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Time at which the alarm rose to its level, [ns].")
+      .def_ro("alarm_number", &Estimate::alarm_number,
+              "Number of the newest alarm, which stands if one does; 0: there was none.")
+      .def_ro("touch_t_ns", &Estimate::touch_t_ns,
+              "Last sample at which some joint was over a limit, [ns]; 0: none since the last alarm.")
+      .def_ro("touch_over", &Estimate::touch_over,
+              "No alarm, or all torques within their limits, and known, for contact_release_s of the bundle.")
       .def_ro("touch", &Estimate::touch,
               "Kind of touch behind the alarm, as of the previous sample.")
       .def_ro("detection", &Estimate::detection,
@@ -428,6 +440,8 @@ void bind_monitor(nb::module_& m) {
            "then a fault.")
       .def("acknowledge", &Monitor::acknowledge,
            "Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.")
+      .def_prop_rw("alarms", [](const Monitor& self) { return self.last().alarm_number; }, &Monitor::count_alarms_from,
+                   "Number of the newest alarm; the next one has one more. Set it to continue a count.")
       .def("resume", &Monitor::resume,
            "Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction\n"
            "of joints near stiction becomes unknown; with a prior, their limits are higher until they have slid.")

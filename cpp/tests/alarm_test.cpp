@@ -69,6 +69,33 @@ void a_contact_falls_back_and_a_collision_does_not() {
   CHECK(s.step(1010, 0, 7).alarm == Alarm::collision);
 }
 
+// One number from a contact over its collision to the end, and another one for each alarm after it.
+void alarms_are_numbered_and_their_touch_ends_as_a_contact_does() {
+  Stage s;
+  for (int t = 0; t < 10; ++t) s.step(t, 0, 3);
+  CHECK(s.alarm.state().number == 1 && s.alarm.state().touch_t_ns == 9 * kMs && !s.alarm.state().touch_over);
+  for (int t = 10; t < 20; ++t) s.step(t, 0, 7);
+  CHECK(s.alarm.state().alarm == Alarm::collision && s.alarm.state().number == 1);
+  for (int t = 20; t < 69; ++t) CHECK(!s.step(t, 0, 0).touch_over);
+  CHECK(s.step(69, 0, 0).touch_over && s.alarm.state().touch_t_ns == 19 * kMs);
+  CHECK(!s.step(70, 0, 0, false).touch_over && s.alarm.state().touch_t_ns == 19 * kMs);  // unknown, and not seen
+  CHECK(!s.step(119, 0, 0).touch_over && s.step(120, 0, 0).touch_over);
+  CHECK(!s.step(121, 0, 3).touch_over && s.alarm.state().touch_t_ns == 121 * kMs && s.alarm.state().number == 1);
+  const AlarmStage::State carried = s.alarm.state();
+  s.alarm.acknowledge();
+  CHECK(s.alarm.state().number == 1 && s.alarm.state().touch_t_ns == 0);
+  for (int t = 130; t < 140; ++t) s.step(t, 0, 3);
+  CHECK(s.alarm.state().number == 2);
+  s.alarm.acknowledge();
+  s.alarm.count_from(40);
+  s.alarm.raise(Alarm::collision, 1, 150 * kMs);
+  CHECK(s.alarm.state().number == 41 && s.alarm.state().touch_t_ns == 150 * kMs);
+  Stage other;
+  other.step(0, 0, 0);
+  other.alarm.take_over(carried);
+  CHECK(other.alarm.state().number == 1 && !other.alarm.state().touch_over);
+}
+
 void one_sample_under_the_limit_restarts_the_hold_time() {
   Stage s;
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, t % 5 == 4 ? 3 : 11, 0).alarm != Alarm::collision);
@@ -206,6 +233,7 @@ void bad_limits_are_refused() {
 int main() {
   a_ramp_raises_contact_and_collision_after_their_hold_times();
   a_contact_falls_back_and_a_collision_does_not();
+  alarms_are_numbered_and_their_touch_ends_as_a_contact_does();
   one_sample_under_the_limit_restarts_the_hold_time();
   a_joint_with_infinite_limits_raises_none();
   near_stiction_has_its_own_limits();

@@ -61,6 +61,9 @@ struct Estimate {
   Alarm held_alarm = Alarm::none;   // level exceeded at this sample, after its hold time; not latched
   int alarm_joint = -1;             // joint that raised the alarm to its level; -1: no alarm
   std::int64_t alarm_t_ns = 0;      // time at which the alarm rose to its level, [ns]
+  std::uint32_t alarm_number = 0;   // of the newest alarm, which stands if one does; 0: there was none
+  std::int64_t touch_t_ns = 0;      // last sample at which some joint was over a limit, [ns]; 0: none since the last alarm
+  bool touch_over = true;           // no alarm, or within all limits, and known, for Limits::contact_release_s
   Touch touch = Touch::none;        // kind of touch behind the alarm, as of the previous sample
   bool detection = false;           // some |tau_ext| exceeds its collision limit at this sample; no hold time
   std::uint32_t near_stiction = 0;  // a bit per joint: its limit near stiction applies

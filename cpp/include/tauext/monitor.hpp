@@ -166,10 +166,12 @@ class Monitor {
   // learned what the old drift made up for. Call it before the first sample. Returns false and changes nothing if the
   // bytes are damaged or of another build or number of joints, or the bundle refuses the load.
   bool carry(std::span<const std::byte> carried) noexcept;
-  // Continues the alarm: its level, joint, time and kind of touch, and the joints pushed while stuck. An alarm that this
+  // Continues the alarm: its number, level, joint, time and kind of touch, and the joints pushed while stuck. An alarm that this
   // monitor raised itself ends. Returns false and changes nothing if the bytes are damaged or of another build or number
   // of joints.
   bool carry_alarm(std::span<const std::byte> carried) noexcept;
+  // Numbers the next alarm by one more than this, so that numbers continue over a restart.
+  void count_alarms_from(std::uint32_t number) noexcept;
 
   // --- Properties and counters.
 

@@ -167,7 +167,7 @@ struct Limits {
   double near_memory_s = 0;        // ... and for this time afterwards, while r still contains the breakaway
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
-  double contact_release_s = 0;    // a contact ends when |tau_ext| has been below its limit for this time
+  double contact_release_s = 0;    // a touch is over when all |tau_ext| have been within their limits for this time; a contact then ends
   // A push on a stuck joint changes its friction from the level that its motion implies, until the joint slides. From
   // the moment at which no joint exceeds its limit, limits of such a joint are multiplied by after_contact_factor until
   // it has slid for kSlidS. A factor of 1 switches this off.

@@ -40,6 +40,7 @@ void AlarmStage::acknowledge() noexcept {
   state_.pushed = before.pushed;  // the prior's friction does not model the push
   state_.touching = before.touching;
   state_.stuck_t_ns = before.stuck_t_ns;
+  state_.number = before.number;
   state_.collision_since_ns.fill(kNever);
   state_.contact_since_ns.fill(kNever);
 }
@@ -94,21 +95,19 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
     }
   }
   state_.held_alarm = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
-  if (touching || !trusted) state_.contact_seen_ns = t_ns;
+  const bool touched = touching || detection;  // a profile may put the limit of a contact above that of a collision
+  if (touched) state_.touch_t_ns = t_ns;
+  if (touched || !trusted) state_.contact_seen_ns = t_ns;
+  state_.touch_over = trusted && !touched && elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_;
   for (int j = 0; touching && j < joints_; ++j)
     if (near_stiction >> j & 1) state_.stuck_t_ns[j] = t_ns;
   if (touching) state_.pushed |= near_stiction;
   state_.touching = touching;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
-    state_.alarm = Alarm::collision;
-    state_.joint = collision_joint;
-    state_.raised_t_ns = t_ns;
+    rise(Alarm::collision, collision_joint, t_ns);
   } else if (state_.alarm == Alarm::none && contact_joint >= 0) {
-    state_.alarm = Alarm::contact;
-    state_.joint = contact_joint;
-    state_.raised_t_ns = t_ns;
-  } else if (state_.alarm == Alarm::contact && trusted && !touching &&
-             elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_) {
+    rise(Alarm::contact, contact_joint, t_ns);
+  } else if (state_.alarm == Alarm::contact && state_.touch_over) {
     state_.alarm = Alarm::none;
     state_.joint = -1;
   }

@@ -18,9 +18,12 @@ class AlarmStage {
     Alarm held_alarm = Alarm::none;  // highest level exceeded at this sample, hold time passed; not latched
     int joint = -1;                  // the joint that raised the alarm to its level
     std::int64_t raised_t_ns = 0;    // time of that
+    std::uint32_t number = 0;        // of the newest alarm; acknowledge() keeps it
+    std::int64_t touch_t_ns = 0;     // last sample at which some joint was over a limit
+    bool touch_over = false;         // within all limits, and known, for the release time of a contact
     // Since when a joint has been over its limit; the smallest integer while it is not.
     std::array<std::int64_t, kMaxJoints> collision_since_ns, contact_since_ns;
-    std::int64_t contact_seen_ns = 0;  // last sample at which a contact was seen or could not be excluded
+    std::int64_t contact_seen_ns = 0;  // last sample at which a touch was seen or could not be excluded
     std::uint32_t pushed = 0;          // one bit per joint: pushed while stuck, not slid since; its limits are
                                        // higher ...
     bool touching = false;             // ... unless some joint was over its limit at the last sample
@@ -43,17 +46,20 @@ class AlarmStage {
   // Raises an alarm that was held back, for this joint; a higher alarm stays.
   void raise(Alarm alarm, int joint, std::int64_t t_ns) noexcept {
     if (alarm <= state_.alarm) return;
-    state_.alarm = alarm;
-    state_.joint = joint;
-    state_.raised_t_ns = state_.contact_seen_ns = t_ns;
+    rise(alarm, joint, t_ns);
+    state_.contact_seen_ns = state_.touch_t_ns = t_ns;
+    state_.touch_over = false;
   }
-  // Continues another stage's alarm, with the hold times of this one.
+  // Numbers the next alarm by one more than this.
+  void count_from(std::uint32_t number) noexcept { state_.number = number; }
+  // Continues another stage's alarm, with the hold times of this one. Its touch is over once this stage has seen it.
   void take_over(const State& other) noexcept {
     const State own = state_;
     state_ = other;
     state_.held_alarm = own.held_alarm;
     state_.collision_since_ns = own.collision_since_ns;
     state_.contact_since_ns = own.contact_since_ns;
+    state_.touch_over = false;
   }
   // Resets the limits of joints that were pushed while stuck: the prior's doubt covers them now.
   void forget_pushes() noexcept { state_.pushed = 0; }
@@ -70,6 +76,13 @@ class AlarmStage {
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  void rise(Alarm alarm, int joint, std::int64_t t_ns) noexcept {
+    state_.number += state_.alarm == Alarm::none;
+    state_.alarm = alarm;
+    state_.joint = joint;
+    state_.raised_t_ns = t_ns;
+  }
+
   int joints_;
   Limits limits_;
   std::uint64_t collision_hold_ns_, contact_hold_ns_, contact_release_ns_;

@@ -201,6 +201,8 @@ void Monitor::resume() noexcept {
   acknowledge();
 }
 
+void Monitor::count_alarms_from(std::uint32_t number) noexcept { chain_->judge.count_alarms_from(number); }
+
 void Monitor::acknowledge() noexcept {
   chain_->judge.acknowledge();
   if (chain_->expected) chain_->expected->acknowledge();

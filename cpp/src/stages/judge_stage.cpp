@@ -77,6 +77,9 @@ void JudgeStage::report_alarm() noexcept {
   estimate_.held_alarm = alarm.held_alarm;
   estimate_.alarm_joint = alarm.joint;
   estimate_.alarm_t_ns = alarm.raised_t_ns;
+  estimate_.alarm_number = alarm.number;
+  estimate_.touch_t_ns = alarm.touch_t_ns;
+  estimate_.touch_over = alarm.alarm == Alarm::none || alarm.touch_over;
   estimate_.touch = alarm.alarm == Alarm::none          ? Touch::none
                     : touch_.kind() == Touch::none ? Touch::unknown
                                                    : touch_.kind();

@@ -46,6 +46,10 @@ class JudgeStage {
     report_alarm();
   }
   const AlarmStage& alarm() const noexcept { return alarm_; }
+  void count_alarms_from(std::uint32_t number) noexcept {
+    alarm_.count_from(number);
+    report_alarm();
+  }
   void forget_pushes() noexcept { alarm_.forget_pushes(); }
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
     return alarm_.set_factors(collision, contact);

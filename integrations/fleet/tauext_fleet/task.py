@@ -137,7 +137,7 @@ def digest_of(content: object) -> str:
 
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
 """Packages of tauext whose code decides a task's output, beside its root modules."""
-MORE_FILES = ("monitor/changes.py", "monitor/places.py")
+MORE_FILES = ("monitor/changes.py", "monitor/touch_place.py")
 OWN_FILES = ("config.py", "stages.py", "task.py")
 """Of this package."""
 ROOTS = Path(tauext.__file__).parent, Path(__file__).parent

@@ -26,7 +26,7 @@ from tauext.monitor.changes import (
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_facts
 from tauext.monitor.monitored_time import Monitored
-from tauext.monitor.places import PlaceChange, place_facts
+from tauext.monitor.touch_place import PlaceChange, place_facts
 from tauext.monitor.replay import Chunk, StatusClock, Tally, sample_facts
 
 if TYPE_CHECKING:

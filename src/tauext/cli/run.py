@@ -90,7 +90,7 @@ def run(
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     from tauext.monitor.flight_files import FlightSettings
-    from tauext.monitor.places import PlaceFinder
+    from tauext.monitor.touch_place import PlaceFinder
 
     loaded = fitting_bundle(bundle, recordings)
     with nullcontext(None) if flights is None else added(flights) as folder:
@@ -193,7 +193,7 @@ def replay_one(
     """One recording through a new monitor, with a new flight recorder; counted in full even if it ends early."""
     from tauext import _core
     from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
-    from tauext.monitor.places import PlaceFinder
+    from tauext.monitor.touch_place import PlaceFinder
     from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, Tally, replay
     from tauext.monitor.source import settings_of
     from tauext.monitor.turns import Turns

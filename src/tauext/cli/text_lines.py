@@ -31,7 +31,7 @@ from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_words
 from tauext.monitor.monitored_time import Monitored, percent
-from tauext.monitor.places import PlaceChange, place_words
+from tauext.monitor.touch_place import PlaceChange, place_words
 from tauext.monitor.replay import Chunk, Tally
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
 from tauext.monitor.changes import with_article as a
 from tauext.monitor.control_lines import listen_at
 from tauext.monitor.monitored_time import Monitored, blind_words
-from tauext.monitor.places import INCONSISTENT, PlaceChange, links_words, newtons, run_of
+from tauext.monitor.touch_place import INCONSISTENT, PlaceChange, links_words, newtons, run_of
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
 

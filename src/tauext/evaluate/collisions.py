@@ -23,7 +23,7 @@ from tauext.evaluate.results import (
     Touches,
     TouchEstimate,
 )
-from tauext.monitor.places import FOLLOWED_S, newtons, strongest_place
+from tauext.monitor.touch_place import FOLLOWED_S, newtons, strongest_place
 
 # --- Collisions in a recording, and whether and when they were found.
 

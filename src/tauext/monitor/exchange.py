@@ -19,7 +19,7 @@ from tauext import _core
 from tauext.bundle.estimates import OK, STALE, WARMING_UP
 from tauext.data.servo import servo_facts
 from tauext.errors import TauextError
-from tauext.monitor.places import PlaceFinder
+from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.source import SourceSettings, settings_of
 
 # --- Before any bundle.

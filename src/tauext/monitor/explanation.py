@@ -16,7 +16,7 @@ from tauext.errors import RecordingError
 from tauext.monitor.changes import with_article
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
-from tauext.monitor.places import PlaceChange, place_words, strongest_place
+from tauext.monitor.touch_place import PlaceChange, place_words, strongest_place
 from tauext.monitor.weighing import SUMS, Seen, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.

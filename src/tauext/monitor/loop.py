@@ -39,7 +39,7 @@ from tauext.monitor.exchange import (
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored, MonitoredTime
-from tauext.monitor.places import PlaceFinder
+from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.replay import Chunk, EventStream

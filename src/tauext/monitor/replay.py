@@ -17,7 +17,7 @@ from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenColl
 from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
-from tauext.monitor.places import PlaceFinder
+from tauext.monitor.touch_place import PlaceFinder
 
 # --- Replay at wall-clock speed.
 

@@ -14,7 +14,7 @@ from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
 from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
-from tauext.monitor.places import PlaceChange, newtons, place_facts
+from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
 from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
 

@@ -133,8 +133,8 @@ class Simulation:
         self.model = 0
         self.recent: deque[tuple[Recording, bytes]] = deque()
         """The last REPEATED_S, and what the monitor carried before each of its recordings."""
-        self.newest: Label | None = None
-        """Of the newest alarm."""
+        self.newest: dict[str, Any] | None = None
+        """The newest alarm's line."""
         self.alarms = self.number = 0
         self.now_ns = self.newest_s = 0
         self.most_bytes = 0
@@ -276,9 +276,10 @@ class Simulation:
                 outcome.detected += any(a <= one.t_ns <= b + NEAR_NS for one in found)
         later, ratio = part.t_ns[np.concatenate(beyond)], np.concatenate(over)
         if stands and self.newest is not None:  # its touch may last into this recording
-            again = later[later < self.newest.from_ns + 2_000_000_000]
+            again = later[later < self.newest["t_ns"] + 2_000_000_000]
             if len(again):
-                self.folder.append_label(replace(self.newest, to_ns=int(again[-1])))
+                self.newest["held_ns"] = int(again[-1])
+                self.folder.append_event(self.newest)
         for one in found:
             if one.was != NONE or (stands and one.t_ns == part.t_ns[0]):
                 continue
@@ -287,16 +288,16 @@ class Simulation:
             collides = any(other.alarm == COLLISION and 0 <= other.t_ns - one.t_ns < 2e9 for other in found)
             outcome.false += collides and not true
             outcome.false_promised += collides and not true and promised is not None
-            answer = None if true else "nothing"
             level = "collision" if collides else "contact"
             content = {"id": self.alarms, "epoch": self.sink.epoch, "t_ns": one.t_ns, "wall": wall(), "level": level}
             lasts = (part.t_ns >= one.t_ns) & (part.t_ns < one.t_ns + 2_000_000_000)
             content["over"] = np.nan_to_num(ratio[lasts].max(axis=0)).round(4).tolist()
-            self.folder.append_event(content | {"bundle": self.bundle})
             end = int(later[(later >= one.t_ns) & (later < one.t_ns + 2_000_000_000)].max(initial=one.t_ns))
-            span = self.sink.epoch, one.t_ns, end
-            self.newest = Label(self.alarms, *span, answer or "unanswered", "sim", wall(), self.bundle)
-            self.folder.append_label(self.newest)
+            self.newest = content | {"bundle": self.bundle, "held_ns": end}
+            self.folder.append_event(self.newest)
+            if not true:
+                span = self.sink.epoch, one.t_ns, end
+                self.folder.append_label(Label(self.alarms, *span, "nothing", "sim", wall(), self.bundle))
 
     # Afterwards.
 

@@ -23,8 +23,8 @@ from unseen.surfaces import SURFACES, Part, capsules_of, draw_touch, triangles_o
 from wrench import WARM_S, logged, short, told
 
 from tauext import _core
-from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
 from tauext.monitor.replay import replay
+from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
 from tauext.robot.capsules import link_capsules
 from tauext.robot.read import load_tree
 

@@ -89,7 +89,7 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
         "t_ns": round(t_s * 1e9),
         "wall": now(),
         "state": "asking" if state in ("alarm", "question") else state if not bundle else "monitoring",
-        "says": LOST
+        "message": LOST
         if state == "journal"
         else ""
         if bundle

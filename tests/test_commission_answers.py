@@ -21,12 +21,12 @@ from made_bundles import JOINTS, pushed, watching_bundle
 from made_commission import words
 from made_live import ScriptedSource, samples_of
 
-from tauext.bundle.estimates import OK, STALE
+from tauext.bundle.estimates import CONTACT, OK, STALE
 from tauext.bundle.history_file import read_events
-from tauext.commission.answers import EventKeeper, Steering
+from tauext.commission.answers import EpisodeKeeper, Steering
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.keep import KeepSink
-from tauext.commission.live import MOST_READERS, PAST_EVERY, AlarmBook, Curves, LiveSink, rounded
+from tauext.commission.live import MOST_READERS, PAST_EVERY, Curves, LiveSink
 from tauext.commission.processes import Child
 from tauext.commission.promises import put_suspects
 from tauext.commission.run import AGAIN_S, Commission
@@ -34,11 +34,13 @@ from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
+from tauext.monitor.episode import Episode, EpisodeFinder
+from tauext.monitor.events import episode_facts, rounded
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.loop import Loop
-from tauext.monitor.touch_place import PlaceChange
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
+from tauext.monitor.touch_place import PlaceChange
 from tauext.train.suspects import Suspect
 
 PATIENCE_S = 20.0
@@ -64,14 +66,14 @@ class Arm:
         samples = samples_of(recording or pushed())
         source = ScriptedSource([*samples[:pause], self.go_on.is_set, *samples[pause:]])
         self.record = KeepSink(self.folder, settings, "script", 1e9)
-        self.keeper = EventKeeper(self.folder, lambda: self.record.epoch, self.notes.append)
+        self.keeper = EpisodeKeeper(self.folder, lambda: self.record.epoch, self.notes.append)
         self.live = LiveSink(path / "live.sock")
-        self.live.changed, self.live.answers = self.keeper.changed, self.keeper.answer_to
-        self.record.on_label = self.keeper.labelled
+        self.live.alarm = self.keeper.event
         self.live.describe(settings.joints, settings.torque_units)
         self.loop = Loop(self.bundle, source, [self.record, self.keeper, self.live])
-        self.loop.alarms = self.keeper.newest
-        self.live.follow(self.bundle, self.loop.monitor)
+        self.loop.monitor.alarms = self.keeper.newest
+        for sink in (self.keeper, self.live):
+            sink.follow(self.bundle, self.loop.monitor)
         self.steering = Steering(self.keeper, self.loop.stop)
         self.steering.loop = self.loop
         self._thread = threading.Thread(target=self.loop.run, daemon=True)
@@ -125,7 +127,7 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         assert read_events(one.folder.path)[-1]["answer"] == "nothing" and one.keeper.unanswered is None
         assert obey("touched 1", one.steering, "page") == "ok"  # a person may change it
         assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
-        assert one.keeper.answer_to(1) == "touched"
+        assert one.keeper.event(1)["answer"] == "touched"
     (event,) = read_events(one.folder.path)
     assert event["ended"] and event["answer"] == "touched" and event["held_ns"] > event["t_ns"]
     assert len(event["over"]) == len(JOINTS) and 1 < event["over"][0] and abs(event["over"][1]) < event["over"][0]
@@ -159,14 +161,18 @@ def test_a_page_that_is_opened_gets_the_past(tmp_path):
 
 
 def test_force_and_torque_of_an_alarm_are_of_one_moment():
-    book = AlarmBook(("a", "b"), ("N m", "N m"))
-    rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0)
+    def facts(t_ns, change):
+        at = {"held_alarm": 0, "touch_over": 0, "touch_t_ns": t_ns, "limit_nm": np.ones(2), "margin_nm": np.ones(2)}
+        (one,) = finder.find(t_ns, {name: np.array([value]) for name, value in at.items()}, (change,))
+        return episode_facts(one, ("a", "b"), ("N m", "N m"))
+
+    finder = EpisodeFinder()
+    rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0, number=3)
     best = SimpleNamespace(link=1, point=(0, 0, 0), force=(0.0, 84.3, 0.0))
-    place = PlaceChange(5, 50, 2, 1, 0.1, ((1, 0.95), (0, 0.05)), (), best, 0.5, None, (0.1, -21.0))
-    verdict = SimpleNamespace(t_ns=10, alarm_id=3, changes=(rise,), sample=None)
-    (risen,) = book.see(verdict)
+    place = PlaceChange(5, 50, 2, 1, 0.1, ((1, 0.95), (0, 0.05)), (), best, 0.5, None, (0.1, -21.0), 3)
+    risen = facts(10, rise)
     assert (risen["sentence"], risen["tau_ext_nm"]) == ("Touched at b or beyond it", 2.5)
-    (placed,) = book.see(SimpleNamespace(t_ns=50, alarm_id=3, changes=(place,), sample=None))
+    placed = facts(50, place)
     assert placed["sentence"] == "Touched at b, about 84 N"
     assert placed["details"] == "COLLISION on the link of b (95%; a 5%): 21 Nm at b, limit 2 Nm"
 
@@ -207,15 +213,14 @@ def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
         assert obey("nothing", one.steering, "b") == "error: nothing: the newest alarm (1) has an answer"
 
         def refuse(yes, by):
-            raise ConfigError("no change of the arm waits for an answer")
+            raise ConfigError(f"no change waits for {yes}")
 
         one.keeper.learn = refuse
-        for line, what in (("learn yes", "learn"), ("learn no", "leave")):
-            assert obey(line, one.steering, "b") == f"error: {what}: no change of the arm waits for an answer"
+        for line, yes in (("learn yes", True), ("learn no", False)):
+            assert obey(line, one.steering, "b") == f"error: no change waits for {yes}"
 
 
 def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.commission.answers.STORED_S", 0.5)
     with arm(tmp_path / "cell") as one:
 
         def full(*_):
@@ -223,31 +228,35 @@ def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
 
         with monkeypatch.context() as patched:
             patched.setattr(one.folder, "append_label", full)
-            assert "not stored yet" in obey("touched", one.steering, "test")
+            assert obey("touched", one.steering, "test") == (
+                "error: touched: not stored: No space left on device; please answer again"
+            )
+        assert one.keeper.unanswered and not one.loop._answered  # the alarm stands, and is still asked about
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
-    assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]  # paid once there is room
+        assert obey("touched", one.steering, "test") == "ok"
+    assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
 
 
 def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
+    one._live = SimpleNamespace(state="monitoring", message="", lost="", bundle="b0001")
     one._has_ended, one._lost = False, ""
     one._loop, one._source, one._keeper = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
     one._record = SimpleNamespace(
         is_losing=True, count=RecordCount(error=f"{one._folder.path}/seg-000001.parquet: full")
     )
     one._show_state()
-    assert one._live.says == "RECORDING LOSES SAMPLES: seg-000001.parquet: full"
+    assert one._live.message == "RECORDING LOSES SAMPLES: seg-000001.parquet: full"
     one._record.is_losing = False
     one._show_state()
-    assert one._live.says == "" and one._live.state == "monitoring"
+    assert one._live.message == "" and one._live.state == "monitoring"
 
 
 def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeypatch):
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    one._live = SimpleNamespace(state="monitoring", says="", lost="", bundle="b0001")
+    one._live = SimpleNamespace(state="monitoring", message="", lost="", bundle="b0001")
     one._has_ended, one._record, one._lost = False, None, ""
     one._loop, one._keeper = SimpleNamespace(samples=1), SimpleNamespace(unanswered=None)
     now_s, lines = 0.0, []
@@ -265,19 +274,21 @@ def test_an_answer_is_known_to_the_next_process(tmp_path):
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
     folder.append_event({"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
     folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
-    keeper = EventKeeper(folder, lambda: 1, print)
+    keeper = EpisodeKeeper(folder, lambda: 1, print)
     keeper.end()
-    assert keeper.answer_to(1) == "nothing" and keeper.unanswered is None
+    assert keeper.event(1)["answer"] == "nothing" and keeper.unanswered is None
     assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
 
 
 def test_an_event_that_cannot_be_written_ends_no_thread(tmp_path):
     folder, notes = CommissionFolder.open(tmp_path / "cell", create=True), []
-    keeper = EventKeeper(folder, lambda: 1, notes.append)
-    keeper.changed({"id": 1, "level": "contact", "newtons": float("nan")})
-    keeper.changed({"id": 2, "level": "contact", "newtons": 1.0})
+    keeper = EpisodeKeeper(folder, lambda: 1, notes.append)
+    keeper.open(("a",), None)
+    for number, bundle in ((1, float("nan")), (2, "b0001")):
+        keeper.learned(Episode(number, CONTACT, 0, bundle, 7, 8, 2.0, 1.0))
     keeper.end()
-    assert [one["id"] for one in read_events(folder.path)] == [2] and notes[0].startswith("an event is not stored")
+    assert [one["id"] for one in read_events(folder.path)] == [2]
+    assert [note for note in notes if note.startswith("an event is not stored: ")]
 
 
 def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch):
@@ -315,7 +326,8 @@ def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):
         assert obey("touched 1", one.steering, "test") == "ok"
     before = one.keeper.newest
     with arm(tmp_path / "cell") as one:
-        assert one.loop.alarms == one.keeper.newest == before + 1 and one.keeper.answer_to(1) == "touched"
+        assert one.loop.alarms == one.keeper.newest == before + 1
+        assert one.keeper.event(1)["answer"] == "touched"
         assert obey("nothing 1", one.steering, "page") == "ok"  # of an earlier run
         assert obey("nothing", one.steering, "page") == "ok"  # of the alarm that stands
     labels = {label.id: label for label in read_labels(one.folder.path)}
@@ -325,12 +337,12 @@ def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):
 
 def test_lines_come_before_there_is_an_arm_and_slow_readers_hold_up_nobody(tmp_path):
     live = LiveSink(tmp_path / "live.sock")
-    live.says = "no robot there"
+    live.message = "no robot there"
     slow = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     slow.connect(str(tmp_path / "live.sock"))  # reads nothing
     try:
         lines = lines_of(tmp_path / "live.sock", 3)
-        assert [(one["state"], one["says"], one["joints"]) for one in lines] == [
+        assert [(one["state"], one["message"], one["joints"]) for one in lines] == [
             ("connecting", "no robot there", [])
         ] * 3
         assert "tau_ext" not in lines[0]
@@ -353,7 +365,7 @@ def test_readers_that_only_hold_the_line_take_no_place_of_the_page(tmp_path):
 def test_a_reader_that_takes_no_line_is_closed(tmp_path, monkeypatch):
     monkeypatch.setattr("tauext.commission.live.UNREAD_S", 0.3)
     live = LiveSink(tmp_path / "live.sock")
-    live.says = "x" * 100_000  # a line fills the buffer
+    live.message = "x" * 100_000  # a line fills the buffer
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as silent:
         silent.connect(str(tmp_path / "live.sock"))
         poll = select.poll()
@@ -366,7 +378,7 @@ def test_a_reader_that_takes_no_line_is_closed(tmp_path, monkeypatch):
 
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):
     stopped: list[str] = []
-    keeper = EventKeeper(CommissionFolder(tmp_path), lambda: 0, print)
+    keeper = EpisodeKeeper(CommissionFolder(tmp_path), lambda: 0, print)
     steering = Steering(keeper, stopped.append)
     for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
         assert obey(line, steering, "test").startswith("error: "), line

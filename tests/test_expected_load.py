@@ -11,7 +11,6 @@ from made_live import Keeper, ScriptedSource, samples_of
 
 from tauext import _core
 from tauext._core import Load, LoadPhase
-from tauext.cli.text_lines import found_load_words
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
@@ -19,6 +18,7 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.torque_constants import with_constants
 from tauext.monitor.changes import ChangeFinder, FoundLoad
 from tauext.monitor.control_lines import obey
+from tauext.monitor.events import found_load_words
 from tauext.monitor.loads import Expected, expected_of_text
 from tauext.monitor.loop import Loop
 from tauext.monitor.profiles import load_profiles

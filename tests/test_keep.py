@@ -11,33 +11,65 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tauext.bundle.estimates import COLLISION
 from tauext.bundle.history_file import watches
 from tauext.commission import folder as folder_module
 from tauext.commission import keep
+from tauext.commission.answers import EpisodeKeeper
 from tauext.commission.folder import CommissionFolder, Segment, split_of
 from tauext.commission.keep import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.monitor.sink import Answer, Verdict
+from tauext.monitor.changes import ChangeFinder
+from tauext.monitor.episode import EpisodeFinder
+from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Sample, SourceSettings
 
 PERIOD_NS = 20_000_000
 ARM = SourceSettings(("shoulder", "elbow"), PERIOD_NS, ("N m", "N m"), "held")
 ROWS = round(10e9 / PERIOD_NS)
-ESTIMATES = {"alarm": np.zeros(1, int), "health": np.ones(1, int), "contact_limit_nm": np.ones((1, 2))}
+ESTIMATES = {name: np.zeros(1, int) for name in ("causes", "cause_joint", "touch", "unfamiliar")}
+ESTIMATES["drift_saturated"] = np.zeros((1, 2), bool)
+ESTIMATES |= {"health": np.ones(1, int), "alarm_joint": np.zeros(1, int), "near_stiction": np.zeros((1, 2), bool)}
+ESTIMATES |= {name: np.ones((1, 2)) for name in ("limit_nm", "contact_limit_nm", "sigma_nm", "margin_nm")}
+OVER_NS = 500_000_000
+
+
+@pytest.fixture(autouse=True)
+def no_thread_left(monkeypatch):
+    made: list[Script] = []
+    monkeypatch.setattr(Script, "made", made, raising=False)
+    yield
+    for one in made:
+        one.sink._waiting.put(None)
+        one.sink._thread.join()
+        one.keeper.end()
 
 
 class Script:
-    """Sends verdicts of a swinging arm to a sink."""
+    """Sends verdicts of a swinging arm to the sinks."""
+
+    made: list[Script]
 
     def __init__(self, folder: Path, budget: float = 1e9, start_ns: int = 0):
         self.folder = CommissionFolder.open(folder, create=True)
         self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
         self.sink.patient = True
-        self.sink.open(ARM.joints, None)
-        self.row, self.t_ns = 0, start_ns
+        self.notes: list[str] = []
+        self.keeper = EpisodeKeeper(self.folder, lambda: self.sink.epoch, self.notes.append)
+        self.made.append(self)
+        self.changes, self.episodes = ChangeFinder(), EpisodeFinder("b0001")
+        for sink in (self.sink, self.keeper):
+            sink.open(ARM.joints, None)
+        self.row, self.t_ns, self.touch_t_ns = 0, start_ns, 0
+
+    def stand(self, number: int) -> Script:
+        """This alarm stands from before."""
+        self.changes.stand(COLLISION, number)
+        self.episodes.stand(number, COLLISION, 0)
+        return self
 
     def go(self, seconds: float, alarm: int = 0, push: float = 0.0, still: bool = False) -> Script:
         for _ in range(round(seconds * 1e9 / PERIOD_NS)):
@@ -45,16 +77,26 @@ class Script:
             q = np.array([np.sin(time_s), 0.1 * np.sin(0.1 * time_s)])
             dq = np.array([np.cos(time_s), 0.01 * np.cos(0.1 * time_s)]) * (not still)
             sample = Sample(self.t_ns, q, dq, dq + q, 0)
-            estimates = ESTIMATES | {"tau_ext": np.full((1, 2), push)}
-            self.sink.verdict(Verdict(self.row, self.t_ns, sample, estimates, (), alarm))
+            self.touch_t_ns = self.t_ns if push > 1 else self.touch_t_ns
+            over = not 0 <= self.t_ns - self.touch_t_ns < OVER_NS
+            numbers = {"alarm": COLLISION * bool(alarm), "alarm_number": alarm, "held_alarm": COLLISION * (push > 1)}
+            numbers |= {"touch_t_ns": self.touch_t_ns, "touch_over": over}
+            estimates = ESTIMATES | {name: np.array([value]) for name, value in numbers.items()}
+            estimates |= {"tau_ext": np.full((1, 2), push), "load_nm": np.zeros((1, 2))}
+            news = self.changes.find(self.row, np.array([self.t_ns]), estimates)
+            told = self.episodes.find(self.t_ns, estimates, news, q)
+            verdict = Verdict(self.row, self.t_ns, sample, estimates, tuple(news), self.episodes.standing, told)
+            for sink in (self.sink, self.keeper):
+                sink.verdict(verdict)
             self.row, self.t_ns = self.row + 1, self.t_ns + PERIOD_NS
         return self
 
-    def answer(self, what: str, alarm: int = 0) -> None:
-        self.sink.answered(Answer(what, "page", alarm, self.row, self.t_ns))
+    def answer(self, what: str, alarm: int | None = None) -> int:
+        return self.keeper.answer(what, "page", alarm)
 
     def end(self) -> CommissionFolder:
         self.sink.close()
+        self.keeper.end()
         return self.folder
 
 
@@ -114,14 +156,14 @@ def test_motion_of_an_alarm_is_trained_on_only_if_nothing_was_there(tmp_path, an
 
 def test_a_long_touch_is_labelled_while_it_lasts_and_answers_find_their_alarm(tmp_path):
     script = Script(tmp_path / "cell").go(5).go(20, 1, 5.0)
-    script.sink._waiting.put(None)
-    script.sink._thread.join()
+    script.keeper.end()
     assert script.folder.labels()[0].to_ns >= 20_000_000_000  # as if it had been killed here
     script = Script(tmp_path / "cell").go(5).go(1, 2, 5.0).go(2)
-    script.answer("nothing")  # no number: the newest without an answer
+    assert script.answer("nothing") == 2  # no number: the newest without an answer
     script.go(1)
-    script.answer("touched")  # none is left
-    script.answer("nothing")
+    assert script.answer("touched") == 0  # none is left
+    with pytest.raises(ConfigError, match=r"nothing: the newest alarm \(2\) has an answer; give the number of another"):
+        script.answer("nothing")
     labels = {one.id: one for one in script.go(2).end().labels()}
     assert {id: one.answer for id, one in labels.items()} == {1: "unanswered", 2: "nothing", -1: "touched"}
     assert labels[-1].to_ns - labels[-1].from_ns == 3_000_000_000 and labels[2].epoch == 2
@@ -130,7 +172,7 @@ def test_a_long_touch_is_labelled_while_it_lasts_and_answers_find_their_alarm(tm
 def test_an_alarm_that_stands_since_another_clock_keeps_its_label(tmp_path):
     folder = Script(tmp_path / "cell").go(5).go(1, 1, 5.0).end()
     before = folder.labels()
-    assert Script(folder.path).go(2, 1, 5.0).end().labels() == before
+    assert Script(folder.path).stand(1).go(2, 1, 5.0).end().labels() == before
 
 
 def test_long_standstill_is_dropped_and_reported(tmp_path):
@@ -302,26 +344,27 @@ def test_damaged_coverage_costs_the_cells_but_no_time(tmp_path):
 
 def test_a_disk_that_is_full_loses_recordings_but_no_answer(tmp_path, monkeypatch):
     script = Script(tmp_path / "cell")
-    told = []
-    script.sink.on_label = told.append
-    real = CommissionFolder.append_label
 
     def full(*_) -> None:
         raise OSError(28, "full")
 
-    monkeypatch.setattr("tauext.monitor.record_sink.save_recording", full)
-    monkeypatch.setattr(CommissionFolder, "append_label", full)
-    script.go(11).go(1, 1, 5.0).go(1)
+    with monkeypatch.context() as patched:
+        patched.setattr("tauext.monitor.record_sink.save_recording", full)
+        patched.setattr(CommissionFolder, "_append", full)
+        script.go(11).go(1, 1, 5.0).go(1)
+        with pytest.raises(ConfigError, match="touched: not stored: full; please answer again"):
+            script.answer("touched", 1)
+        script.go(10)
+        script.sink._waiting.put(None)
+        script.sink._thread.join()
+        assert script.sink.count.lost >= ROWS and script.sink.is_losing and not script.folder.labels()
+        assert [note for note in script.notes if "not stored" in note] == ["an event is not stored: full"]
+    while not script.folder.labels():  # the alarm's line is tried again by itself
+        time.sleep(0.01)
     script.answer("touched", 1)
-    script.go(10)
-    script.sink._waiting.put(None)
-    script.sink._thread.join()
-    assert not told and "labels are not written" in script.sink.count.error and script.sink.count.lost >= ROWS
-    assert script.sink.is_losing
-    monkeypatch.setattr(CommissionFolder, "append_label", real)
-    script.sink._pay()
-    assert [one.answer for one in told] == ["unanswered", "unanswered", "touched"]
-    assert script.folder.labels()[0].answer == "touched"
+    script.keeper.end()
+    (label,) = script.folder.labels()
+    assert label.answer == "touched" and label.to_ns - label.from_ns == 980_000_000
 
 
 def test_a_disk_that_is_full_at_the_start_loses_recordings_until_it_has_space_again(tmp_path, monkeypatch):

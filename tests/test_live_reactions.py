@@ -29,15 +29,15 @@ from tauext.monitor.reactions import (
     content_of,
     start_reactions,
 )
-from tauext.monitor.sink import Event
+from tauext.monitor.sink import ReactionEvent
 from tauext.sources.replay import ReplaySource
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "health": "ok", "causes": []}
 FACTS["contact_limit_nm"] = [1.0, 1.5]
 
 
-def event(kind="collision", joint="shoulder", t_ns=7, received_ns=None) -> Event:
-    return Event(kind, joint, t_ns, time.monotonic_ns() if received_ns is None else received_ns, FACTS)
+def event(kind="collision", joint="shoulder", t_ns=7, received_ns=None) -> ReactionEvent:
+    return ReactionEvent(kind, joint, t_ns, time.monotonic_ns() if received_ns is None else received_ns, FACTS)
 
 
 def wait_for(what, seconds: float = 20.0) -> None:

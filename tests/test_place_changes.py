@@ -11,13 +11,14 @@ import pytest
 from test_places import bundle as bundle
 
 from tauext import _core
-from tauext.cli.json_lines import change_facts
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
-from tauext.monitor.touch_place import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
+from tauext.monitor.episode import EpisodeFinder
+from tauext.monitor.events import change_facts
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
-from tauext.monitor.sink import Event, EventFinder, Verdict
+from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
+from tauext.monitor.touch_place import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
 
 SIGMA_NM, RATE_HZ, RISES, FALLS = 0.1, 1000, 200, 900
 JOINTS = tuple(f"joint{k + 1}" for k in range(7))
@@ -182,11 +183,8 @@ def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):
     assert "error scale" in finder.refused and finder.find(0, t_ns, q, 0 * q, said) == []
 
 
-ALARM_NS = 5_000_000
-
-
-def of_alarm(what: str, touch: str = "unknown", links=(), newtons=None, alarm_t_ns: int = ALARM_NS) -> Event:
-    return Event(
+def of_alarm(what: str, touch: str = "unknown", links=(), newtons=None, number: int = 1) -> ReactionEvent:
+    return ReactionEvent(
         "collision",
         "joint5",
         7,
@@ -196,7 +194,7 @@ def of_alarm(what: str, touch: str = "unknown", links=(), newtons=None, alarm_t_
         news=what == "alarm",
         links=links,
         newtons=newtons,
-        alarm_t_ns=alarm_t_ns,
+        number=number,
         of_place=what == "place",
     )
 
@@ -208,8 +206,8 @@ STORY = [
     of_alarm("touch", "clamp", NEAR, 30.0),
     of_alarm("place", "clamp", SURE, 60.0),
     of_alarm("place", "clamp", SURE, 70.0),
-    of_alarm("alarm", alarm_t_ns=9_000_000),
-    of_alarm("place", "push", SURE, 70.0, 9_000_000),
+    of_alarm("alarm", number=2),
+    of_alarm("place", "push", SURE, 70.0, 2),
 ]
 
 
@@ -278,19 +276,22 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
         said[name] = np.full(rows, value)
     for name in ("drift_saturated", "near_stiction"):
         said[name] = np.zeros((rows, 7), dtype=bool)
-    for name in ("detection", "unfamiliar"):
+    for name in ("detection", "unfamiliar", "held_alarm", "touch_t_ns", "touch_over"):
         said[name] = np.zeros(rows)
+    said["alarm_number"] = np.cumsum(np.diff(said["alarm"], prepend=0) > 0)
     finder, changes, places, events = EventFinder(JOINTS, {}), ChangeFinder(), PlaceFinder(bundle), []
+    episodes = EpisodeFinder()
     for k in range(rows):
         row = {name: column[k : k + 1] for name, column in said.items()}
         news = changes.find(k, t_ns[k : k + 1], row) + places.find(
             k, t_ns[k : k + 1], q[k : k + 1], 0 * q[k : k + 1], row
         )
-        events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news)))
+        of_alarm = episodes.find(int(t_ns[k]), row, news)
+        events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news), episodes.standing, of_alarm))
     kinds = [(event.kind, event.of_place, event.newtons is not None) for event in events]
     assert kinds[:3] == [("collision", False, False), ("collision", True, True), ("collision", True, True)]
     assert kinds[3:5] == [("cleared", False, False), ("contact", False, False)]
-    assert {event.alarm_t_ns for event in events[:3]} == {t_ns[RISES]} and events[4].alarm_t_ns == t_ns[FALLS + 50]
+    assert [event.number for event in events[:5]] == [1, 1, 1, 0, 2]
     assert events[1].facts["place"]["places"] and events[0].facts["place"] is None
 
 

@@ -11,13 +11,14 @@ from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
 from tauext.bundle.estimates import COLUMNS, TOUCHES
-from tauext.cli.text_lines import touch_words
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder, TouchChange
+from tauext.monitor.episode import EpisodeFinder
+from tauext.monitor.events import touch_words
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.replay import replay
-from tauext.monitor.sink import Event, EventFinder, Verdict
+from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "contact_limit_nm": [1.0, 1.5]}
 UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impact", "push", "clamp"))
@@ -28,7 +29,8 @@ def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     rows = len(touch)
     torques = {column.name: np.ones((rows, 2)) for column in COLUMNS if column.in_messages}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
-    numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint", "detection", "unfamiliar")}
+    names = ("causes", "cause_joint", "detection", "unfamiliar", "touch_t_ns", "touch_over")
+    numbers = {name: np.zeros(rows, int) for name in names}
     return {
         **torques,
         **flags,
@@ -74,12 +76,13 @@ def test_words_name_the_kind_and_what_it_was_taken_for():
     assert words == "the contact is an impact, 30 ms after the alarm (was taken for push)"
 
 
-def events_of(of: dict[str, np.ndarray]) -> list[Event]:
-    finder, changes, found = EventFinder(JOINTS, {}), ChangeFinder(), []
+def events_of(of: dict[str, np.ndarray]) -> list[ReactionEvent]:
+    finder, episodes, changes, found = EventFinder(JOINTS, {}), EpisodeFinder(), ChangeFinder(), []
     for k in range(len(of["touch"])):
         row = {name: values[k : k + 1] for name, values in of.items()}
         news = changes.find(k, np.array([k * 10_000_000]), row)
-        found += finder.find(Verdict(k, k * 10_000_000, None, row, tuple(news)))
+        of_alarm = episodes.find(k * 10_000_000, row | {"held_alarm": [0]}, news)
+        found += finder.find(Verdict(k, k * 10_000_000, None, row, tuple(news), episodes.standing, of_alarm))
     return found
 
 
@@ -111,13 +114,15 @@ def test_a_reaction_bound_to_kinds_waits_until_they_are_known(on, touch, expecte
     done = []
     thread = ReactionThread(Reaction("one", on, touch=touch), lambda event: done.append(event.touch))
     for k, event in enumerate(events_of(said(TOUCH, ALARM))):
-        thread.put(Event(event.kind, f"joint {k}", event.t_ns, 0, FACTS, 1, event.touch, event.news))  # none merged
+        thread.put(
+            ReactionEvent(event.kind, f"joint {k}", event.t_ns, 0, FACTS, 1, event.touch, event.news)
+        )  # none merged
     thread.end(time.monotonic() + 20)
     assert done == expected
 
 
 def test_commands_find_the_kind_in_their_environment():
-    content = content_of(Event("collision", JOINTS[0], 7, 0, FACTS, touch="clamp", news=False))
+    content = content_of(ReactionEvent("collision", JOINTS[0], 7, 0, FACTS, touch="clamp", news=False))
     assert content["environment"]["TAUEXT_TOUCH"] == "clamp"
 
 

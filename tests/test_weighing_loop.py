@@ -13,12 +13,11 @@ from made_recordings import made_motion
 from test_weighing import COM, MASS, QUIET, bundle_of, carrying, phi_of
 
 from tauext import _core
-from tauext.cli.json_lines import found_facts
-from tauext.cli.text_lines import weigh_words
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.control_lines import obey
+from tauext.monitor.events import found_facts, weigh_words
 from tauext.monitor.loop import Loop
 from tauext.monitor.weighing import identify, load_frame, see
 
@@ -102,8 +101,8 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     lines = {
         19: [f"weigh reach={reach}" for reach in unreachable],
         20: ["weigh reach=far", "weigh now", "weigh reach=0.25"],
-        40: ["weigh tell"],
-        700: ["weigh tell", "weigh stop"],
+        40: ["weigh report"],
+        700: ["weigh report", "weigh stop"],
     }
     said: list[str] = []
 
@@ -116,12 +115,12 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     loop.run()
     rule = "must be 0.001 to 100 m, how far away a load's centre of mass may be"
     assert said[:4] == [f"error: reach = {float(reach)} {rule}" for reach in unreachable]
-    choices = "must be `reach=METRES`, `tell`, `stop` or nothing"
+    choices = "must be `reach=METRES`, `report`, `stop` or nothing"
     assert said[4:6] == [f"error: weigh: {text!r} {choices}" for text in ("reach=far", "now")]
     assert said[6:] == ["ok"] * 4
     told = [change for change in keeper.changes if isinstance(change, WeighChange)]
     assert [(one.row, one.what, one.by) for one in told] == [
-        (21, "start", "a line"), (41, "tell", "a line"), (701, "tell", "a line"), (701, "stop", "a line"),
+        (21, "start", "a line"), (41, "report", "a line"), (701, "report", "a line"), (701, "stop", "a line"),
     ]  # fmt: skip
     assert told[0].found is None and told[1].found.verdict == "too little"
     assert abs(told[2].found.mass_kg - MASS) < 0.05 and told[2].found.reach_m == 0.25

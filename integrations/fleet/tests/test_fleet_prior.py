@@ -175,7 +175,7 @@ def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("train", "says"),
+    ("train", "message"),
     [
         ('like = "none.prior.json"', "none.prior.json: not a readable fleet prior"),
         ('like = "fleet.toml"', "fleet.toml: not a readable fleet prior"),

@@ -21,7 +21,7 @@ from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
 from tauext.monitor.control_lines import alarm_of_text
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
-from tauext.monitor.sink import Control, Event, LoopReport, Verdict
+from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
 from tauext.monitor.source import Sample
 from tauext_ros2.messages import (
     ERROR,
@@ -332,9 +332,8 @@ class Ros2Publisher:
         self._before, self._report = self._report, report
         self._diagnose(time.monotonic_ns())
 
-    def publish_event(self, event: Event) -> None:
-        facts = {"kind": event.kind, "joint": event.joint, "t_ns": event.t_ns, "merged": event.merged, **event.facts}
-        self._send(self._events, String(json.dumps(facts)))
+    def publish_event(self, event: ReactionEvent) -> None:
+        self._send(self._events, String(json.dumps(event.content)))
 
     def close(self) -> None:
         """Remove the topics. Transient-local topics end too: later subscribers receive nothing."""

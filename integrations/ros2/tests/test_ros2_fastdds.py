@@ -20,7 +20,7 @@ from tauext_ros2.settings import Ros2Settings
 from tauext import _core
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
-from tauext.monitor.sink import Event
+from tauext.monitor.sink import ReactionEvent
 
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"
 SPACE, TOPIC, SAMPLES = "/fast", "/fast_states", 4000
@@ -63,7 +63,9 @@ def run(peer, tmp_path_factory):
     running.start()
     words = [str(peer), str(DOMAIN), SPACE, TOPIC, str(SAMPLES)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ) as process:
-        threading.Timer(3.0, publisher.publish_event, [Event("contact", "elbow", 1, 2, {"text": 'quoted " ü'})]).start()
+        threading.Timer(
+            3.0, publisher.publish_event, [ReactionEvent("contact", "elbow", 1, 2, {"text": 'quoted " ü'})]
+        ).start()
         printed = process.communicate(timeout=60)[0]
     loop.stop("test")
     running.join()
@@ -112,7 +114,7 @@ def test_alarms_diagnostics_events_and_nodes_arrive(run):
     got, *_ = run
     assert got["contact"][:2] == [False, True] and got["collision"] == [False, True, False]
     assert [json.loads(text) for text in got["event"]] == [
-        {"kind": "contact", "joint": "elbow", "t_ns": 1, "merged": 1, "text": 'quoted " ü'}
+        {"event": "contact", "joint": "elbow", "t_ns": 1, "merged": 1, "text": 'quoted " ü'}
     ]
     arm = [status for statuses in got["diagnostics"] for status in statuses if status["name"] == "tauext: arm"]
     assert {(2, "collision on shoulder"), (0, "ok")} <= {(status["level"], status["message"]) for status in arm}

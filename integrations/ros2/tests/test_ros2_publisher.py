@@ -43,7 +43,7 @@ from tauext_ros2.settings import Ros2Settings
 from tauext._core import Load
 from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
-from tauext.monitor.sink import Event, LoopReport, Publisher, Verdict
+from tauext.monitor.sink import LoopReport, Publisher, ReactionEvent, Verdict
 from tauext.monitor.source import Sample, SourceCounts
 
 JOINTS = ("shoulder", "elbow")
@@ -325,9 +325,9 @@ def test_others_say_what_the_arm_carries(talking, peer, space):
 def test_events_are_json(talking, peer, space):
     publisher, _ = talking
     reader = reading(peer, f"{space}/event", String)
-    publisher.publish_event(Event("collision", "elbow", 7, 8, {"alarm": "collision"}, 2))
+    publisher.publish_event(ReactionEvent("collision", "elbow", 7, 8, {"alarm": "collision"}, 2))
     assert json.loads(next_of(reader).data) == {
-        "kind": "collision",
+        "event": "collision",
         "joint": "elbow",
         "t_ns": 7,
         "merged": 2,

@@ -98,7 +98,8 @@ def read_events(folder: Place) -> list[dict[str, Any]]:
 def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     newest: dict[Any, dict[str, Any]] = {}
     for one in journal.kinds.get("event", ()):
-        newest[one.get("id")] = one | {"answer": None}
+        own = {key: value for key, value in one.items() if key not in ("number", "kind", "format", "journal")}
+        newest[one.get("id")] = own | {"answer": None}
     for one in journal.kinds.get("label", ()):
         if one.get("answer") in ("touched", "nothing") and one.get("id") in newest:
             newest[one["id"]] |= {"answer": one["answer"], "by": one.get("by")}

@@ -6,28 +6,18 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from tauext._core import Bundle, cause_names
-from tauext.bundle.estimates import ALARMS, HEALTHS, TOUCHES, number
+from tauext._core import Bundle
 from tauext.bundle.units import not_monitored
 from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
 from tauext.monitor.changes import (
-    AlarmChange,
-    Change,
-    DriftChange,
-    FoundLoad,
-    HealthChange,
     HiddenCollision,
-    LoadChange,
-    TouchChange,
-    WeighChange,
 )
+from tauext.monitor.events import change_facts, sample_facts
 from tauext.monitor.flight_files import FlightCount, FlightNews
-from tauext.monitor.loads import load_facts
 from tauext.monitor.monitored_time import Monitored
-from tauext.monitor.touch_place import PlaceChange, place_facts
-from tauext.monitor.replay import Chunk, StatusClock, Tally, sample_facts
+from tauext.monitor.replay import Chunk, StatusClock, Tally
 
 if TYPE_CHECKING:
     from tauext.monitor.loop import ProfileSwitch
@@ -79,7 +69,7 @@ class JsonLines(PrintContext):
 
     def flight(self, news: FlightNews) -> None:
         outcome = {"file": str(news.path)} if news.path else {"file": None, "error": news.error}
-        self._write("flight", what=news.what, **self._when(news.t_ns), **outcome)
+        self._write("flight", what=news.what, number=news.number or None, **self._when(news.t_ns), **outcome)
 
     def note(self, text: str) -> None:
         self._write("note", text=text)
@@ -128,47 +118,3 @@ class JsonLines(PrintContext):
 
 
 Output = TextLines | JsonLines
-
-
-def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
-    """Name of the event, and its content beside row and time."""
-    if isinstance(change, LoadChange):
-        facts = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
-        return "load", {**load_facts(change.load), **facts}
-    if isinstance(change, FoundLoad):
-        return "load", {"mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
-    if isinstance(change, WeighChange):
-        return "weigh", {"what": change.what, "by": change.by, **found_facts(change)}
-    assert isinstance(change, DriftChange | TouchChange | PlaceChange | HealthChange | AlarmChange)
-    joint = joints[change.joint] if change.joint >= 0 else None
-    if isinstance(change, DriftChange):
-        return "drift", {"joint": joint, "advice": "recalibrate"}
-    if isinstance(change, TouchChange):
-        kinds = {"touch": TOUCHES[change.touch], "was": TOUCHES[change.was], "alarm": ALARMS[change.alarm]}
-        return "touch", {**kinds, "joint": joint, "since_s": change.since_s}
-    if isinstance(change, PlaceChange):
-        raised = {"alarm": ALARMS[change.alarm], "joint": joint, "since_s": change.since_s}
-        return "place", {**raised, **place_facts(change, joints)}
-    if isinstance(change, HealthChange):
-        facts = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
-        return "health", {**facts, "joint": joint}
-    return "alarm", {
-        "alarm": ALARMS[change.alarm],
-        "was": ALARMS[change.was],
-        "joint": joint,
-        "tau_ext_nm": number(change.tau_ext_nm),
-        "sigma_nm": number(change.sigma_nm),
-        "limit_nm": number(change.limit_nm),
-        "near_stiction": change.near_stiction if joint else None,
-        "acknowledged": change.acknowledged,
-    }
-
-
-def found_facts(change: WeighChange) -> dict[str, Any]:
-    """The result of weighing, and the load to set, as plain JSON."""
-    from tauext.monitor.weighing import load_facts as facts_of_found
-
-    if change.found is None:
-        return {"frame": change.frame, "found": None, "load": None}
-    load = {**load_facts(change.found.load), "error_share": change.found.load.error_share}
-    return {"frame": change.frame, "found": facts_of_found(change.found), "load": load}

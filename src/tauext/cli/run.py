@@ -193,9 +193,9 @@ def replay_one(
     """One recording through a new monitor, with a new flight recorder; counted in full even if it ends early."""
     from tauext import _core
     from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
-    from tauext.monitor.touch_place import PlaceFinder
     from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, Tally, replay
     from tauext.monitor.source import settings_of
+    from tauext.monitor.touch_place import PlaceFinder
     from tauext.monitor.turns import Turns
 
     turns = Turns(settings_of(bundle), bundle)

@@ -4,34 +4,25 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext._core import Bundle, cause_names
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, TOUCHES
+from tauext._core import Bundle
+from tauext.bundle.estimates import COLLISION, HEALTHS
 from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.files.places import Place
 from tauext.monitor.changes import (
     AlarmChange,
-    Change,
-    DriftChange,
-    FoundLoad,
     HealthChange,
     HiddenCollision,
-    LoadChange,
-    TouchChange,
-    WeighChange,
-    with_article,
 )
+from tauext.monitor.events import change_words, health_words
 from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
-from tauext.monitor.loads import load_words
 from tauext.monitor.monitored_time import Monitored, percent
-from tauext.monitor.touch_place import PlaceChange, place_words
 from tauext.monitor.replay import Chunk, Tally
 
 if TYPE_CHECKING:
@@ -234,62 +225,6 @@ class TextLines(PrintContext):
             self._latched_s = None
 
 
-def change_words(change: Change, joints: tuple[str, ...], units: Sequence[str]) -> list[str]:
-    """A line of text or more for a change.
-
-    Args:
-        units: units of the estimates, one a joint.
-    """
-    if isinstance(change, WeighChange):
-        return weigh_words(change)
-    if isinstance(change, AlarmChange):
-        return [alarm_words(change, joints, units)]
-    if isinstance(change, TouchChange):
-        return [touch_words(change)]
-    if isinstance(change, PlaceChange):
-        return [place_words(change, joints)]
-    if isinstance(change, LoadChange):
-        return [load_change_words(change)]
-    if isinstance(change, FoundLoad):
-        return [found_load_words(change)]
-    assert isinstance(change, DriftChange)
-    return [f"recalibrate: joint {joints[change.joint]}'s drift is at its bound"]
-
-
-def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
-    """`fault: not finite, joint2 (was ok)`."""
-    causes = ", ".join(cause_names(change.causes))
-    where = f", {joints[change.joint]}" if change.joint >= 0 else ""
-    why = f": {causes}{where}" if causes else ""
-    was = f" (was {HEALTHS[change.was]})" if change.was != change.health else ""
-    return f"{HEALTHS[change.health]}{why}{was}"
-
-
-def alarm_words(change: AlarmChange, joints: tuple[str, ...], units: Sequence[str]) -> str:
-    """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), collision limit 4.62 Nm`.
-
-    units: of the answers, a joint.
-    """
-    if change.acknowledged:
-        return f"{ALARMS[change.was]} acknowledged"
-    if change.joint < 0:
-        return f"no {ALARMS[change.was]} any more" if change.alarm == 0 else ALARMS[change.alarm]
-    level, unit = ALARMS[change.alarm], short(units[change.joint])
-    region = " near stiction" if change.near_stiction else ""
-    error = f" (standard error {change.sigma_nm:.2f} {unit})" if math.isfinite(change.sigma_nm) else ""
-    return (
-        f"{level.upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} {unit}{error}, "
-        f"{level} limit{region} {change.limit_nm:.2f} {unit}"
-    )
-
-
-def touch_words(change: TouchChange) -> str:
-    """`the collision is a clamp, 164 ms after the alarm`."""
-    kind = TOUCHES[change.touch]
-    was = f" (was taken for {TOUCHES[change.was]})" if TOUCHES[change.was] not in ("none", "unknown") else ""
-    return f"the {ALARMS[change.alarm]} is {with_article(kind)}, {change.since_s * 1e3:.0f} ms after the alarm{was}"
-
-
 def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | None, timing: str = "") -> list[str]:
     """The summary of one recording or of all. timing: printed with the samples instead of the core's time for each."""
     summary = tally.summary()
@@ -337,33 +272,6 @@ def unfamiliar_text(tally: Tally) -> str:
     return (
         f"{text}. WARNING: estimates may be wrong there, and limits are up to 1.5 times as high; train with such motion"
     )
-
-
-def load_change_words(change: LoadChange) -> str:
-    since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
-    words = f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
-    if not change.left_out or change.load.mass == 0:
-        return words
-    return f"{words}; limits of {', '.join(change.left_out)}, not in Nm, are higher by its largest torque there"
-
-
-def found_load_words(change: FoundLoad) -> str:
-    if change.mass_kg == 0:
-        return "the expected load was put down: carries nothing"
-    return f"the expected load was picked up: carries {change.mass_kg:.2f} ± {max(change.error_kg, 0.005):.2f} kg"
-
-
-def weigh_words(change: WeighChange) -> list[str]:
-    """The result of weighing in sentences."""
-    from tauext.monitor.weighing import load_sentences
-
-    if change.found is None:
-        beside = f" besides {load_words(change.beside)}" if change.beside.mass > 0 else ""
-        return [f"weighing the payload{beside}, by {change.by}"]
-    sentences = load_sentences(change.found, change.frame, "N m")
-    if change.beside.mass > 0 and change.found.verdict == "load":
-        sentences.append(f"with the {change.beside.mass:.4g} kg that are set: {load_words(change.found.load)}")
-    return sentences
 
 
 def collisions_text(count: int) -> str:

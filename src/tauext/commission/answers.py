@@ -1,4 +1,8 @@
-"""Alarms as the journal keeps them, and answers that count once the disk holds them."""
+"""Alarms in the journal, and what a person answered about them.
+
+An alarm's line is written in a thread beside the loop, again whenever more is known of it. An answer is written in the
+thread that gives it, which gets `ok` once the disk holds it. An alarm without an answer is a label `unanswered`.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +11,29 @@ import math
 import queue
 import threading
 import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+from tauext import _core
 from tauext.bundle.history_file import read_events
-from tauext.commission.folder import CommissionFolder
-from tauext.data.labels import Label
+from tauext.commission.folder import CommissionFolder, wall
+from tauext.data.labels import Label, label_of_alarm
 from tauext.errors import ConfigError
+from tauext.monitor.episode import Episode
+from tauext.monitor.events import episode_facts
 from tauext.monitor.flight_files import FlightNews
-from tauext.monitor.sink import Answer, AnswerKind, Control, LoopReport, Verdict
+from tauext.monitor.loop import Loop
+from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
 
 ASKING_S = 600.0
 """Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
-STORED_S = 10.0
-"""Longest wait of an answer for the disk."""
+NOTICED_S = 3.0
+"""An answer `touched` without any alarm is about the last 3 s."""
+AGAIN_S, END_S = 1.0, 10.0
+"""Time after which a line that the disk did not take is tried again, and longest wait for the disk at the end."""
 MOST_EVENTS = 1000
-"""Events in memory."""
-KEPT = ("answer", "by", "flight")
-"""Facts of an event that do not come from the monitor."""
+"""Alarms in memory."""
 
 
 def age_s(at: Any) -> float:
@@ -36,8 +44,16 @@ def age_s(at: Any) -> float:
         return math.inf
 
 
-class EventKeeper:
-    """Writes alarms to the folder in a thread of its own; the loop and the page never wait for the disk."""
+def is_whole(event: dict[str, Any]) -> bool:
+    """Whether the line of an alarm has what its label needs."""
+    return all(isinstance(event.get(name), int) for name in ("id", "epoch", "t_ns"))
+
+
+class EpisodeKeeper:
+    """A sink that keeps alarms, the answers to them and their flights in the folder's journal.
+
+    Neither the loop nor the page waits for the disk.
+    """
 
     def __init__(self, folder: CommissionFolder, epoch: Callable[[], int], note: Callable[[str], None]):
         """
@@ -47,15 +63,19 @@ class EventKeeper:
         """
         self._folder, self._epoch, self._note = folder, epoch, note
         self.learn: Callable[[bool, str], None] = lambda yes, by: None
-        """Called in the keeper's thread with the answer about a named change of the arm, and its origin; may raise
-        ConfigError."""
-        self._events = {one["id"]: one for one in read_events(folder.path)[-MOST_EVENTS:] if isinstance(one["id"], int)}
-        self._done: deque[tuple[int, str, str, int, str]] = deque(maxlen=100)
-        """Number, kind, origin and alarm of the last answers that were stored, and why one was not."""
-        self._news = threading.Condition()
-        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        """Stores the answer about a named change of the arm, and its origin; may raise ConfigError."""
+        self._events = {one["id"]: one for one in read_events(folder.path)[-MOST_EVENTS:] if is_whole(one)}
+        self._changing = threading.Lock()
+        """Guards what is in memory; never held while the disk is written."""
+        self._joints: tuple[str, ...] = ()
+        self._units: Sequence[str] = ()
+        self._now = (0, 0, 0)
+        """Epoch and stamp of the newest sample, and number of the alarm that stands."""
+        self._waiting: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="events", daemon=True)
         self._thread.start()
+
+    # Any thread.
 
     @property
     def newest(self) -> int:
@@ -63,17 +83,8 @@ class EventKeeper:
         return max(self._events, default=0)
 
     def event(self, alarm: int) -> dict[str, Any] | None:
-        """Facts of an alarm."""
-        event = self._events.get(alarm)
-        return None if event is None else dict(event)
-
-    def answer_to(self, alarm: int) -> str | None:
-        """The stored answer to an alarm."""
-        event = self._events.get(alarm)
-        return None if event is None else event.get("answer")
-
-    def __contains__(self, alarm: int) -> bool:
-        return alarm in self._events
+        """What is known of an alarm, with its answer."""
+        return self._events.get(alarm)
 
     @property
     def unanswered(self) -> dict[str, Any] | None:
@@ -81,17 +92,81 @@ class EventKeeper:
         event = self._events.get(self.newest)
         return None if event is None or event.get("answer") else event
 
+    def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> int:
+        """Store an answer; the disk holds it on return. Returns the number of its alarm, 0 without one.
+
+        Args:
+            alarm: None: the newest alarm, if it has no answer and, for `touched`, stands or is recent; else `touched`
+                is about the last NOTICED_S.
+
+        Raises:
+            ConfigError: there is no such alarm or question, or the disk did not take the answer.
+        """
+        try:
+            if what in ("learn", "leave"):
+                self.learn(what == "learn", by)
+                return 0
+            number = self._asked(what, alarm)
+            self._folder.append_label(self._label("touched" if what == "touched" else "nothing", by, number))
+        except OSError as error:
+            raise ConfigError(f"{what}: not stored: {error.strerror or error}; please answer again") from error
+        if number:
+            self._put(number, answer=what, by=by)
+        return number
+
+    def flown(self, news: FlightNews) -> None:
+        """A flight was written."""
+        if news.path is not None and news.number in self._events:
+            self._waiting.put(self._put(news.number, flight=str(news.path).rpartition("/")[2]))
+
+    def end(self) -> None:
+        """Write what is left."""
+        self._waiting.put(None)
+        self._thread.join(END_S)
+
+    def _asked(self, what: AnswerKind, alarm: int | None) -> int:
+        """Number of the alarm that an answer is about; 0: none."""
+        if alarm is not None:
+            if alarm not in self._events:
+                raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {self.newest}")
+            return alarm
+        if (asked := self.unanswered) is not None:
+            number = int(asked["id"])
+            if what == "nothing" or number == self._now[2] or age_s(asked.get("wall")) < ASKING_S:
+                return number
+        if what == "nothing":
+            newest = f"the newest alarm ({self.newest}) has an answer" if self.newest else "there was no alarm"
+            raise ConfigError(f"nothing: {newest}{'; give the number of another' if self.newest > 1 else ''}")
+        return 0
+
+    def _label(self, answer: Any, by: str, number: int) -> Label:
+        event = self._events.get(number)
+        if event is not None:
+            return replace(label_of_alarm(event), answer=answer, by=by, wall=wall())
+        epoch, t_ns, _ = self._now
+        own = min([-1, *(one.id - 2 for one in self._folder.labels() if one.id < 0 and one.id % 2)])
+        return Label(own, epoch, t_ns - round(NOTICED_S * 1e9), t_ns, answer, by, wall())
+
+    def _put(self, number: int, **facts: Any) -> dict[str, Any]:
+        """Add to what is known of an alarm."""
+        with self._changing:
+            self._events[number] = self._events.get(number, {}) | facts
+            if len(self._events) > MOST_EVENTS:
+                del self._events[min(self._events)]
+            return self._events.get(number, {})
+
     # Sink: the loop's thread.
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        pass
+        self._joints = joints
+
+    def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
+        self._units = tuple(bundle.estimate_units)
 
     def verdict(self, verdict: Verdict) -> None:
-        pass
-
-    def answered(self, answer: Answer) -> None:
-        if answer.what in ("learn", "leave"):
-            self._waiting.put(answer)
+        self._now = self._epoch(), verdict.t_ns, verdict.alarm_number
+        for one in verdict.news:
+            self.learned(one)
 
     def every_second(self, report: LoopReport) -> None:
         pass
@@ -99,127 +174,74 @@ class EventKeeper:
     def close(self) -> None:
         """The loop has ended; what still comes is written."""
 
-    # Any thread.
-
-    def changed(self, event: dict[str, Any]) -> None:
-        """The facts of an alarm have changed."""
-        self._waiting.put(event)
-
-    def labelled(self, label: Label) -> None:
-        """The disk holds a label."""
-        self._waiting.put(label)
-
-    def flown(self, news: FlightNews) -> None:
-        """A flight was written."""
-        self._waiting.put(news)
-
-    @property
-    def done(self) -> int:
-        """Number of answers that were stored so far."""
-        return self._done[-1][0] if self._done else 0
-
-    def wait_for(self, what: AnswerKind, by: str, since: int, alarm: int | None = None) -> str:
-        """Wait until an answer from there is on disk; why it is not, empty if it is.
-
-        Args:
-            since: `done` before the answer was given.
-            alarm: alarm of the answer; None: any.
-        """
-        limit_s = time.monotonic() + STORED_S
-        with self._news:
-            while (left_s := limit_s - time.monotonic()) > 0:
-                for number, kind, origin, about, error in self._done:
-                    if number > since and (kind, origin) == (what, by) and alarm in (None, about):
-                        return error
-                self._news.wait(left_s)
-        return "not stored yet: the disk is full or does not answer"
-
-    def end(self) -> None:
-        """Write what is left."""
-        self._waiting.put(None)
-        self._thread.join(STORED_S)
+    def learned(self, one: Episode) -> None:
+        """Something is new of an alarm."""
+        facts, known = episode_facts(one, self._joints, self._units), self._events.get(one.number)
+        if known is None and one.t_ns is None:
+            return  # the line of an earlier process is lost
+        if known is None:
+            facts |= {"wall": wall(), "epoch": self._now[0], "answer": None, "flight": None}
+        elif known.get("epoch") != self._now[0]:  # the touch goes on under another clock
+            facts = {key: value for key, value in facts.items() if key not in ("t_ns", "held_ns", "over")}
+        self._waiting.put(self._put(one.number, **facts))
 
     # The keeper's thread.
 
     def _work(self) -> None:
-        while (one := self._waiting.get()) is not None:
-            error = ""
+        owed: dict[int, dict[str, Any]] = {}
+        has_ended, failed, levels = False, "", dict[int, str]()
+        while not has_ended:
             try:
-                if isinstance(one, Answer):
-                    self.learn(one.what == "learn", one.by)
-                elif isinstance(one, Label):
-                    if one.id in self._events and one.answer != "unanswered":
-                        self._events[one.id] |= {"answer": one.answer, "by": one.by}
-                elif isinstance(one, FlightNews):
-                    self._flown(one)
-                else:
-                    self._changed(one)
-            except ConfigError as refused:
-                error = str(refused)
-            except Exception as failed:  # a full disk, for example: the label is stored, the event's line is not
-                error = (failed.strerror if isinstance(failed, OSError) else "") or str(failed)
-                self._note(f"an event is not stored: {error}")
-            if isinstance(one, Answer | Label):
-                kind, about = (one.what, one.alarm) if isinstance(one, Answer) else (one.answer, one.id)
-                with self._news:
-                    why = error if isinstance(one, Answer) else ""
-                    self._done.append((self.done + 1, kind, one.by, about, why))
-                    self._news.notify_all()
+                event = self._waiting.get(timeout=AGAIN_S if owed else None)
+                has_ended = event is None
+            except queue.Empty:
+                event = None
+            if event is not None:
+                owed[event["id"]] = event
+                if event.get("level") not in (None, levels.get(event["id"])):
+                    levels = {event["id"]: event["level"]}
+                    self._note(question(event))
+            for number, event in list(owed.items()):
+                try:
+                    self._folder.append_event(event)
+                    failed = ""
+                except OSError as error:  # a full disk, for example: it is tried again
+                    if (words := error.strerror or str(error)) != failed:
+                        self._note(f"an event is not stored: {words}")
+                    failed = words
+                    break
+                except Exception as error:
+                    self._note(f"an event is not stored: {error}")
+                del owed[number]
 
-    def _changed(self, event: dict[str, Any]) -> None:
-        known = self._events.get(event["id"], {})
-        self._events[event["id"]] = (
-            known | {"epoch": self._epoch()} | event | {name: known[name] for name in ("epoch", *KEPT) if name in known}
-        )
-        if event.get("level") != known.get("level") and event.get("sentence"):
-            number = event["id"]
-            details = f" ({event['details']})" if event.get("details") else ""
-            self._note(
-                f"alarm {number}: {event['sentence']}{details}; answer: `touched {number}` or `nothing {number}`"
-            )
-        if self._events[event["id"]] != known:
-            self._folder.append_event(self._events[event["id"]])
-        if len(self._events) > MOST_EVENTS:
-            del self._events[min(self._events)]
 
-    def _flown(self, news: FlightNews) -> None:
-        """A flight belongs to the alarm that stood at its event."""
-        for event in reversed(self._events.values()):
-            is_its = news.what != "fault" and event["epoch"] == self._epoch()  # a contact may have become a collision
-            if news.path is not None and is_its and event["t_ns"] <= news.t_ns <= event["held_ns"]:
-                event["flight"] = str(news.path).rpartition("/")[2]
-                return self._folder.append_event(event)
+def question(event: dict[str, Any]) -> str:
+    """What the terminal prints of an alarm, and how it is answered."""
+    number, details = event["id"], f" ({event['details']})" if event.get("details") else ""
+    return f"alarm {number}: {event.get('sentence')}{details}; answer: `touched {number}` or `nothing {number}`"
 
 
 class Steering:
     """The control of whatever loop runs now. An answer comes back once it is on the disk."""
 
-    def __init__(self, keeper: EventKeeper, stop: Callable[[str], None]):
+    def __init__(self, keeper: EpisodeKeeper, stop: Callable[[str], None]):
         """stop: ends the command, not the loop alone."""
         self._keeper, self.stop = keeper, stop
         self._answering = threading.Lock()
-        self.loop: Control | None = None
+        self.loop: Loop | None = None
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
-        loop, keeper = self._present, self._keeper
-        if alarm is not None and alarm not in keeper:
-            raise ConfigError(f"{what}: there is no alarm {alarm}; the newest is {keeper.newest}")
-        if what in ("touched", "nothing") and alarm is None and (asked := keeper.unanswered) is not None:
-            alarm = asked["id"] if what == "nothing" or age_s(asked.get("wall")) < ASKING_S else None
-        if what == "nothing" and alarm is None:
-            newest = f"the newest alarm ({keeper.newest}) has an answer" if keeper.newest else "there was no alarm"
-            raise ConfigError(f"nothing: {newest}{'; give the number of another' if keeper.newest > 1 else ''}")
+        loop = self._present
         with self._answering:
-            since = keeper.done
-            loop.answer(what, by, alarm)
-            if error := keeper.wait_for(what, by, since, alarm):
-                raise ConfigError(f"{what}: {error}")
+            number = self._keeper.answer(what, by, alarm)
+        if number:
+            loop.settle(number, f"{what}, by {by}")
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._present, name)
 
     @property
-    def _present(self) -> Control:
+    def _present(self) -> Loop:
         if self.loop is None:
             raise ConfigError("no arm is connected")
         return self.loop

@@ -114,7 +114,7 @@ def superfluous(
     old = [id for id in last if id not in answered][MOST_ALARMS:]
     spans = spans_of(segments() if old else ())
     for lines in (last[id] for id in old):
-        if not any(is_near(spans, one) for one in lines if one.get("kind") == LABEL):
+        if not any(is_near(spans, one) for one in lines):
             out.update(int(one["number"]) for one in lines)
             counts.update(str(one.get("bundle")) for one in lines if one.get("level") == "collision")
     if len(out) < max(LEAST_WORTH, len(contents.lines) // 10):
@@ -136,10 +136,11 @@ def spans_of(segments: Iterable[Segment]) -> dict[int, tuple[np.ndarray, np.ndar
 
 
 def is_near(spans: Mapping[int, tuple[np.ndarray, np.ndarray]], label: Mapping[str, Any]) -> bool:
-    """Whether a recording lies near the label of this line."""
+    """Whether a recording lies near the label or the alarm of this line."""
     begins, ends = spans.get(label.get("epoch", 0), (np.zeros(0), np.zeros(0)))
-    at = int(np.searchsorted(begins, label.get("to_ns", 0) + NEAR_NS, side="right")) - 1
-    return at >= 0 and bool(ends[at] >= label.get("from_ns", 0) - NEAR_NS)
+    from_ns = label.get("from_ns", label.get("t_ns", 0))
+    at = int(np.searchsorted(begins, label.get("to_ns", label.get("held_ns", from_ns)) + NEAR_NS, side="right")) - 1
+    return at >= 0 and bool(ends[at] >= from_ns - NEAR_NS)
 
 
 # --- The folder.

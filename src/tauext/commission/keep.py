@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
-from tauext.commission.folder import NEAR_NS, CommissionFolder, Segment, wall
+from tauext.commission.folder import NEAR_NS, CommissionFolder, Segment
 from tauext.data.importers.raw import short_list
-from tauext.data.labels import Label, LabelAnswer
+from tauext.data.labels import Label
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 from tauext.files import journal
@@ -29,7 +29,7 @@ from tauext.files.synced_file import reserve, set_aside, write_synced
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink
-from tauext.monitor.sink import Answer, Control, LoopReport, Verdict
+from tauext.monitor.sink import Control, LoopReport
 from tauext.monitor.source import SourceSettings
 
 # --- Coverage: what each joint has done so far, and what is missing in words.
@@ -296,18 +296,10 @@ def to_drop(
 # --- The sink.
 
 
-ANSWER_S = 600.0
-"""Time after an alarm within which an answer without a number belongs to it, [s]."""
-NOTICED_S = 3.0
-"""An answer `touched` without any alarm is about the last 3 s."""
-MOST_OWED = 100
-
-
 class KeepSink(RecordSink):
-    """Keeps recordings without contact column, labels of alarms, coverage, and the bound of disk space.
+    """Keeps recordings without contact column, coverage, and the bound of disk space.
 
-    Every run, and every restart of the source's clock, is another epoch. An alarm is labelled `unanswered` when it
-    rises, so that its motion is never trained on even if the process is killed; an answer replaces that label.
+    Every run, and every restart of the source's clock, is another epoch.
     """
 
     def __init__(
@@ -319,17 +311,11 @@ class KeepSink(RecordSink):
         bundle_name: Callable[[], str] = lambda: "",
     ):
         super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name, least_bytes=0)
-        self.on_label: Callable[[Label], None] = lambda label: None
-        """Called in the recorder's thread when the disk holds a label; set before open()."""
         self._kept = folder
         self._budget = budget_bytes
         self.is_losing = False
         """Whether the newest recording could not be written."""
         self.epoch = 0
-        self._alarm: Label | None = None
-        """Label of the alarm that stands, as written last."""
-        self._over_ns = 0
-        self._labels: dict[int, Label] = {}
         self._monitored: dict[str, list[float]] = {}
         """Seconds that each bundle monitored, and seconds that were counted."""
         self._report = Monitored()
@@ -346,19 +332,12 @@ class KeepSink(RecordSink):
         if self._is_lost:
             self._coverage.seconds = max(folder.seconds(), sum(one.seconds for one in self._segments))
             self._coverage.kept_s = motion_s(folder, self._segments, ("train", "test"))
-        self._labels = {one.id: one for one in folder.labels()}
         self._monitored = {one: [a, b] for one, (a, b) in monitored_of(folder.coverage()).items()}
-        self._owed: list[Label] = []
         with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
             self._tidy()
         super().open(joints, control)
 
     # The loop's thread.
-
-    def verdict(self, verdict: Verdict) -> None:
-        super().verdict(verdict)
-        if verdict.alarm_id or self._alarm is not None:
-            self._watch(verdict)
 
     def every_second(self, report: LoopReport) -> None:
         super().every_second(report)
@@ -367,72 +346,9 @@ class KeepSink(RecordSink):
         sums[0] += self._report.seconds - was.seconds
         sums[1] += self._report.of_seconds - was.of_seconds
 
-    def _watch(self, verdict: Verdict) -> None:
-        """Follow the alarm that stands: its label begins with it and ends with the last sample over a limit."""
-        if self._alarm is None or verdict.alarm_id != self._alarm.id:
-            self._close_alarm()
-            known = self._labels.get(verdict.alarm_id)
-            if known is not None and known.epoch != self.epoch:  # it stands since another clock
-                self._alarm = known
-            elif verdict.alarm_id:
-                self._over_ns = verdict.t_ns
-                self._alarm = self._label(verdict.alarm_id, verdict.t_ns, verdict.t_ns, "unanswered", "nobody")
-            return
-        if self._alarm.epoch != self.epoch:
-            return
-        tau, limit = np.abs(verdict.estimates["tau_ext"]), verdict.estimates["contact_limit_nm"]
-        if (tau > limit).any():
-            self._over_ns = max(self._over_ns, verdict.t_ns)  # the first sample of another clock comes late
-            if self._over_ns - self._alarm.to_ns > 1_000_000_000 * SEGMENT_S / 2:
-                self._close_alarm(ends=False)
-
-    def _close_alarm(self, ends: bool = True) -> None:
-        """Write the alarm's label again if it lasted longer than written."""
-        if self._alarm is not None and self._alarm.epoch == self.epoch and self._over_ns > self._alarm.to_ns:
-            known = self._labels.get(self._alarm.id, self._alarm)
-            self._alarm = self._put(replace(known, to_ns=self._over_ns))
-        if ends:
-            self._alarm = None
-
-    def answered(self, answer: Answer) -> None:
-        """Label the motion of an alarm, or the last seconds."""
-        if answer.what not in ("touched", "nothing"):
-            return
-        what: LabelAnswer = "touched" if answer.what == "touched" else "nothing"
-        known = self._labels.get(answer.alarm) if answer.alarm else self._newest(answer.t_ns)
-        if known is not None:
-            self._close_alarm(ends=False)
-            known = self._labels[known.id]
-            new = self._put(replace(known, answer=what, by=answer.by, wall=wall()))
-            if self._alarm is not None and self._alarm.id == new.id:
-                self._alarm = new
-        elif what == "touched" and not answer.alarm:
-            number = min([-1, *(one - 2 for one in self._labels if one < 0 and one % 2)])
-            self._label(number, answer.t_ns - round(NOTICED_S * 1e9), answer.t_ns, what, answer.by)
-
-    def _newest(self, t_ns: int) -> Label | None:
-        """The newest alarm, if it is of this epoch, has no answer and is recent."""
-        newest = max((one for one in self._labels.values() if one.id > 0), key=lambda one: one.id, default=None)
-        if newest is None or newest.answer != "unanswered" or newest.epoch != self.epoch:
-            return None
-        return newest if newest.to_ns >= t_ns - round(ANSWER_S * 1e9) else None
-
-    def _label(self, id: int, from_ns: int, to_ns: int, answer: LabelAnswer, by: str) -> Label:
-        return self._put(Label(id, self.epoch, from_ns, to_ns, answer, by, wall(), self._bundle_name()))
-
-    def _put(self, label: Label) -> Label:
-        self._labels[label.id] = label
-        self._waiting.put(label)
-        return label
-
     def _clock_restarted(self) -> None:
-        self._close_alarm()  # its label cannot grow any more
         self.epoch += 1
         self._waiting.put(self.epoch)
-
-    def close(self) -> None:
-        self._close_alarm()
-        super().close()
 
     # The recorder's thread.
 
@@ -441,17 +357,13 @@ class KeepSink(RecordSink):
             self._see_again()
         while (work := self._waiting.get()) is not None:
             try:
-                if isinstance(work, Label):
-                    self._owed.append(work)
-                    self._pay()
-                elif isinstance(work, int):
+                if isinstance(work, int):
                     self._writing = work
                     self._kept.save(epoch=work)
                 else:
                     self._write(work)
             except Exception as error:  # a full disk, for example: the next recording is tried again
                 self.count.error = self.count.error or f"{type(error).__name__}: {error}"
-        self._pay()
 
     def _see_again(self) -> None:
         """Rebuild the coverage from the recordings; its file is missing or damaged."""
@@ -465,19 +377,7 @@ class KeepSink(RecordSink):
         with suppress(OSError):
             self._tidy()
 
-    def _pay(self) -> None:
-        """Write the labels that the disk does not hold yet."""
-        while self._owed:
-            try:
-                self._kept.append_label(self._owed[0])
-            except OSError as error:
-                self.count.error = f"labels are not written: {error.strerror or error}"
-                del self._owed[:-MOST_OWED]
-                return
-            self.on_label(self._owed.pop(0))
-
     def _write(self, segment: dict[str, np.ndarray]) -> None:
-        self._pay()
         if (begin := learns_from(self._kept)) != self._coverage.begin:  # of the changed arm, no motion is known yet
             self._coverage.begin = begin
             self._coverage.cells[:] = 0
@@ -510,7 +410,7 @@ class KeepSink(RecordSink):
     def _is_near_label(self, t_ns: np.ndarray) -> bool:
         return any(
             one.epoch == self._writing and one.from_ns - NEAR_NS <= t_ns[-1] and one.to_ns + NEAR_NS >= t_ns[0]
-            for one in list(self._labels.values())
+            for one in self._kept.labels()
         )
 
     def _tidy(self) -> None:
@@ -522,7 +422,7 @@ class KeepSink(RecordSink):
         if gone:
             folder.report(f"recordings are missing or damaged, by another program: {short_list(gone, 4)}")
         first_test = next((one.number for one in self._segments if one.set == "calibration"), self._number)
-        dropped = to_drop(self._segments, list(self._labels.values()), most, learned_up_to(folder), first_test)
+        dropped = to_drop(self._segments, folder.labels(), most, learned_up_to(folder), first_test)
         names = {one.name for one in dropped}
         kept = [one for one in self._segments if one.name not in names]
         folder.put_split(kept)

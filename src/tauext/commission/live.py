@@ -1,4 +1,4 @@
-"""What a page needs of the running loop: a line of JSON ten times a second on a socket, and alarms in a sentence."""
+"""What a page needs of the running loop: a line of JSON ten times a second on a socket."""
 
 from __future__ import annotations
 
@@ -17,15 +17,12 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, OK, TOUCHES
-from tauext.bundle.units import short
+from tauext.bundle.estimates import HEALTHS, OK
 from tauext.commission.folder import wall
 from tauext.files.plain_file import FORMAT
-from tauext.monitor.changes import AlarmChange, HiddenCollision, TouchChange
-from tauext.monitor.changes import with_article as a
 from tauext.monitor.control_lines import listen_at
+from tauext.monitor.events import rounded
 from tauext.monitor.monitored_time import Monitored, blind_words
-from tauext.monitor.touch_place import INCONSISTENT, PlaceChange, links_words, newtons, run_of
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
 
@@ -39,110 +36,13 @@ POINT_NS = 25_000_000
 PAST_S, PAST_EVERY = 20.0, 20
 """Past that a page shows when it is opened, and lines between two copies of it."""
 PAST_POINT_NS = 100_000_000
-OVER_S = 0.5
-"""Time within all limits after which a touch is over."""
 MOST_FRESH = 4000
 """Samples of which the thread has not drawn a point yet."""
-MOST_CHANGES = 1000
-"""Verdicts with changes that wait for the thread: those of a thousand alarms."""
-
-
-class AlarmBook:
-    """The alarm that stands and the one before, as the page and the journal have them."""
-
-    def __init__(self, joints: tuple[str, ...], units: Sequence[str]):
-        self.joints, self.units = joints, tuple(units)
-        self.present: dict[str, Any] | None = None
-        """Facts of the alarm that stands."""
-
-    def see(self, verdict: Verdict) -> list[dict[str, Any]]:
-        """Facts of the alarms that this verdict changes; one that is over has "ended"."""
-        changed: dict[int, dict[str, Any]] = {}
-        for change in verdict.changes:
-            if isinstance(change, AlarmChange):
-                over = self.present if change.alarm == NONE or change.was == NONE else None
-                if over is not None:
-                    changed[over["id"]] = over | {"ended": True}
-                    self.present = None
-                if change.alarm != NONE and change.joint >= 0:
-                    self.present = (self.present or {}) | self._risen(change, verdict)
-            elif self.present is None:
-                continue
-            elif isinstance(change, TouchChange):
-                self.present = self.present | {"touch": TOUCHES[change.touch]}
-            elif isinstance(change, PlaceChange):
-                self.present = self.present | self._placed(change, verdict)
-            elif not isinstance(change, HiddenCollision):
-                continue
-            if self.present is not None:
-                self.present = self.present | {
-                    "sentence": self._sentence(self.present),
-                    "details": self._details(self.present),
-                }
-                changed[self.present["id"]] = self.present
-        return list(changed.values())
-
-    def _risen(self, change: AlarmChange, verdict: Verdict) -> dict[str, Any]:
-        first = (
-            {} if self.present is not None else {"t_ns": verdict.t_ns, "wall": wall(), "answer": None, "flight": None}
-        )
-        return first | {
-            "id": verdict.alarm_id,
-            "level": ALARMS[change.alarm],
-            "joint": self.joints[change.joint],
-            "tau_ext_nm": finite(change.tau_ext_nm),
-            "limit_nm": finite(change.limit_nm),
-            "touch": None,
-            "links": [],
-            "newtons": None,
-            "held_ns": verdict.t_ns,
-        }
-
-    def _placed(self, change: PlaceChange, verdict: Verdict) -> dict[str, Any]:
-        if change.consistent < INCONSISTENT:
-            return {}
-        joint = -1 if self.present is None else self.joints.index(self.present["joint"])
-        torque = {"tau_ext_nm": finite(change.tau_ext_nm[joint])} if change.tau_ext_nm else {}  # of the same moment
-        first, last, _ = run_of(change.links)
-        return torque | {
-            "at": " or ".join(self.joints[first : last + 1]),
-            "links": [[self.joints[link], round(share, 3)] for link, share in change.links],
-            "newtons": finite(newtons(change.best)),
-            "on": links_words(change.links, self.joints, change.guessed),
-            "place": {
-                "link": change.best.link,
-                "point": list(change.best.point),
-                "force": list(change.best.force),
-                "q": [] if verdict.sample is None else rounded(verdict.sample.q),
-            },
-        }
-
-    def _sentence(self, one: dict[str, Any]) -> str:
-        """`Touched at joint6, about 84 N`; without a place the joint whose torque is too large."""
-        if not one["links"]:
-            return f"Touched at {one['joint']} or beyond it"
-        return f"Touched at {one['at']}, about {float(format(one['newtons'], '.2g')):g} N"
-
-    def _details(self, one: dict[str, Any]) -> str:
-        """`COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
-        unit = short(self.units[self.joints.index(one["joint"])]) if self.units else "Nm"
-        kind = f", {a(one['touch'])}" if one["touch"] else ""
-        place = f" on {one['on']}" if one.get("on") else ""
-        level = one["level"].upper() if one["level"] == ALARMS[COLLISION] else one["level"].capitalize()
-        sizes = [f"{abs(one['tau_ext_nm']):.3g} {unit} at {one['joint']}"] if one["tau_ext_nm"] is not None else []
-        sizes += [f"limit {one['limit_nm']:.3g} {unit}"] if one["limit_nm"] is not None else []
-        return f"{level}{kind}{place}: {', '.join(sizes) or one['joint']}"
+MOST_RISES = 100
 
 
 def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def rounded(values: Any) -> list[float | None]:
-    """One value a joint as JSON has it."""
-    return [
-        round(value, 5) if math.isfinite(value) else None for value in np.asarray(values, dtype=float).ravel().tolist()
-    ]
 
 
 class Curves:
@@ -204,32 +104,29 @@ def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
 
 
 class LiveSink:
-    """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict and those with changes.
+    """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict and those of rises.
 
     A reader that is slow loses lines. Without a loop, lines still come, so that a page can tell waiting from silence.
     """
 
     def __init__(self, path: Path):
         """path: socket that only its owner may read; one that a killed process left is replaced."""
-        self.state, self.says, self.lost = "connecting", "", ""
+        self.state, self.message, self.lost = "connecting", "", ""
         """Words for the page; any thread may set them."""
         self.remedy = ""
         """What a person can do if samples come late or not at all."""
         self.bundle: str | None = None
-        self.changed: Callable[[dict[str, Any]], None] = lambda event: None
-        """Called in this sink's thread with the facts of every alarm that changes."""
-        self.answers: Callable[[int], str | None] = lambda alarm: None
-        """The answer to an alarm."""
+        self.alarm: Callable[[int], dict[str, Any] | None] = lambda number: None
+        """What is known of an alarm."""
         self._path = path
-        self._book: AlarmBook | None = None
+        self._joints: tuple[str, ...] = ()
+        self._units: tuple[str, ...] = ()
         self._newest: Verdict | None = None
         self._sample: Sample | None = None
-        self._changes: deque[Verdict] = deque(maxlen=MOST_CHANGES)
+        self._rises: deque[Verdict] = deque(maxlen=MOST_RISES)
+        """Verdicts with the rise of an alarm, for the thread."""
         self._curves: Curves | None = None
         self._lines = 0
-        self._held = (0, 0, np.zeros(0))
-        """Number of an alarm, the last stamp at which its touch was over a limit, [ns], and the largest torque of each
-        joint in that time, divided by its collision limit."""
         self._report: LoopReport | None = None
         self._readers: dict[socket.socket, tuple[bytes, float]] = {}
         """Of each reader: the rest of a line that it takes, and since when it is slow, by time.monotonic(); inf: it is
@@ -243,17 +140,12 @@ class LiveSink:
 
     def describe(self, joints: tuple[str, ...], units: Sequence[str]) -> None:
         """Names and units of the joints, before the first verdict."""
-        self._book, self._curves = AlarmBook(joints, units), Curves(len(joints))
-
-    def stand(self, event: dict[str, Any] | None) -> None:
-        """The alarm of the last process stands from the beginning; call it after describe()."""
-        if self._book is not None:
-            self._book.present = event
+        self._joints, self._units, self._curves = joints, tuple(units), Curves(len(joints))
 
     @property
-    def alarm_id(self) -> int:
+    def alarm_number(self) -> int:
         """Number of the alarm that stands; 0: none."""
-        return self._newest.alarm_id if self._newest is not None else 0
+        return self._newest.alarm_number if self._newest is not None else 0
 
     # The loop's thread.
 
@@ -266,20 +158,15 @@ class LiveSink:
             self._curves.add(verdict)
         if verdict.sample is not None:
             self._sample = verdict.sample
-        if verdict.alarm_id and verdict.estimates["held_alarm"][0]:
-            over = 1 - verdict.estimates["margin_nm"][0] / verdict.estimates["limit_nm"][0]
-            before = self._held[2] if self._held[0] == verdict.alarm_id else over
-            self._held = verdict.alarm_id, verdict.t_ns, np.fmax(before, over)
-        if verdict.changes:
-            self._changes.append(verdict)
+        if any(one.t_ns == verdict.t_ns for one in verdict.news):
+            self._rises.append(verdict)
             self._wake.set()
 
     def every_second(self, report: LoopReport) -> None:
         self._report = report
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
-        if self._book is not None:
-            self._book.units = tuple(bundle.estimate_units)
+        self._units = tuple(bundle.estimate_units)
         self.bundle = bundle.name
 
     def close(self) -> None:
@@ -304,54 +191,35 @@ class LiveSink:
             self._wake.wait(max(0.0, due - time.monotonic()))
             self._wake.clear()
             shown = None
-            while self._changes:
-                verdict = self._changes.popleft()
-                for event in self._book.see(verdict) if self._book else ():
-                    shown = verdict if event.get("t_ns") == verdict.t_ns else shown
-                    self.changed(self._held_until(event))
+            while self._rises:
+                shown = self._rises.popleft()
             if shown is None and time.monotonic() < due:
                 continue
             due = time.monotonic() + PERIOD_S
-            self._follow_touch()
             if self._curves is not None and self._newest is not None:
                 self._curves.draw(self._newest)
             self._accept()
             if self._readers:
                 self._send(json.dumps(self._line(shown)).encode() + b"\n")
 
-    def _held_until(self, event: dict[str, Any]) -> dict[str, Any]:
-        number, held_ns, over = self._held
-        held = {"held_ns": held_ns, "over": rounded(over)} if number == event["id"] else {}
-        return event | {"bundle": self.bundle} | held
-
-    def _follow_touch(self) -> None:
-        """Report the end of a touch whose alarm still stands."""
-        alarm = self._book.present if self._book else None
-        if alarm is None or self._newest is None or self._held[0] != alarm["id"]:
-            return
-        if self._held[1] > alarm["held_ns"] and self._newest.t_ns > self._held[1] + OVER_S * 1e9:
-            alarm["held_ns"] = self._held[1]
-            self.changed(self._held_until(alarm))
-
     def _line(self, shown: Verdict | None) -> dict[str, Any]:
         """shown: the sample at which an alarm rose; None: the newest."""
-        verdict, report, book = shown or self._newest, self._report, self._book
-        alarm = book.present if book else None
+        verdict, report = shown or self._newest, self._report
         line: dict[str, Any] = {
             "format": FORMAT,
             "wall": wall(),
             "state": self.state,
-            "says": self.says,
+            "message": self.message,
             "lost": self.lost,
             "bundle": self.bundle,
-            "joints": list(book.joints) if book else [],
-            "units": list(book.units) if book else [],
-            "alarm": None if alarm is None else alarm | {"answer": self.answers(alarm["id"])},
+            "joints": list(self._joints),
+            "units": list(self._units),
+            "alarm": self.alarm(self.alarm_number),
             "rate_hz": finite(report.rate_hz) if report else None,
             "tick_p99_us": finite(report.tick_p99_us) if report else None,
             "monitored": monitored_facts(report.monitored, self.remedy) if report else None,
         }
-        if verdict is None or book is None:
+        if verdict is None:
             return line
         estimates, sample = verdict.estimates, verdict.sample or self._sample
         self._lines += 1

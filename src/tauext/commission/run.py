@@ -22,7 +22,7 @@ from typing import Any, cast
 
 from tauext import _core
 from tauext.bundle.history_file import is_commissioned, lost_words, read_question
-from tauext.commission.answers import ASKING_S, EventKeeper, Steering, age_s
+from tauext.commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
 from tauext.commission.connect import (
     ARM_FILES,
     another_arm,
@@ -207,10 +207,10 @@ class Commission:
         free_sockets(at, folder)
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
-        self._keeper = EventKeeper(folder, lambda: self._record.epoch if self._record else 0, self._note)
+        self._keeper = EpisodeKeeper(folder, lambda: self._record.epoch if self._record else 0, self._note)
         stack.callback(self._keeper.end)
         self._keeper.learn = self._learn
-        self._live.changed, self._live.answers = self._keeper.changed, self._keeper.answer_to
+        self._live.alarm = self._keeper.event
         self.steering = Steering(self._keeper, self.stop)
         self._children: list[Child] = []
         control = ControlSocket(at / "control.sock", self.steering, self._origin)
@@ -262,7 +262,7 @@ class Commission:
         if "arm" in self._folder.facts:
             restore_arm(self._folder)
         self._show_news()
-        self._live.says = "connecting: the stream is checked for 3 s before anything is recorded"
+        self._live.message = "connecting: the stream is checked for 3 s before anything is recorded"
         with stopped_by_signals(self.stop):
             tending = threading.Thread(target=self._tend_for_ever, name="commission", daemon=True)
             tending.start()
@@ -313,8 +313,8 @@ class Commission:
                 found = connect(self._open_again, self._robot(), check=self._expect_reactions, remedy=self._live.remedy)
                 break
             except AwayError as error:
-                if str(error) != self._live.says:
-                    self._live.says = str(error)
+                if str(error) != self._live.message:
+                    self._live.message = str(error)
                     self._note(f"{error}; it is tried again")
             if self._asked_to_stop.wait(wait_s):
                 return None
@@ -358,7 +358,7 @@ class Commission:
         settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
         record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
-        record.note, record.on_label = self._note, self._keeper.labelled
+        record.note = self._note
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.reactions(settings.joints), source, publishers)
@@ -366,17 +366,17 @@ class Commission:
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
         newest = max([self._keeper.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
-        loop.note, loop.alarms = self._note, newest
+        loop.note, loop.monitor.alarms = self._note, newest
         loop.exchanged = self._exchanges.append
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
-            live.follow(bundle, loop.monitor)
+            for sink in (live, self._keeper):
+                sink.follow(bundle, loop.monitor)
             with suppress(OSError):
                 carried = (folder.path / CARRIED).read_bytes()
-                if reason := loop.start_from(carried, newest, self._keeper.answer_to(newest) is not None):
+                is_answered = bool((self._keeper.event(newest) or {}).get("answer"))
+                if reason := loop.start_from(carried, newest, is_answered):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
-                if loop.monitor.last.alarm != _core.Alarm.none:
-                    live.stand(self._keeper.event(loop.alarms))
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.steering.loop = loop
         if self._by:  # stopped meanwhile
@@ -477,8 +477,8 @@ class Commission:
 
     def _keep_carried(self, loop: Loop, now_s: float) -> None:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
-        if self._live.alarm_id != self._carried_alarm:
-            self._carried_alarm, self._alarm_s = self._live.alarm_id, now_s
+        if self._live.alarm_number != self._carried_alarm:
+            self._carried_alarm, self._alarm_s = self._live.alarm_number, now_s
         if (now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S) and (carried := loop.carried):
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
@@ -529,13 +529,13 @@ class Commission:
             state = "learning" if live.bundle is None else "monitoring"
         if state == "learning":
             needs_s = self._folder.coverage().get("needs_s")
-            live.says = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
+            live.message = f"learning: {needs_s:.0f} s more motion until the next training" if needs_s else "learning"
         elif loop is not None:
-            live.says = "waiting for the first sample" if state == "connecting" else ""
+            live.message = "waiting for the first sample" if state == "connecting" else ""
         if lost := self._show_lost():
-            live.says = lost
+            live.message = lost
         if (record := self._record) is not None and record.is_losing:
-            live.says = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
+            live.message = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
         if state != live.state:
             before, live.state = live.state, state
             self._folder.save(state=state)
@@ -572,7 +572,7 @@ class Commission:
 
     def _learn(self, yes: bool, by: str) -> None:
         if not self._question():
-            raise ConfigError("no change of the arm waits for an answer")
+            raise ConfigError(f"{'learn' if yes else 'leave'}: no change of the arm waits for an answer")
         self._folder.append_reply("learn" if yes else "leave", by)
 
     def _note(self, text: str) -> None:

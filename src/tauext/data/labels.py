@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
@@ -16,8 +16,8 @@ from tauext.files.journal import Contents, is_journal, read
 from tauext.files.places import Place
 
 LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
-KIND = "label"
-"""Kind of a label's line in the journal of its folder."""
+KIND, ALARM = "label", "event"
+"""Kinds of lines in the journal of a folder: of an answer, and of an alarm, whose stamps its label has."""
 MARGINS = FreeMotionConfig()
 SUSPECT_MARGINS = FreeMotionConfig(after_s=0.3)
 """Margins of a suspect: its end follows from the errors themselves, so filters alone need time."""
@@ -46,6 +46,10 @@ class Label:
     bundle: str = ""
     """Bundle that raised the alarm or found the touch."""
 
+    def answered(self, by: Label) -> Label:
+        """This alarm's label with the answer of another one."""
+        return replace(self, answer=by.answer, by=by.by, wall=by.wall)
+
 
 def read_labels(folder: Place) -> tuple[Label, ...]:
     """The newest label of each id in the journal of a folder."""
@@ -55,13 +59,26 @@ def read_labels(folder: Place) -> tuple[Label, ...]:
 @lru_cache(maxsize=8)
 def _labels(journal: Contents) -> tuple[Label, ...]:
     newest: dict[int, Label] = {}
-    for content in journal.kinds.get(KIND, ()):
+    alarms: dict[int, Label] = {}
+    for content in journal.lines:
         with suppress(KeyError, TypeError, ValueError):
-            label = label_of(content)
-            if label.answer == "withdrawn" and label.id in newest and newest[label.id].answer in ("touched", "nothing"):
-                continue  # the answer came while labels were withdrawn
-            newest[label.id] = label
-    return tuple(label for label in newest.values() if label.answer != "withdrawn")
+            if content.get("kind") == ALARM:
+                alarms[content["id"]] = label_of_alarm(content)
+                newest.setdefault(content["id"], alarms[content["id"]])
+            elif content.get("kind") == KIND:
+                label = label_of(content)
+                is_answered = label.id in newest and newest[label.id].answer in ("touched", "nothing")
+                if label.answer != "withdrawn" or not is_answered:  # the answer came while labels were withdrawn
+                    newest[label.id] = label
+    labels = (label for label in newest.values() if label.answer != "withdrawn")
+    return tuple(one if one.id not in alarms else alarms[one.id].answered(one) for one in labels)
+
+
+def label_of_alarm(content: Mapping[str, Any]) -> Label:
+    """The label of an alarm that nobody has answered, from its line; KeyError or ValueError where it is none."""
+    span = int(content["t_ns"]), int(content.get("held_ns") or content["t_ns"])
+    words = str(content.get("wall") or ""), str(content.get("bundle") or "")
+    return Label(int(content["id"]), int(content["epoch"]), *span, "unanswered", "nobody", *words)
 
 
 def label_of(content: Mapping[str, Any]) -> Label:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,8 @@ class AlarmChange(Change):
     """Whether an acknowledgement ended the alarm."""
     sigma_nm: float = np.nan
     """Standard error of tau_ext_nm; NaN without an error scale."""
+    number: int = 0
+    """Number of the alarm."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,8 @@ class TouchChange(Change):
     """The joint that raised it."""
     since_s: float
     """Time since the alarm rose to this level, [s]."""
+    number: int = 0
+    """Number of the alarm."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class WeighChange(Change):
     """Just before this sample weighing began or ended, or its result was requested."""
 
     what: str
-    """`start`, `stop` or `tell`."""
+    """`start`, `stop` or `report`."""
     by: str
     frame: str
     """Name of the frame of the lengths, for messages."""
@@ -135,6 +140,11 @@ def shifted(last: int, values: np.ndarray) -> np.ndarray:
     return before
 
 
+def number_at(estimates: Mapping[str, np.ndarray], row: int) -> int:
+    """Number of the newest alarm at this row; 0 in estimates without it."""
+    return int(estimates["alarm_number"][row]) if "alarm_number" in estimates else 0
+
+
 class ChangeFinder:
     """Finds every change in the estimates, chunk after chunk; the first sample follows a new monitor."""
 
@@ -142,17 +152,17 @@ class ChangeFinder:
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
         self._saturated: set[int] = set()
         self._found_ns, self._reported_kg, self._reported_error_kg = 0, np.nan, np.nan
-        self._touch, self._alarm_ns = 0, 0
+        self._touch, self._alarm_ns, self._number = 0, 0, 0
         self._held_ns: int | None = None
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; an alarm at the sample was raised again there."""
         was, self._last["alarm"] = self._last["alarm"], NONE
-        return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
+        return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True, number=self._number)
 
-    def stand(self, alarm: int) -> None:
+    def stand(self, alarm: int, number: int) -> None:
         """This alarm stands from before the first sample on."""
-        self._last["alarm"] = alarm
+        self._last["alarm"], self._number = alarm, number
 
     def forget_drift(self) -> None:
         """Another monitor makes the estimates from here on: its drift is another."""
@@ -177,6 +187,8 @@ class ChangeFinder:
                 changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
             if differs["alarm"][k]:
                 changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), estimates))
+        if "alarm_number" in estimates:
+            self._number = int(estimates["alarm_number"][-1])
         if "load_found_ns" in estimates:
             changes += self._found(first_row, t_ns, estimates)
         if "touch" in estimates:
@@ -215,7 +227,14 @@ class ChangeFinder:
                 joint = int(estimates["alarm_joint"][k])
                 touches.append(
                     TouchChange(
-                        first_row + k, int(t_ns[k]), int(touch[k]), int(before[k]), int(alarm[k]), joint, since_s
+                        first_row + k,
+                        int(t_ns[k]),
+                        int(touch[k]),
+                        int(before[k]),
+                        int(alarm[k]),
+                        joint,
+                        since_s,
+                        number_at(estimates, k),
                     )
                 )
         self._touch = int(touch[-1])
@@ -247,7 +266,7 @@ class ChangeFinder:
     def _alarm_change(row: int, t_ns: int, k: int, was: int, estimates: dict[str, np.ndarray]) -> AlarmChange:
         alarm, joint = int(estimates["alarm"][k]), int(estimates["alarm_joint"][k])
         if alarm <= was or joint < 0:
-            return AlarmChange(row, t_ns, alarm, was, -1)
+            return AlarmChange(row, t_ns, alarm, was, -1, number=number_at(estimates, k))
         return AlarmChange(
             row,
             t_ns,
@@ -258,4 +277,5 @@ class ChangeFinder:
             float(estimates["contact_limit_nm" if alarm == CONTACT else "limit_nm"][k, joint]),
             bool(estimates["near_stiction"][k, joint]),
             sigma_nm=float(estimates["sigma_nm"][k, joint]),
+            number=number_at(estimates, k),
         )

@@ -31,7 +31,7 @@ CONTROL = "control socket"
 """Origin of a line from the control socket, for the log."""
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
-    "`weigh [tell|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
+    "`weigh [report|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
 )
 
 
@@ -50,7 +50,7 @@ def obey(line: str, control: Control, by: str) -> str:
             control.set_load(load, by, ago_s)
         elif what == "expect" and name.strip():
             control.expect_load(expected_of_text(name), by)
-        elif what == "weigh" and name.strip() in ("tell", "stop"):
+        elif what == "weigh" and name.strip() in ("report", "stop"):
             control.weigh(name.strip(), by)
         elif what == "weigh":
             control.weigh("start", by, reach_of_text(name.strip()))
@@ -79,7 +79,7 @@ def reach_of_text(text: str) -> float:
     with suppress(ValueError):
         if name == "reach":
             return float(number)
-    raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `tell`, `stop` or nothing")
+    raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `report`, `stop` or nothing")
 
 
 def alarm_of_text(text: str) -> int | None:

@@ -1,7 +1,9 @@
-"""Exchange of the bundle of a running loop between two samples, and the loop's monitor before any bundle exists.
+"""Another bundle takes over in a running loop, without a sample that is not monitored.
 
-The loop keeps its last minute in a Ring. In a thread of its own, a Successor of the new bundle replays it and then
-follows the newest samples. Once it is healthy and quiet, the loop takes it over between two samples.
+A new monitor knows no drift, no friction state and no load, so it may not begin at once. The loop therefore keeps its
+last minute of samples in a Ring. In a thread of its own, a Successor with the new bundle's monitor repeats that minute
+and then follows the newest samples. Once it is healthy and raised no alarm of its own for a while, the loop exchanges
+the monitors between two samples: exchange() is that course. NoMonitor stands in before there is any bundle.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from tauext import _core
 from tauext.bundle.estimates import OK, STALE, WARMING_UP
 from tauext.data.servo import servo_facts
 from tauext.errors import TauextError
-from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.source import SourceSettings, settings_of
+from tauext.monitor.touch_place import PlaceFinder
 
 # --- Before any bundle.
 
@@ -31,10 +33,10 @@ _FLOATS = (
 _BITS = ("near_stiction", "drift_saturated")
 _SCALARS = {
     **dict.fromkeys(("unfamiliar", "load_kg", "load_error_kg"), np.float64),
-    **dict.fromkeys(("unseen", "alarm", "held_alarm", "touch", "detection", "load_phase"), np.uint8),
+    **dict.fromkeys(("unseen", "alarm", "held_alarm", "touch", "touch_over", "detection", "load_phase"), np.uint8),
     **dict.fromkeys(("unseen_joint", "unseen_other", "cause_joint", "alarm_joint"), np.int8),
-    "causes": np.uint32,
-    "load_found_ns": np.int64,
+    **dict.fromkeys(("causes", "alarm_number"), np.uint32),
+    **dict.fromkeys(("touch_t_ns", "load_found_ns"), np.int64),
 }
 NO_BUNDLE = "nothing is monitored yet: there is no bundle"
 
@@ -45,6 +47,7 @@ class _NoEstimate:
 
     alarm = _core.Alarm.none
     alarm_t_ns = 0
+    touch_over = True
     load_phase = _core.LoadPhase.none
     health: _core.Health
 
@@ -53,7 +56,7 @@ class NoMonitor:
     """Stands in for _core.Monitor until there is a bundle: torques are NaN, health is never ok, no alarm is raised."""
 
     why_no_wrench = why_not_expected = why_no_weighing = why_no_load = lambda self, *arguments: NO_BUNDLE
-    samples = bridged_ticks = restarts = 0
+    samples = bridged_ticks = restarts = alarms = 0
     weighing = False
     load = _core.Load(0.0)
 
@@ -336,6 +339,7 @@ class Successor:
             self.monitor.carry_alarm(self.left)
         else:  # what it raised over the repeated samples is past
             self.monitor.acknowledge()
+        self.monitor.alarms = old.alarms
         return ""
 
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from tauext import _core
 from tauext._core import PlaceModel
-from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK, TOUCHES
+from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK
 from tauext.bundle.units import short
 from tauext.errors import RecordingError
-from tauext.monitor.changes import with_article
+from tauext.monitor.changes import TouchChange
+from tauext.monitor.events import touch_words
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.touch_place import PlaceChange, place_words, strongest_place
@@ -153,8 +154,10 @@ def kind_of_touch(flight: Flight) -> str:
     since = len(touch) - 1
     while since > row and touch[since - 1] == touch[-1]:
         since -= 1
-    ms = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-6
-    return f"{ms:.0f} ms later it was classified as {with_article(TOUCHES[touch[-1]])}."
+    since_s = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-9
+    alarm = max(int(flight["event"].alarm.value), CONTACT)
+    words = touch_words(TouchChange(since, int(flight["t_ns"][since]), int(touch[-1]), 0, alarm, -1, since_s))
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def place_of_touch(flight: Flight, source: FlightSource) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, Estimates, lacking, number, torque_lists
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, Estimates, lacking, number
 from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
+from tauext.monitor.events import estimate_facts
 
 Flight = dict[str, Any]
 """Result of FlightRecorder.take."""
@@ -182,13 +182,9 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         "t_ns": int(event.t_ns),
         "time_s": source.time_s(event.t_ns),
         "joint": name(event.cause_joint if what == "fault" else event.alarm_joint),
-        "health": HEALTHS[event.health.value],
-        "causes": list(event.causes),
-        "alarm": ALARMS[event.alarm.value],
+        **estimate_facts(lambda of: getattr(getattr(event, of), "value", getattr(event, of)), event.causes),
+        "number": event.alarm_number,
         "alarm_joint": name(event.alarm_joint),
-        "detection": bool(event.detection),
-        **torque_lists(partial(getattr, event)),
-        "near_stiction": [bool(near) for near in event.near_stiction],
         "dq_rad_s": [number(value) for value in flight["dq"][row]],
         "tau": [number(value) for value in flight["tau"][row]],
         "torque_units": list(source.torque_units or ("N m",) * len(source.joints)),

@@ -54,6 +54,8 @@ class FlightNews:
     """Time of the event."""
     path: Place | None
     error: str | None = None
+    number: int = 0
+    """Number of the alarm; 0: a fault."""
 
 
 @dataclass
@@ -222,14 +224,16 @@ class FlightWriter:
         return False
 
     def _written(self, flight: Flight) -> FlightNews:
-        what, t_ns = event_kind(flight), int(flight["event"].t_ns)
+        what, event = event_kind(flight), flight["event"]
+        path, failed = None, None
         try:
-            return FlightNews(what, t_ns, self._write(flight))
+            path = self._write(flight)
         except TauextError as error:
-            return FlightNews(what, t_ns, None, str(error))
+            failed = str(error)
         except Exception as error:  # a bug: reported now, and raised at the end; the thread goes on
             self._broken = self._broken or error
-            return FlightNews(what, t_ns, None, f"{type(error).__name__}: {error}")
+            failed = f"{type(error).__name__}: {error}"
+        return FlightNews(what, int(event.t_ns), path, failed, 0 if what == "fault" else event.alarm_number)
 
 
 # --- Files of a flight: recording, estimates and explanation; written atomically, never over existing files.

@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION, NONE, OK
+from tauext.bundle.estimates import COLLISION, OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.monitor.changes import AlarmChange, LoadChange, WeighChange
+from tauext.monitor.changes import LoadChange, WeighChange
+from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.exchange import (
     FIRST_QUIET_S,
     MARK_S,
@@ -39,22 +40,20 @@ from tauext.monitor.exchange import (
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored, MonitoredTime
-from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import (
     USUAL_REACH_M,
-    Answer,
     AnswerKind,
     EventFinder,
     Follows,
-    HearsAnswers,
     LoopReport,
     Sink,
     Verdict,
 )
 from tauext.monitor.source import Commanded, Sample, ServoStage, Source, SourceSettings, settings_of
+from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.turns import Turns
 
 # --- Verdicts of a live loop in the form of a replay, for output and statistics.
@@ -72,16 +71,8 @@ def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
 # --- The live loop. Sinks and reactions never delay the monitor.
 
 
-def is_within_limits(estimates: Mapping[str, np.ndarray]) -> bool:
-    """Whether the torque of every joint, without that of an expected load, is known and within both limits."""
-    size = np.abs(estimates["tau_ext"] - estimates["load_nm"])
-    return bool((size <= np.minimum(estimates["limit_nm"], estimates["contact_limit_nm"])).all())
-
-
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
-TOUCH_OVER_S = 0.2
-"""Time within all limits after which the touch of an answered alarm is over."""
 SWITCH_S = 0.0005
 """Switch interval of the interpreter's threads, [s]; Python's default of 5 ms is five samples."""
 
@@ -163,8 +154,6 @@ class Loop:
         self.missing = self.samples = 0
         self.monitored = Monitored()
         """Share of the time in which the arm was monitored, once a second."""
-        self.alarms = 0
-        """Number of alarms so far, which is the newest one's number; set it before run() to continue a count."""
         self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
         """Called in the loop's thread with every exchange of the bundle."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
@@ -181,17 +170,14 @@ class Loop:
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
-        self._events = EventFinder(self.joints, self._facts)
+        self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
         self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
         self._model = 0 if bundle is None else bundle.model_digest
         self._mark_ns: int | None = None
         self._load_kg = 0.0
         self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
         self._due_ns: int | None = None
-        self._alarm_id = 0
-        self._touched_ns: int | None = None
-        """Last stamp since the alarm rose at which a torque was over a limit, or unknown."""
-        self._answered_id = 0
+        self._answered = 0
         """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
         self._last: Sample | None = None
         self._stopped = False
@@ -250,13 +236,16 @@ class Loop:
         self._requests.put(lambda: self._weigh(what, reach_m, by))
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
-        if not any(isinstance(sink, HearsAnswers) for sink in self.sinks):
-            raise ConfigError(f"{what}: answers are kept by `tauext commission` only")
-        if alarm is not None and alarm > self.alarms:
-            raise ConfigError(f"{what}: there was no alarm {alarm} yet; the last was {self.alarms}")
-        if what == "nothing" and not self.alarms:
-            raise ConfigError("nothing: there was no alarm yet")
-        self._requests.put(lambda: self._answer(what, by, alarm))
+        raise ConfigError(f"{what}: answers are kept by `tauext commission` only")
+
+    def settle(self, alarm: int, answer: str) -> None:
+        """Acknowledge this alarm, which a person has answered, if it stands: once its touch is over, so that the touch
+        raises no second alarm.
+
+        Args:
+            answer: what was answered, and its origin, for the log.
+        """
+        self._requests.put(lambda: self._settle(alarm, answer))
 
     def command(self, text: str, by: str) -> None:
         if not isinstance(self._source, Commanded):
@@ -293,7 +282,7 @@ class Loop:
             alarms: number of the newest alarm, which is the one that stands if one does.
             is_answered: whether that alarm is answered, so that it ends with its touch.
         """
-        self.alarms = alarms
+        self.monitor.alarms = alarms
         if not isinstance(self.monitor, _core.Monitor):
             return NO_BUNDLE
         try:
@@ -302,12 +291,18 @@ class Loop:
         except _core.CoreError as error:
             return str(error)
         self._load_kg = self.monitor.load.mass
-        alarm = self.monitor.last.alarm
-        if alarm != _core.Alarm.none:
-            self.alarms = self._alarm_id = max(alarms, 1)
-            self._answered_id = self._alarm_id if is_answered else 0
-            self._changes.stand(alarm.value)
+        last = self.monitor.last
+        if last.alarm != _core.Alarm.none:
+            self.monitor.alarms = number = max(alarms, 1)
+            self._answered = number if is_answered else 0
+            self._changes.stand(last.alarm.value, number)
+            self._episodes.stand(number, last.alarm.value, last.alarm_joint)
         return ""
+
+    @property
+    def alarms(self) -> int:
+        """Number of alarms so far, which is the newest one's number."""
+        return self.monitor.alarms
 
     @property
     def profile(self) -> Profile | None:
@@ -491,6 +486,7 @@ class Loop:
         self._load_kg = successor.monitor.load.mass
         self._model, self._mark_ns = successor.model, None
         old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
+        self._episodes.bundle = successor.bundle.name
         self._each_sink(
             lambda sink: sink.follow(successor.bundle, successor.monitor) if isinstance(sink, Follows) else None
         )
@@ -507,18 +503,10 @@ class Loop:
         if not self.samples:  # loads set before the first sample apply from there on
             early = LoadChange | WeighChange
             changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
-        for change in changes:
-            if isinstance(change, AlarmChange):
-                if change.alarm != NONE and change.was == NONE:
-                    self.alarms += 1
-                self._alarm_id = self.alarms if change.alarm != NONE else 0
-                self._touched_ns = t_ns
-                if change.alarm == NONE:
-                    self._due_ns = None
-        if self._alarm_id and sample is not None:
-            if self._touched_ns is None or t_ns < self._touched_ns or not is_within_limits(estimates):
-                self._touched_ns = t_ns
-        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._alarm_id)
+        news = self._episodes.find(t_ns, estimates, changes, None if sample is None else sample.q)
+        if any(one.ended for one in news):
+            self._due_ns = None
+        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._episodes.standing, news)
         for event in self._events.find(verdict):
             self._reactions.put(event)
         after_s = self._settings.acknowledge_after_s
@@ -564,18 +552,14 @@ class Loop:
             self.note(f"stopped by {by}")
         self._stopped = True
 
-    def _answer(self, what: AnswerKind, by: str, alarm: int | None) -> None:
-        about_alarm = what in ("touched", "nothing")
-        asked = 0 if self._alarm_id == self._answered_id else self._alarm_id
-        known = (asked if alarm is None else alarm) if about_alarm else 0
-        answer = Answer(what, by, known, self.samples, self._last_ns)
-        self._each_sink(lambda sink: sink.answered(answer) if isinstance(sink, HearsAnswers) else None)
-        if known and known == self._alarm_id:
-            if self._is_touch_over:
-                self._end_alarm(self.monitor.acknowledge, f"{what}, by {by}: acknowledged")
-            else:  # the monitor would raise another alarm for the same touch
-                self._answered_id = known
-                self.note(f"{what}, by {by}: acknowledged once the touch is over")
+    def _settle(self, alarm: int, answer: str) -> None:
+        if alarm != self._standing:
+            return
+        if self.monitor.last.touch_over:
+            self._end_alarm(self.monitor.acknowledge, f"{answer}: acknowledged")
+        else:  # the monitor would raise another alarm for the same touch
+            self._answered = alarm
+            self.note(f"{answer}: acknowledged once the touch is over")
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it
@@ -626,22 +610,22 @@ class Loop:
             self._ring.act(lambda monitor: monitor.resume())
 
     @property
-    def _is_touch_over(self) -> bool:
-        """Whether all torques have been within their limits for TOUCH_OVER_S; False before the first sample."""
-        return self._touched_ns is not None and self._last_ns - self._touched_ns >= TOUCH_OVER_S * 1e9
+    def _standing(self) -> int:
+        """Number of the alarm that stands; 0: none."""
+        return 0 if self._episodes.standing is None else self._episodes.standing.number
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
-        if self._answered_id and self._answered_id != self._alarm_id:  # it has ended by itself
-            self._answered_id, self._due_ns = 0, None
+        if self._answered and self._answered != self._standing:  # it has ended by itself
+            self._answered, self._due_ns = 0, None
         after_s = self._settings.acknowledge_after_s
-        if self._answered_id and self._due_ns is None and after_s is not None:  # a contact that lasts
+        if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
             self._due_ns = t_ns + round(after_s * 1e9)
         is_due = self._due_ns is not None and t_ns >= self._due_ns
-        if is_due or (self._answered_id and self._is_touch_over):
+        if is_due or (self._answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 
     def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
         if note:
             self.note(note)
-        self._due_ns, self._answered_id = None, 0
+        self._due_ns, self._answered = None, 0
         self._changes.end_alarm(end, self.samples, self._last_ns)

@@ -21,7 +21,7 @@ from typing import Any
 from tauext.errors import ConfigError
 from tauext.monitor.latency import Latencies
 from tauext.monitor.reaction_file import Reaction
-from tauext.monitor.sink import Event, Publisher, Sink
+from tauext.monitor.sink import Publisher, ReactionEvent, Sink
 from tauext.monitor.source import Source, StopChecked, Stoppable
 
 # --- Commands and functions of reactions in processes of their own: a process that hangs is killed, one that died is
@@ -54,7 +54,7 @@ class ReactionProcess:
         except ReactionFailed as error:
             raise ConfigError(f"reaction {reaction.name!r}: {' '.join(self._words())}: {error}") from error
 
-    def act(self, event: Event) -> int:
+    def act(self, event: ReactionEvent) -> int:
         """Run the reaction for this event; returns its start by time.monotonic_ns().
 
         Raises:
@@ -146,9 +146,8 @@ def expect_program(reaction: Reaction) -> None:
         raise ConfigError(f"reaction {reaction.name!r}: there is no program {reaction.command[0]!r}")
 
 
-def content_of(event: Event) -> dict[str, Any]:
+def content_of(event: ReactionEvent) -> dict[str, Any]:
     """The content of the line that is sent to the process."""
-    facts = {"event": event.kind, "joint": event.joint, "t_ns": event.t_ns, "merged": event.merged, **event.facts}
     j = event.facts["joints"].index(event.joint) if event.joint is not None and "joints" in event.facts else None
     environment = {
         "TAUEXT_EVENT": event.kind,
@@ -164,7 +163,7 @@ def content_of(event: Event) -> dict[str, Any]:
     for variable, name in (("TAUEXT_TAU_EXT_NM", "tau_ext_nm"), ("TAUEXT_LIMIT_NM", limit)):
         value = event.facts[name][j] if j is not None and name in event.facts else None
         environment[variable] = "" if value is None else f"{value:.9g}"
-    return {"facts": facts, "environment": environment}
+    return {"facts": event.content, "environment": environment}
 
 
 # --- Execution of reactions: a thread each, a bounded queue, and counts of dropped events.
@@ -181,7 +180,7 @@ class ReactionNews:
     """A reaction that ran or failed."""
 
     reaction: str
-    event: Event
+    event: ReactionEvent
     start_us: float | None
     """Time from the sample's reception to the start; None: not started."""
     error: str | None = None
@@ -210,22 +209,24 @@ class ReactionCount:
 class ReactionThread:
     """Thread of one reaction. Its queue is bounded: one event of each kind and joint."""
 
-    def __init__(self, reaction: Reaction, act: Callable[[Event], int | None], close: Callable[[], None] | None = None):
+    def __init__(
+        self, reaction: Reaction, act: Callable[[ReactionEvent], int | None], close: Callable[[], None] | None = None
+    ):
         """act: runs the reaction; may return its start by time.monotonic_ns(), and may raise anything."""
         self.reaction, self.count = reaction, ReactionCount()
         self._act, self._close = act, close
-        self._waiting: dict[tuple, Event] = {}
+        self._waiting: dict[tuple, ReactionEvent] = {}
         self._changed = threading.Condition()
         self._ended = False
         self._busy = self._left = False
         self._last_ns: dict[str, int] = {}
-        self._answered_ns: int | None = None
-        """Time of the alarm for which a place rule has run, as it runs once an alarm."""
+        self._answered: int | None = None
+        """Number of the alarm for which a place rule has run, as it runs once an alarm."""
         self._news: list[ReactionNews] = []
         self._thread = threading.Thread(target=self._work, name=f"reaction {reaction.name}", daemon=True)
         self._thread.start()
 
-    def put(self, event: Event) -> None:
+    def put(self, event: ReactionEvent) -> None:
         """Queue the event; never waits for the reaction."""
         rule = self.reaction
         if event.kind not in rule.on or (rule.joints and event.joint is not None and event.joint not in rule.joints):
@@ -245,20 +246,20 @@ class ReactionThread:
             self._waiting[event.kind, event.joint] = event  # moved to the end: the latest event comes last
             self._changed.notify()
 
-    def _is_for(self, event: Event) -> bool:
+    def _is_for(self, event: ReactionEvent) -> bool:
         """Whether the rule applies to this event; a rule of a place applies once per alarm."""
         rule = self.reaction
         if event.kind not in ("collision", "contact"):
             return True
         if rule.links is None and rule.newtons_over is None:
             return event.news if rule.touch is None else event.touch in rule.touch and not event.of_place
-        if self._answered_ns == event.alarm_t_ns or (rule.touch is not None and event.touch not in rule.touch):
+        if self._answered == event.number or (rule.touch is not None and event.touch not in rule.touch):
             return False
         if rule.links is not None and sum(p for link, p in event.links if link in rule.links) < LEAST_PROBABILITY:
             return False
         if rule.newtons_over is not None and not (event.newtons is not None and event.newtons > rule.newtons_over):
             return False
-        self._answered_ns = event.alarm_t_ns
+        self._answered = event.number
         return True
 
     def news(self) -> list[ReactionNews]:
@@ -313,7 +314,7 @@ class Reactions:
     def __init__(self, threads: Sequence[ReactionThread] = ()):
         self.threads = tuple(threads)
 
-    def put(self, event: Event) -> None:
+    def put(self, event: ReactionEvent) -> None:
         """Queue the event for every reaction with a matching rule; returns at once."""
         for thread in self.threads:
             thread.put(event)
@@ -350,7 +351,7 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
     processes: list[ReactionProcess] = []
     threads: list[Callable[[], ReactionThread]] = []
 
-    def publish(event: Event) -> None:
+    def publish(event: ReactionEvent) -> None:
         for publisher in publishers:
             publisher.publish_event(event)
 

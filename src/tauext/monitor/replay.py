@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE, TOUCHES, torque_lists
+from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE
 from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenCollision, LoadChange
 from tauext.monitor.exchange import AnyMonitor
@@ -114,9 +114,9 @@ class EventStream:
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._finder.forget_drift()
 
-    def stand(self, alarm: int) -> None:
+    def stand(self, alarm: int, number: int) -> None:
         """This alarm stands from before the first sample on, and is not reported again."""
-        self._finder.stand(alarm)
+        self._finder.stand(alarm, number)
         if self._places is not None:
             self._places.stand(alarm)
 
@@ -363,17 +363,3 @@ class StatusClock:
         rows = np.flatnonzero(periods > np.append(self._last, periods[:-1]))
         self._last = int(periods[-1])
         return rows.tolist()
-
-
-def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
-    """Estimate at one row of Monitor.run, as plain JSON; null for missing numbers."""
-    return {
-        "health": HEALTHS[estimates["health"][row]],
-        "causes": _core.cause_names(int(estimates["causes"][row])),
-        "alarm": ALARMS[estimates["alarm"][row]],
-        "touch": TOUCHES[estimates["touch"][row]],
-        "detection": bool(estimates["detection"][row]),
-        **torque_lists(lambda name: estimates[name][row]),
-        "unfamiliar": float(estimates["unfamiliar"][row]),
-        "near_stiction": [bool(near) for near in estimates["near_stiction"][row]],
-    }

@@ -12,11 +12,12 @@ import numpy as np
 from tauext._core import Bundle, Load, Monitor
 from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
 from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
+from tauext.monitor.episode import Episode
+from tauext.monitor.events import sample_facts
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
-from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
-from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
+from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
 
 # --- Receivers of every sample and event: publishers, outputs, recordings.
 
@@ -37,12 +38,19 @@ class Verdict:
     estimates: Mapping[str, np.ndarray]
     """One row of Monitor.run: tau_ext (1, joints) [N m], health (1,), ..."""
     changes: tuple[Change, ...]
-    alarm_id: int = 0
-    """Number of the alarm that stands at this sample, counted by Loop.alarms; 0: none stands."""
+    episode: Episode | None = None
+    """The alarm that stands at this sample, as of the newest news; None: none stands."""
+    news: tuple[Episode, ...] = ()
+    """Alarms of which something is new at this sample, or that have ended."""
+
+    @property
+    def alarm_number(self) -> int:
+        """Number of the alarm that stands; 0: none stands."""
+        return 0 if self.episode is None else self.episode.number
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class ReactionEvent:
     """An event that starts reactions."""
 
     kind: EventKind
@@ -67,10 +75,16 @@ class Event:
     while unknown."""
     newtons: float | None = None
     """Force at the most probable place on the most probable link, [N]; None: unknown."""
-    alarm_t_ns: int = 0
-    """Stamp at which the alarm of this event rose: the same for all events of one alarm."""
+    number: int = 0
+    """Number of the alarm: the same for all events of one alarm."""
     of_place: bool = False
     """Whether only the place is new."""
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The event as plain JSON, for commands, functions and publishers."""
+        own = {"event": self.kind, "joint": self.joint, "t_ns": self.t_ns, "merged": self.merged}
+        return {**own, **self.facts}
 
 
 @dataclass(frozen=True)
@@ -130,39 +144,15 @@ class Follows(Protocol):
 
 
 AnswerKind = Literal["touched", "nothing", "learn", "leave"]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A person's answer, received between two samples."""
-
-    what: AnswerKind
-    """touched, nothing: what an alarm was, or without an alarm: the arm was touched in the last seconds. learn, leave:
-    whether a named change of the arm may be learned."""
-    by: str
-    """Origin of the answer, for the log: `page`, `control socket`."""
-    alarm: int
-    """Number of the alarm, counted by Loop.alarms; 0: none was named and none stood."""
-    row: int
-    """Number of samples before the answer."""
-    t_ns: int
-    """Stamp of the last sample before the answer, [ns]; 0: no sample yet."""
-
-
-@runtime_checkable
-class HearsAnswers(Protocol):
-    """A sink that keeps answers."""
-
-    def answered(self, answer: Answer) -> None:
-        """Called in the loop's thread between two samples; must return at once."""
-        ...
+"""touched, nothing: what an alarm was, or without an alarm: the arm was touched in the last seconds. learn, leave:
+whether a named change of the arm may be learned."""
 
 
 @runtime_checkable
 class Publisher(Protocol):
     """A sink that reactions with `publish = true` also use."""
 
-    def publish_event(self, event: Event) -> None:
+    def publish_event(self, event: ReactionEvent) -> None:
         """Called by the thread of the reaction, beside verdict() of the loop."""
         ...
 
@@ -213,10 +203,10 @@ class Control(Protocol):
         ...
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
-        """Weigh the load from `start` to `stop`; `stop` and `tell` report the result as a change.
+        """Weigh the load from `start` to `stop`; `stop` and `report` report the result as a change.
 
         Args:
-            what: `start`, `tell` or `stop`.
+            what: `start`, `report` or `stop`.
             reach_m: largest distance of the centre of mass from the load frame, [m].
 
         Raises:
@@ -225,15 +215,13 @@ class Control(Protocol):
         ...
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
-        """Pass an answer to the sinks that keep answers; one about the alarm that stands also acknowledges it.
-
-        While the touch lasts, the acknowledgement waits for its end, so that the touch raises no second alarm.
+        """Store an answer; one about the alarm that stands also acknowledges it, see Loop.settle().
 
         Args:
-            alarm: number of the alarm of `touched` or `nothing`; None: the one that stands without an answer, or none.
+            alarm: number of the alarm of `touched` or `nothing`; None: the newest one, if it has no answer.
 
         Raises:
-            ConfigError: nothing keeps answers, or there was no such alarm.
+            ConfigError: nothing keeps answers, there was no such alarm, or the answer is not on the disk.
         """
         ...
 
@@ -260,10 +248,8 @@ class EventFinder:
         """facts: further content of every event: bundle, source."""
         self._joints, self._facts = joints, facts
         self._unsettled = False
-        self._place: PlaceChange | None = None
-        self._alarm_t_ns = 0
 
-    def find(self, verdict: Verdict) -> list[Event]:
+    def find(self, verdict: Verdict) -> list[ReactionEvent]:
         """Events of this verdict, usually none. At one sample a fault precedes an alarm."""
         if not verdict.changes and not self._unsettled:
             return []
@@ -273,13 +259,10 @@ class EventFinder:
                 if change.health == FAULT and change.was != FAULT:
                     events.append(self._event("fault", change.joint, verdict))
             elif isinstance(change, AlarmChange | TouchChange | PlaceChange) and change.alarm and change.joint >= 0:
-                if isinstance(change, AlarmChange) and change.was == NONE:
-                    self._place, self._alarm_t_ns = None, change.t_ns
-                elif isinstance(change, PlaceChange):
-                    self._place = change
                 kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
                 news, of_place = isinstance(change, AlarmChange), isinstance(change, PlaceChange)
-                events.append(self._event(kind, change.joint, verdict, news, of_place))
+                episode = next((one for one in verdict.news if one.number == change.number), None)
+                events.append(self._event(kind, change.joint, verdict, episode, news, of_place))
         if events:
             self._unsettled = True
         elif self._unsettled and verdict.estimates["health"][0] == OK and verdict.estimates["alarm"][0] == NONE:
@@ -287,7 +270,15 @@ class EventFinder:
             events.append(self._event("cleared", -1, verdict))
         return events
 
-    def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
+    def _event(
+        self,
+        kind: EventKind,
+        joint: int,
+        verdict: Verdict,
+        episode: Episode | None = None,
+        news: bool = True,
+        of_place: bool = False,
+    ) -> ReactionEvent:
         estimates, sample = verdict.estimates, verdict.sample
         facts = {
             **self._facts,
@@ -298,9 +289,9 @@ class EventFinder:
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None
         touched = kind in ("collision", "contact")
-        place = self._place if touched else None
-        facts["place"] = None if place is None else place_facts(place, self._joints)
-        return Event(
+        place = None if episode is None else episode.place
+        facts |= {"number": episode and episode.number, "place": place and place_facts(place, self._joints)}
+        return ReactionEvent(
             kind,
             name,
             verdict.t_ns,
@@ -310,6 +301,6 @@ class EventFinder:
             news=news,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),
-            alarm_t_ns=self._alarm_t_ns,
+            number=episode.number if episode else 0,
             of_place=of_place,
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchModel
 from tauext.errors import ConfigError
-from tauext.monitor.changes import Change
+from tauext.monitor.changes import Change, number_at
 
 # --- Force of an alarm's touch at a frame named by the user.
 
@@ -142,6 +142,8 @@ class PlaceChange(Change):
     """The force if it acts at the named frame."""
     tau_ext_nm: tuple[float, ...] = ()
     """Torques at the moment of these places, less an expected load, by joint."""
+    number: int = 0
+    """Number of the alarm."""
 
     @classmethod
     def of(
@@ -246,7 +248,7 @@ class PlaceFinder:
                 if self._at_frame is not None:
                     self._force = self._at_frame.find(q, dq, estimates, k)
             if found := self._judge(first_row + k, int(t_ns[k]), fell, level):
-                places.append(found)
+                places.append(replace(found, number=number_at(estimates, k)))
         return places
 
     def _follow(self, t_ns: int, alarm: int, joint: int) -> tuple[bool, int]:

@@ -139,7 +139,7 @@ def trace_of(path: Path, event_ns: int) -> dict[str, Any] | None:
     return values | {"joints": list(found.joints), "t_s": ((found.t_ns[rows] - event_ns) * 1e-9).round(4).tolist()}
 
 
-class Live:
+class LiveLine:
     """The newest line of the loop's socket, for any number of readers; connects again for ever."""
 
     def __init__(self, path: Path):
@@ -253,7 +253,7 @@ class Server:
 
     async def run(self) -> None:
         """Serve until it is cancelled."""
-        self._live = Live(self._live_path)
+        self._live = LiveLine(self._live_path)
         app = web.Application(middlewares=[self._guard], client_max_size=LONGEST_BODY + 1)
         app.on_response_prepare.append(self._finish_head)
         pages = {"/": self._show, "/state": self._state, "/arm": self._arm, "/live": self._stream}

@@ -42,7 +42,7 @@ from tauext.sources.describing import why_another
 
 
 @dataclass(frozen=True)
-class Live:
+class Remark:
     """One line about the stream, for a person; a plain dict of it is an entry of findings.json."""
 
     code: str
@@ -95,7 +95,7 @@ REMEDIES = {
 MOVE = "let the arm run its program"
 
 
-def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFacts) -> list[Live]:
+def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFacts) -> list[Remark]:
     """All checks of `tauext check` on what was received so far, in words for a live stream; worst first.
 
     Args:
@@ -108,7 +108,7 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
     try:
         diagnosis = examine(recordings, robot)
     except TauextError as error:
-        return [Live("joints", "fault", None, str(error), "")]
+        return [Remark("joints", "fault", None, str(error), "")]
     low = {finding.joint for finding in diagnosis.findings if finding.code == "excitation-low"}
     early = {*TOPICS["sign"], *TOPICS["signal"]}
     lives = [
@@ -126,28 +126,28 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
     return sorted(lives, key=lambda live: (order.index(live.severity), live.waits))
 
 
-def as_live(finding: Finding) -> Live:
+def as_live(finding: Finding) -> Remark:
     """A finding of `tauext check` in words for a live stream."""
     if finding.code in HARMLESS:
-        return Live(finding.code, "note", finding.joint, _words(finding), HARMLESS[finding.code])
+        return Remark(finding.code, "note", finding.joint, _words(finding), HARMLESS[finding.code])
     remedy = REMEDIES.get(finding.code) or re.sub(
         r",? at import( and in the monitor)?", " in the driver", finding.advice
     )
-    return Live(finding.code, finding.severity, finding.joint, _words(finding), remedy)
+    return Remark(finding.code, finding.severity, finding.joint, _words(finding), remedy)
 
 
 def _words(finding: Finding) -> str:
     return f"{CODES[finding.code]}: {finding.evidence}"
 
 
-def _still(diagnosis: Diagnosis, low: Collection[str | None]) -> list[Live]:
+def _still(diagnosis: Diagnosis, low: Collection[str | None]) -> list[Remark]:
     """What cannot be judged yet of single joints."""
     if any(finding.code == "never-moves" for finding in diagnosis.findings):
         return []  # the topics say so
     words = "it moves too little so far: its friction and weight cannot be judged"
     remedy = "let it move by at least 0.2 rad, both ways, slowly and fast"
     return [
-        Live("excitation-low", "note", joint, words, remedy, waits=True) for joint in diagnosis.joints if joint in low
+        Remark("excitation-low", "note", joint, words, remedy, waits=True) for joint in diagnosis.joints if joint in low
     ]
 
 
@@ -164,7 +164,7 @@ NAMES = {
 
 def _topic(
     topic: str, diagnosis: Diagnosis, recordings: Sequence[Recording], robot: Path | None, facts: SourceFacts
-) -> Live:
+) -> Remark:
     """What is good about a topic, or that it must wait for motion."""
     moved_s = sum(_moved_s(recording) for recording in recordings)
     joints, settings, name = ", ".join(diagnosis.joints), facts.settings, NAMES[topic]
@@ -186,14 +186,16 @@ def _topic(
         return _signal(judged, diagnosis, robot, facts)
     if topic == "robot-file" and robot is None:
         words = "no robot file: the order of joints, the direction of gravity and a payload cannot be checked"
-        return Live(topic, "note", None, words, "a robot file (--robot, and a new --out) makes the limits narrower")
+        return Remark(topic, "note", None, words, "a robot file (--robot, and a new --out) makes the limits narrower")
     if topic == "robot-file" and judged and moved_s >= SEARCH_S:
         return _good(topic, f"{robot.name if robot else ''} fits the measured torques")
     needs = f" (needs {SEARCH_S:g} s of motion, {moved_s:.0f} s so far)" if topic == "robot-file" else ""
     return _waiting(topic, f"{name}: cannot be judged until the arm moves{needs}", MOVE)
 
 
-def _signal(judged: Sequence[Mapping[str, Any]], diagnosis: Diagnosis, robot: Path | None, facts: SourceFacts) -> Live:
+def _signal(
+    judged: Sequence[Mapping[str, Any]], diagnosis: Diagnosis, robot: Path | None, facts: SourceFacts
+) -> Remark:
     unit, name = facts.settings.torque_units[0], NAMES["signal"]
     if "A" in facts.settings.torque_units:
         return _good("signal", f"{name}: a motor current or duty; training finds the torque constants")
@@ -206,18 +208,18 @@ def _signal(judged: Sequence[Mapping[str, Any]], diagnosis: Diagnosis, robot: Pa
         return _waiting("signal", words, MOVE)
     if facts.signal == "unknown":
         words = f"{name}: taken as a torque in N m, which only a robot file can confirm"
-        return Live("signal", "note", None, words, "--robot FILE; or make sure that the driver sends N m")
+        return Remark("signal", "note", None, words, "--robot FILE; or make sure that the driver sends N m")
     return _good(
         "signal", f"{name}: {'a torque' if facts.signal == 'torque' else f'made of the {facts.signal}'} in {unit}"
     )
 
 
-def _good(topic: str, words: str) -> Live:
-    return Live(topic, "good", None, words, "")
+def _good(topic: str, words: str) -> Remark:
+    return Remark(topic, "good", None, words, "")
 
 
-def _waiting(topic: str, words: str, remedy: str) -> Live:
-    return Live(topic, "note", None, words, remedy, waits=True)
+def _waiting(topic: str, words: str, remedy: str) -> Remark:
+    return Remark(topic, "note", None, words, remedy, waits=True)
 
 
 def _moved_s(recording: Recording) -> float:
@@ -228,7 +230,7 @@ LOST_SHARE = 0.005
 """Share of lost samples from which it is a fault: the monitor restarts its observer at each longer gap."""
 
 
-def _rates(recordings: Sequence[Recording], settings: SourceSettings) -> list[Live]:
+def _rates(recordings: Sequence[Recording], settings: SourceSettings) -> list[Remark]:
     """Another rate than the one described, and lost samples."""
     long = [recording for recording in recordings if recording.samples > 20]
     if not long:
@@ -236,12 +238,12 @@ def _rates(recordings: Sequence[Recording], settings: SourceSettings) -> list[Li
     period_ns = float(np.median([fitted_period_ns(recording.t_ns) for recording in long]))
     if abs(period_ns / settings.period_ns - 1) > settings.rate_tolerance:
         words = f"{1e9 / period_ns:.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
-        return [Live("wrong-rate", "fault", None, words, "set the driver's rate, or use another --out for this rate")]
+        return [Remark("wrong-rate", "fault", None, words, "set the driver's rate, or use another --out for this rate")]
     lost, came = sum(float(lost_samples(one.t_ns).sum()) for one in long), sum(one.samples for one in long)
     if lost <= LOST_SHARE * (lost + came):
         return []
     words = f"{lost / (lost + came):.1%} of the samples are lost on their way"
-    return [Live("clock-gaps", "warning", None, words, "use a cable instead of radio, or a less busy computer")]
+    return [Remark("clock-gaps", "warning", None, words, "use a cable instead of radio, or a less busy computer")]
 
 
 # --- The first look at a source, before anything is recorded.
@@ -256,7 +258,7 @@ class Connected:
     """How a source describes itself, and what its first samples show."""
 
     facts: SourceFacts
-    lives: list[Live]
+    lives: list[Remark]
 
 
 def connect(
@@ -303,7 +305,7 @@ def connect(
     finally:
         source.close()
     recording, lives = recording_of(samples, facts)
-    notes = [Live("assumed", "note", None, note, "") for note in facts.notes]
+    notes = [Remark("assumed", "note", None, note, "") for note in facts.notes]
     lives += held_rate(watched.second(), 1 / period_s, remedy)
     return Connected(facts, [*lives, *judge([recording] if recording is not None else [], robot, facts), *notes])
 
@@ -312,7 +314,7 @@ HELD = "computer"
 """Code of the finding about this computer, which later checks of the recordings keep."""
 
 
-def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Live]:
+def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Remark]:
     """Whether this computer took the first samples in time; nothing where too few came."""
     if watched.of_seconds < LOOK_S / 2:
         return []
@@ -320,10 +322,10 @@ def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Live]:
     if share >= PARTLY:
         return [_good(HELD, f"this computer holds the rate of {rate_hz:g} samples a second")]
     words = f"this computer took the samples in time for only {percent(share)} of the first {watched.of_seconds:.0f} s"
-    return [Live(HELD, "warning", None, f"{words}; touches in the rest are noticed late or not at all", remedy)]
+    return [Remark(HELD, "warning", None, f"{words}; touches in the rest are noticed late or not at all", remedy)]
 
 
-def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Live]]:
+def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Remark]]:
     """Samples of a source as a recording, without those that are not usable, and what is missing in those.
 
     Returns: the recording, None without two usable samples in a row; what was left out, in words.
@@ -339,7 +341,7 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     signals = {name: np.array([getattr(one, name) for one in made]) for name in names}
     first = 1 if stage is not None else 0  # a derived velocity begins with the second sample
     missing = [
-        Live(
+        Remark(
             "not-measured", "fault", joint, f"its {what} is not a number in {share:.0%} of the samples", _measure(what)
         )
         for what, name in (("position", "q"), ("velocity", "dq"), ("torque", "tau"))
@@ -357,7 +359,7 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     if late > 0.1:
         words = f"the time stamps stood still or went back in {late:.0%} of the samples"
         remedy = "let the driver stamp each sample with the time of its measurement, by a clock that nothing sets"
-        missing.append(Live("clock-irregular", "fault", None, words, remedy))
+        missing.append(Remark("clock-irregular", "fault", None, words, remedy))
     if len(rows) < 2:
         return None, missing
     try:
@@ -377,7 +379,7 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
         words = (
             f"{1e9 / float(np.median(steps)):.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
         )
-        return None, [*missing, Live("wrong-rate", "fault", None, words, "set the driver's rate")]
+        return None, [*missing, Remark("wrong-rate", "fault", None, words, "set the driver's rate")]
     return recording, missing
 
 
@@ -436,16 +438,16 @@ def provenance_of(facts: SourceFacts) -> dict[str, Any]:
     return made | ({"servo": servo_facts(servo)} if servo is not None and servo.on else {})
 
 
-def another_arm(known: SourceFacts, now: SourceFacts) -> Live | None:
+def another_arm(known: SourceFacts, now: SourceFacts) -> Remark | None:
     """The fault of a source that is not the arm of this folder; None: it is."""
     why = why_another(known, now)
     if not why:
         return None
     remedy = "restore it, or use another --out"
-    return Live("another-arm", "fault", None, f"the source does not match this folder: {why}", remedy)
+    return Remark("another-arm", "fault", None, f"the source does not match this folder: {why}", remedy)
 
 
-def settled(facts: SourceFacts, lives: Collection[Live]) -> SourceFacts:
+def settled(facts: SourceFacts, lives: Collection[Remark]) -> SourceFacts:
     """The facts after motion has shown that an unknown effort is a current or has another unit: training then fits
     a constant for each joint. Recordings made before and after may be used together."""
     if facts.signal != "unknown" or not any(live.code == "effort-scale" for live in lives):
@@ -565,13 +567,13 @@ def servo_type(joint: ServoConstants) -> str:
     return next(fits, "")
 
 
-def sentence_of(live: Live) -> str:
+def sentence_of(live: Remark) -> str:
     """One line for the terminal."""
     joint, remedy = f"{live.joint}: " if live.joint else "", f"; {live.remedy}" if live.remedy else ""
     return f"{live.severity}: {joint}{live.words}{remedy}"
 
 
-def as_entries(lives: Iterable[Live]) -> list[dict[str, Any]]:
+def as_entries(lives: Iterable[Remark]) -> list[dict[str, Any]]:
     """Entries of findings.json."""
     return [asdict(live) for live in lives]
 

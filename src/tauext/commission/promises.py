@@ -1,4 +1,9 @@
-"""Limits from all calibration motion, also of recordings that the disk no longer holds, and what they promise."""
+"""Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their promise.
+
+A Ledger keeps the peaks of the errors under one model. New motion is added as it comes, so that recordings may be
+dropped; touches that become known later are left out again. Promises makes bundles with limits by these peaks, and
+counts what happens while they monitor.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.bundle_file import load_bundle
 from tauext.commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext.commission.history import Kept, kept_of
 from tauext.commission.keep import LEARNED, segments_of_arm
@@ -24,10 +29,8 @@ from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import provenance
 from tauext.files.synced_file import write_synced
-from tauext.progress import WallTimes
-from tauext.train.calibrate import no_freeze
+from tauext.train.calibrate import no_freeze, set_limits, write_calibrated
 from tauext.train.held_peaks import collect_peaks
-from tauext.train.promised_limits import apply_promised, promised_limits, put_limit_findings
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 
 THREADS = 1
@@ -291,13 +294,10 @@ class Promises:
         bundle = load_bundle(folder.bundles / f"{ledger.base}.tauext")  # without the refit of a morning
         alarm = AlarmConfig()
         try:
-            with no_freeze(bundle):
-                promised = promised_limits(bundle, lambda: [], alarm, THREADS, kept=ledger)
-                promised = replace(promised, suspects=ledger.suspects())
+            promised = set_limits(bundle, ledger, alarm, THREADS, ledger.suspects())
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
             return ledger.renewed()
-        apply_promised(bundle, promised, alarm)
         rate, sentence = promised.budget.rate_per_hour, promised.sentence()
         happened = kept_of(folder.path, active.stem, folder.seconds())
         if raised := raise_limits(bundle, load_bundle(active), happened, rate):
@@ -306,12 +306,11 @@ class Promises:
         facts = json.loads(bundle.provenance or "{}")
         recordings = sorted({name for name, *_ in ledger.places})
         facts["limits"] = promised.facts() | {"sentence": sentence, "recordings": recordings, RAISED: raised}
-        put_limit_findings(bundle, facts)
         settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
         facts["calibrated"] = provenance("tauext commission", settings, seed=None)
         facts["calibrated"]["base"] = ledger.base
         bundle.name = out.stem
-        write_bundle(bundle, out, facts, [], WallTimes({"calibrate": time.monotonic() - started}))
+        write_calibrated(bundle, out, facts, started)
         tests = [one for one in segments if one.set == "test"]
         found, why = self._judged(out.stem, up_to(tests[::-1], MOST_TEST_S)[::-1], not happened.kept)
         numbers = {"promised_per_hour": rate, "sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}

@@ -23,7 +23,7 @@ from tauext.check.finding import Finding
 from tauext.commission.arm_change import STROKES_S, Days, is_changed
 from tauext.commission.connect import (
     HELD,
-    Live,
+    Remark,
     as_data,
     as_entries,
     as_live,
@@ -43,11 +43,11 @@ from tauext.data.free_motion import free_pieces
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import estimate_recording
-from tauext.evaluate.results import EvaluatedBundle, to_json
+from tauext.evaluate.results import EvaluatedBundle
+from tauext.evaluate.results_folder import write_results
 from tauext.files.journal import REPAIR
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
-from tauext.files.provenance import provenance, write_json
 from tauext.files.synced_file import write_synced
 from tauext.progress import SILENT, Show, Silent
 from tauext.robot.model_case import chosen_case
@@ -195,7 +195,7 @@ class Trainer:
             folder.log(f"the stream cannot be checked: {error}")
         self._checked_s = max(seconds, self._checked_s)
 
-    def _report(self, lives: Sequence[Live], known: Sequence[dict[str, Any]]) -> None:
+    def _report(self, lives: Sequence[Remark], known: Sequence[dict[str, Any]]) -> None:
         """Add faults and warnings that the last check did not find to the history."""
         before = {(one.get("code"), one.get("joint"), one.get("severity")) for one in known}
         for live in lives:
@@ -324,10 +324,7 @@ class Trainer:
             "scale": None,
             "recordings": {},
         }
-        run = provenance("tauext commission", {"bundles": list(bundles)}, 0)
-        keep = {key: run[key] for key in ("version", "seed", "machine")}
-        write_json(to_json(replace(results, provenance=source | keep)), out / "results.json")
-        write_json(run, out / "run.json")
+        write_results(results, out, "tauext commission", 0, source)
         found = {one.name: one for one in results.bundles}
         new, before = found[name], found[old[0]] if old else None
         free = new.free_motion

@@ -20,7 +20,7 @@ from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.results import EvaluatedBundle, to_json
+from tauext.evaluate.results import EvaluatedBundle, Results, to_json
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
@@ -93,19 +93,30 @@ def evaluate_bundles(
             kept,
             inject,
         )
-    run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
     judged = [*dataset.split.test, *dataset.split.collisions]
     recordings = {name.removesuffix(".parquet"): fingerprint(dataset.folder / name) for name in judged}
     source = {"command": command, "dataset": dataset.folder.name, "scale": scale, "recordings": recordings}
-    keep = {key: run[key] for key in ("version", "seed", "machine")}
-    write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    content: dict[str, Any] = to_json(replace(results, provenance=source | keep))
-    write_json(content, out / "results.json")
+    content = write_results(results, out, "tauext evaluate", seed, source)
     for bundle in results.bundles:
         if words := unhealthy_words(bundle):
             report.say(words)
     kept.end()
+    return content
+
+
+def write_results(results: Results, out: Path, program: str, seed: int, source: dict[str, Any]) -> dict[str, Any]:
+    """Write results.json and run.json; returns the content of results.json.
+
+    Args:
+        program: that evaluated, for run.json.
+        source: command, dataset, scale and recordings, for results.json.
+    """
+    run = provenance(program, {"bundles": [one.name for one in results.bundles]}, seed)
+    keep = {key: run[key] for key in ("version", "seed", "machine")}
+    write_json(run, out / "run.json")
+    content: dict[str, Any] = to_json(replace(results, provenance=source | keep))
+    write_json(content, out / "results.json")
     return content
 
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
@@ -31,7 +32,7 @@ from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.error_scale import collect_rows, fit_error_scale
-from tauext.train.held_peaks import KeptPeaks, collect_peaks
+from tauext.train.held_peaks import KeptPeaks, PeakStore, collect_peaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits, put_limit_findings
 from tauext.train.suspects import HeldStore, find_suspects, forget, suspect_facts, suspect_sentences
 
@@ -90,15 +91,32 @@ def recalibrate(
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
-    for words in put_limit_findings(loaded, facts):
-        report.say(words)
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
         settings["refit_error_scale"] = True
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
-    write_bundle(loaded, out, facts, history, WallTimes({"calibrate": time.monotonic() - started}))
+    write_calibrated(loaded, out, facts, started, history, report)
     remove_checkpoint(out)
     return promised
+
+
+def write_calibrated(
+    bundle: _core.Bundle,
+    out: Place,
+    facts: dict,
+    started: float,
+    history: Sequence[Any] = (),
+    report: Reporter = SILENT,
+) -> None:
+    """Write a bundle with other limits, and report what is wrong with them.
+
+    Args:
+        facts: its provenance; receives the findings.
+        started: time.monotonic() when the work began.
+    """
+    for words in put_limit_findings(bundle, facts):
+        report.say(words)
+    write_bundle(bundle, out, facts, list(history), WallTimes({"calibrate": time.monotonic() - started}))
 
 
 def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
@@ -207,9 +225,7 @@ def calibrate_bundle(
             labels = [label for folder in folders_of(loaders) for label in read_labels(folder)]
             suspects = find_suspects(bundle, found[-1], lambda k: loaders[k](), labels, threads)
             forget(store.collectors, suspects)
-            promised = promised_limits(bundle, lambda: [], alarm, threads, margins, kept=store, poses=poses)
-    promised = replace(promised, suspects=len(suspects))
-    apply_promised(bundle, promised, alarm)
+    promised = set_limits(bundle, store, alarm, threads, len(suspects), margins, poses)
     for words in suspect_sentences(suspects):
         report.say(words)
     units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
@@ -217,6 +233,31 @@ def calibrate_bundle(
         report.say(moment.sentence(units[moment.joint]))
     facts = promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
     return promised, facts | ({"suspected": suspect_facts(suspects)} if suspects else {})
+
+
+def set_limits(
+    bundle: _core.Bundle,
+    peaks: PeakStore,
+    alarm: AlarmConfig,
+    threads: int,
+    suspects: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    poses: Sequence[Sequence[float]] | None = None,
+) -> PromisedLimits:
+    """Set the bundle's limits by the peaks of its errors; returns their promise.
+
+    Args:
+        suspects: number of suspects that were left out of the peaks.
+        poses: see calibrate_bundle().
+
+    Raises:
+        TrainingError: no free motion, or too few peaks.
+    """
+    with no_freeze(bundle):
+        promised = promised_limits(bundle, lambda: [], alarm, threads, margins, kept=peaks, poses=poses)
+    promised = replace(promised, suspects=suspects)
+    apply_promised(bundle, promised, alarm)
+    return promised
 
 
 def kept_peaks(

@@ -114,11 +114,12 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     left = np.abs(without_load(flight)[:, j])
     size, limit, speed = left[row], limits[row], flight["dq"][row, j]
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
+    slow_rad_s = source.bundle.near_stiction_rad_s
     unit = source.unit(j)
     torque = "tau_ext - load" if event.load_nm[j] else "tau_ext"
     text = (
         f"|{torque}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
-        f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
+        f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row
@@ -138,7 +139,9 @@ def certainty(flight: Flight, source: FlightSource) -> str:
     if not source.has_error_scale or not sigma > 0:
         return ""
     motion = (
-        f"; the motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}" if source.follows else ""
+        f"; the motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}"
+        if source.bundle.error_scale.follows
+        else ""
     )
     return (
         f" It was {abs(event.tau_ext[j] - event.load_nm[j]) / sigma:.2g} times its standard error in free motion of "
@@ -163,11 +166,11 @@ def kind_of_touch(flight: Flight) -> str:
 def place_of_touch(flight: Flight, source: FlightSource) -> str:
     """The touched link and place, from the strongest sample since the event; empty where unknown."""
     event, row = flight["event"], flight["event_row"]
-    if source.chain is None or not source.has_error_scale:
+    if not source.has_error_scale:
         return ""
     signals = (flight[name][row:] for name in ("sigma_nm", "contact_sigma_nm"))
     q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], without_load(flight)[row:]
-    found = strongest_place(PlaceModel(source.chain), q, dq, tau_ext, *signals)
+    found = strongest_place(PlaceModel(source.bundle), q, dq, tau_ext, *signals)
     change = PlaceChange.of(found, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
     if change is None:
         return ""
@@ -198,13 +201,13 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     event = flight["event"]
     j = event.alarm_joint
     residual, unit = event.residual[j], source.unit(j)
-    if source.has_prior:
+    if "prior" not in source.lacking:
         terms = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
-        terms += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
-        terms += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
+        terms += f" and the network {event.network[j]:+.3f} {unit} more" if source.bundle.has_network else ""
+        terms += f", slow changes since training {event.drift[j]:+.3f} {unit}" if "drift" not in source.lacking else ""
         left = f"the remainder is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
         return f"The observer's residual was {residual:+.3f} {unit}, {terms}; {left}."
-    if not source.has_network:
+    if not source.bundle.has_network:
         return f"The observer's residual was {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
     expected = f"the network expected {event.network[j]:+.3f} {unit} of it in free motion"
     return (
@@ -265,7 +268,7 @@ def fault_sample(flight: Flight, source: FlightSource) -> str:
 def signals(flight: Flight, row: int, joint: int, source: FlightSource) -> str:
     """Position, velocity and torque of one joint."""
     q, dq, tau = (flight[name][row, joint] for name in ("q", "dq", "tau"))
-    unit = short(source.torque_units[joint]) if source.torque_units else "Nm"
+    unit = short(source.bundle.torque_units[joint])
     text = f"q = {readable(q, '.5f')} rad, dq = {readable(dq, '+.4f')} rad/s, tau = {readable(tau, '+.3f')}"
     return f"{text} {unit}"
 
@@ -299,14 +302,14 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     Args:
         kept: samples in the flight's recording, (samples,) bool.
     """
-    if source.chain is None or event_kind(flight) == "fault":
+    if event_kind(flight) == "fault":
         return ""
-    if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight has no meaning in another unit
+    if set(source.bundle.estimate_units) != {"N m"}:  # a weight has no meaning in another unit
         return ""
-    frame = load_frame(source.chain)
+    frame = load_frame(source.bundle)
     seen = behind_the_event(flight, kept, source)
     try:
-        found = identify(source.chain, frame, [seen])
+        found = identify(source.bundle, frame, [seen])
     except RecordingError:
         return ""  # too few samples
     if found.verdict != "load" or not found.mass_seen or found.at_bound:
@@ -325,8 +328,7 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
 
 def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
     """The healthy rows from the event on, once r has settled, without a change of the set load."""
-    assert source.chain is not None
-    chain, row = source.chain, flight["event_row"]
+    chain, row = source.bundle, flight["event_row"]
     observer = chain.observer
     recording = as_recording(flight, kept, "flight", source, {})
     place = np.flatnonzero(kept)
@@ -398,11 +400,11 @@ def load_set(flight: Flight, source: FlightSource) -> str:
     changes = carried(flight)
     if all(load.mass == 0 for _, load in changes):
         return ""
-    text = f"The load of the arm was set to {load_words(changes[0][1], source.load_frame)}"
+    text = f"The load of the arm was set to {load_words(changes[0][1], source.bundle.load_settings.frame)}"
     for row, load in changes[1:]:
         since_s = (flight["t_ns"][row] - flight["t_ns"][flight["event_row"]]) * 1e-9
         when = f"{abs(since_s):.3f} s {'before' if since_s < 0 else 'after'} it"
-        text += f", from {when} on {load_words(load, source.load_frame)}"
+        text += f", from {when} on {load_words(load, source.bundle.load_settings.frame)}"
     return f"{text}."
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,80 +17,30 @@ Flight = dict[str, Any]
 """Result of FlightRecorder.take."""
 
 
-class Replayed(Protocol):
-    """Fields of the watched recording or live arm for a flight's files."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def joints(self) -> tuple[str, ...]: ...
-    @property
-    def t_ns(self) -> np.ndarray: ...
-    @property
-    def rate_hz(self) -> float: ...
-    @property
-    def torque_timing(self) -> TorqueTiming: ...
-    @property
-    def robot_sha256(self) -> str: ...
-
-
 @dataclass(frozen=True)
 class FlightSource:
     """Origin of flights, stated in their files beside the samples."""
 
-    recording: str  # name of the recording or of the live source
-    bundle: str  # name of the bundle
+    bundle: _core.Bundle = field(repr=False, compare=False)
+    recording: str
+    """Name of the recording or of the live source."""
     joints: tuple[str, ...]
     start_ns: int
     """Stamp of the very first sample, [ns]; event times count from it."""
     rate_hz: float
     torque_timing: TorqueTiming
-    robot_sha256: str = ""
-    near_stiction_rad_s: float = 0.0
-    has_network: bool = True
-    lacking: frozenset[str] = frozenset()
+    lacking: frozenset[str]
     """Columns of the estimates that the bundle does not have."""
-    follows: bool = False
-    """Whether limits follow the motion."""
+    robot_sha256: str = ""
     command: str = "tauext run"
     """Command that runs the monitor, for provenance."""
-    torque_units: tuple[str, ...] = ()
-    """Units of tau, one a joint; empty: N m."""
-    estimate_units: tuple[str, ...] = ()
-    """Units of the estimates, one a joint; empty: N m."""
-    load_frame: str = ""
-    """Name of the load frame."""
-    chain: _core.Bundle | None = field(default=None, repr=False, compare=False)
-    """The bundle itself, to test whether a load explains an alarm; None: no weighing."""
 
     @classmethod
-    def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
+    def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:
         """Make the origin for a replay of this recording."""
-        return cls(
-            recording=recording.name,
-            bundle=bundle.name,
-            joints=recording.joints,
-            start_ns=int(recording.t_ns[0]),
-            rate_hz=recording.rate_hz,
-            torque_timing=recording.torque_timing,
-            robot_sha256=recording.robot_sha256,
-            near_stiction_rad_s=bundle.near_stiction_rad_s,
-            has_network=bundle.has_network,
-            lacking=lacking(bundle),
-            follows=bundle.error_scale.follows,
-            torque_units=tuple(bundle.torque_units),
-            estimate_units=tuple(bundle.estimate_units),
-            load_frame=bundle.load_settings.frame,
-            chain=bundle,
-        )
-
-    @property
-    def has_prior(self) -> bool:
-        return "prior" not in self.lacking
-
-    @property
-    def has_drift(self) -> bool:
-        return "drift" not in self.lacking
+        r = recording
+        start_ns, without = int(r.t_ns[0]), lacking(bundle)
+        return cls(bundle, r.name, r.joints, start_ns, r.rate_hz, r.torque_timing, without, r.robot_sha256)
 
     @property
     def has_error_scale(self) -> bool:
@@ -98,7 +48,7 @@ class FlightSource:
 
     def unit(self, joint: int) -> str:
         """Unit of the joint's estimate, in its short form."""
-        return short(self.estimate_units[joint]) if self.estimate_units else "Nm"
+        return short(self.bundle.estimate_units[joint])
 
     def time_s(self, t_ns: int) -> float:
         """Time from the start, [s]."""
@@ -187,6 +137,6 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         "alarm_joint": name(event.alarm_joint),
         "dq_rad_s": [number(value) for value in flight["dq"][row]],
         "tau": [number(value) for value in flight["tau"][row]],
-        "torque_units": list(source.torque_units or ("N m",) * len(source.joints)),
-        "estimate_units": list(source.estimate_units or ("N m",) * len(source.joints)),
+        "torque_units": list(source.bundle.torque_units),
+        "estimate_units": list(source.bundle.estimate_units),
     }

@@ -264,13 +264,13 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
         "command": source.command,
         "version": VERSION,
         "recording": source.recording,
-        "bundle": source.bundle,
+        "bundle": source.bundle.name,
         "event": event,
         "dropped_samples": int((~kept).sum()),
         "loads": [{"t_ns": int(flight["t_ns"][row])} | load_facts(load) for row, load in carried(flight)],
         "explanation": text,
     }
-    if "A" in source.torque_units:
+    if "A" in source.bundle.torque_units:
         provenance["torque"] = AMPERES
     wanted = f"{source.recording}-{event['time_s']:.3f}s-{event_kind(flight)}"
     try:

@@ -6,14 +6,14 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import NONE, OK
+from tauext.bundle.estimates import NONE, OK, lacking
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
@@ -220,18 +220,6 @@ FAULT_EVERY_S = 60.0
 """Least time between two flights of one cause, [s]: a busy computer makes hundreds of gaps an hour."""
 
 
-@dataclass(frozen=True)
-class Origin:
-    """The origin of a flight, with the fields of a recording that its files state."""
-
-    name: str
-    joints: tuple[str, ...]
-    t_ns: np.ndarray
-    rate_hz: float
-    torque_timing: TorqueTiming
-    robot_sha256: str = ""
-
-
 class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
@@ -251,10 +239,9 @@ class FlightSink(FlightWriter):
 
     def verdict(self, verdict: Verdict) -> None:
         if self._source is None and self._bundle is not None:
-            timing = cast(TorqueTiming, self._bundle.observer.timing.name)
-            rate_hz = 1e9 / self._bundle.observer.sample_period_ns
-            first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
-            self._source = replace(FlightSource.of(self._bundle, first), command="tauext monitor")
+            made, without = self._bundle.observer, lacking(self._bundle)
+            of_arm = (self._joints, verdict.t_ns, 1e9 / made.sample_period_ns, cast(TorqueTiming, made.timing.name))
+            self._source = FlightSource(self._bundle, self._name, *of_arm, without, command="tauext monitor")
 
     def every_second(self, report: LoopReport) -> None:
         pass

@@ -37,6 +37,7 @@ from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
 from tauext.monitor.events import episode_facts, rounded
 from tauext.monitor.exchange import Exchanged
+from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.record_sink import RecordCount
 from tauext.monitor.source import settings_of
@@ -278,6 +279,21 @@ def test_an_answer_is_known_to_the_next_process(tmp_path):
     keeper.end()
     assert keeper.event(1)["answer"] == "nothing" and keeper.unanswered is None
     assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
+
+
+def test_a_flight_belongs_to_its_alarm_by_number(tmp_path):
+    folder = CommissionFolder.open(tmp_path / "cell", create=True)
+    for number in (1, 2):
+        folder.append_event({"id": number, "epoch": 1, "t_ns": 5, "held_ns": 9, "level": "collision"})
+    keeper = EpisodeKeeper(folder, lambda: 1, print)
+    for number, name in ((1, "one"), (3, "no such alarm"), (0, "fault")):
+        keeper.flown(FlightNews("collision", 7, tmp_path / f"{name}.parquet", None, number))
+    keeper.flown(FlightNews("collision", 7, None, "a full disk", 2))
+    keeper.end()
+    assert [(one["id"], one.get("flight")) for one in read_events(folder.path)] == [(1, "one.parquet"), (2, None)]
+    assert [(one.id, one.from_ns, one.to_ns, one.answer) for one in read_labels(folder.path)] == [
+        (1, 5, 9, "unanswered"), (2, 5, 9, "unanswered")
+    ]  # fmt: skip
 
 
 def test_an_event_that_cannot_be_written_ends_no_thread(tmp_path):

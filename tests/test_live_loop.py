@@ -430,11 +430,12 @@ def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tm
     recording = pushed(pushes=((2.0, 1, -4.5),))
     looped(bundle, ReplaySource(recording, None), sink, profiles=profiles, recorder=recorder)
     (news,) = sink.news()
-    assert news.what == "contact" and news.error is None and news.path.name.startswith("script-1-2-2.0")
+    assert (news.what, news.number, news.error) == ("contact", 1, None)
+    assert news.path.name.startswith("script-1-2-2.0")
     text = news.path.with_suffix(".txt").read_text()
     assert "over its contact limit of 3.000 Nm" in text  # 1 Nm times 3
     flight = load_recording(news.path)
-    assert flight.provenance["command"] == "tauext monitor"
+    assert flight.provenance["command"] == "tauext monitor" and flight.provenance["event"]["number"] == 1
     row = int(np.searchsorted(recording.t_ns, flight.t_ns[0]))
     np.testing.assert_array_equal(flight.q, recording.q[row : row + flight.samples])
 
@@ -447,7 +448,7 @@ def test_a_gap_in_a_live_loop_has_a_flight(bundle, tmp_path):
     loop = Loop(bundle, ScriptedSource(script), [sink], recorder=recorder)
     loop.run()
     (news,) = sink.news()
-    assert news.what == "fault" and "gap" in news.path.with_suffix(".txt").read_text()
+    assert (news.what, news.number) == ("fault", 0) and "gap" in news.path.with_suffix(".txt").read_text()
 
 
 def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp_path):

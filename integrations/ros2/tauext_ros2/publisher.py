@@ -19,8 +19,10 @@ from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, tor
 from tauext.bundle.estimates import OK as HEALTHY
 from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
+from tauext.monitor.changes import HealthChange
 from tauext.monitor.control_lines import alarm_of_text
-from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
+from tauext.monitor.events import health_words
+from tauext.monitor.explanation import MEANING, WORTH_TELLING, unseen_words
 from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
 from tauext.monitor.source import Sample
 from tauext_ros2.messages import (
@@ -69,7 +71,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         joint = int(estimates["alarm_joint"][0])
         texts.append(ALARMS[alarm] + (f" on {joints[joint]}" if joint >= 0 else ""))
     if health != HEALTHY:
-        texts.append(f"{HEALTHS[health]}: {in_words(causes)}" if causes else HEALTHS[health])
+        texts.append(health_words(HealthChange(0, 0, health, health, int(estimates["causes"][0]), -1), joints))
     if drifted:
         texts.append(f"drift at its bound on {', '.join(drifted)}: record and retrain")
     unfamiliar = float(estimates["unfamiliar"][0])

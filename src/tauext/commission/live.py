@@ -38,7 +38,6 @@ PAST_S, PAST_EVERY = 20.0, 20
 PAST_POINT_NS = 100_000_000
 MOST_FRESH = 4000
 """Samples of which the thread has not drawn a point yet."""
-MOST_RISES = 100
 
 
 def finite(value: float) -> float | None:
@@ -104,7 +103,7 @@ def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
 
 
 class LiveSink:
-    """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict and those of rises.
+    """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict, and that of a rise.
 
     A reader that is slow loses lines. Without a loop, lines still come, so that a page can tell waiting from silence.
     """
@@ -123,8 +122,8 @@ class LiveSink:
         self._units: tuple[str, ...] = ()
         self._newest: Verdict | None = None
         self._sample: Sample | None = None
-        self._rises: deque[Verdict] = deque(maxlen=MOST_RISES)
-        """Verdicts with the rise of an alarm, for the thread."""
+        self._rise: Verdict | None = None
+        """The newest rise of an alarm that the thread has not shown yet."""
         self._curves: Curves | None = None
         self._lines = 0
         self._report: LoopReport | None = None
@@ -159,7 +158,7 @@ class LiveSink:
         if verdict.sample is not None:
             self._sample = verdict.sample
         if any(one.t_ns == verdict.t_ns for one in verdict.news):
-            self._rises.append(verdict)
+            self._rise = verdict
             self._wake.set()
 
     def every_second(self, report: LoopReport) -> None:
@@ -190,9 +189,7 @@ class LiveSink:
         while not self._ended:
             self._wake.wait(max(0.0, due - time.monotonic()))
             self._wake.clear()
-            shown = None
-            while self._rises:
-                shown = self._rises.popleft()
+            shown, self._rise = self._rise, None
             if shown is None and time.monotonic() < due:
                 continue
             due = time.monotonic() + PERIOD_S

@@ -388,7 +388,7 @@ class Commission:
             self._again = False
             return True
         if not self._by:
-            self._has_ended, self.steering.loop = True, None  # an ended loop stores no answer
+            self._has_ended, self.steering.loop = True, None  # an ended loop takes no answer
             self._note(f"{source.name} has ended; training continues with what was recorded until Ctrl-C")
             self._asked_to_stop.wait()
         return False

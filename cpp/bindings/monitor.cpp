@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <optional>
 
 #include "arrays.hpp"
@@ -119,6 +120,11 @@ class Columns {
     load_phase_.push_back(static_cast<std::uint8_t>(e.load_phase));
     load_found_ns_.push_back(e.load_found_ns);
   }
+  // With torques that do not exist.
+  void add_unknown(Estimate e) {
+    for (const Torque& torque : kTorques) (e.*torque.values).fill(std::numeric_limits<double>::quiet_NaN());
+    add(e);
+  }
   ArrayDict take() {
     const std::size_t N = health_.size(), n = joints_;
     ArrayDict out;
@@ -226,6 +232,17 @@ std::vector<double> load_rows(const std::vector<Load>& loads) {
     rows.insert(rows.end(), load.inertia.begin(), load.inertia.end());
   }
   return rows;
+}
+
+// What run() returns of one sample without a monitor: no torque is known.
+ArrayDict no_estimate(int joints, Health health) {
+  if (joints < 1 || joints > kMaxJoints) throw Error("joints must be 1 to " + std::to_string(kMaxJoints));
+  Estimate e;
+  e.joints = joints;
+  e.health = health;
+  Columns said(1, static_cast<std::size_t>(joints));
+  said.add_unknown(e);
+  return said.take();
 }
 
 using FlightDict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -377,6 +394,8 @@ void bind_estimate(nb::module_& m) {
 
 void bind_monitor(nb::module_& m) {
   bind_estimate(m);
+  m.def("no_estimate", &no_estimate, nb::arg("joints"), nb::arg("health"),
+        "What Monitor.run() returns of one sample where nothing is monitored: torques are NaN, no alarm.");
   struct Recorder : FlightRecorder {  // with the number of joints
     std::size_t joints;
     Recorder(int n, std::int64_t period_ns, const FlightSettings& s)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import OK, STALE, WARMING_UP
+from tauext.bundle.estimates import OK
 from tauext.data.servo import servo_facts
 from tauext.errors import TauextError
 from tauext.monitor.source import SourceSettings, settings_of
@@ -26,36 +26,21 @@ from tauext.monitor.touch_place import PlaceFinder
 
 # --- Before any bundle.
 
-_FLOATS = (
-    *("residual", "prior", "network", "drift", "uncertainty", "tau_ext", "doubt", "sigma_nm", "contact_sigma_nm"),
-    *("limit_scale", "limit_nm", "contact_limit_nm", "margin_nm", "load_nm"),
-)
-_BITS = ("near_stiction", "drift_saturated")
-_SCALARS = {
-    **dict.fromkeys(("unfamiliar", "load_kg", "load_error_kg"), np.float64),
-    **dict.fromkeys(("unseen", "alarm", "held_alarm", "touch", "touch_over", "detection", "load_phase"), np.uint8),
-    **dict.fromkeys(("unseen_joint", "unseen_other", "cause_joint", "alarm_joint"), np.int8),
-    **dict.fromkeys(("causes", "alarm_number"), np.uint32),
-    **dict.fromkeys(("touch_t_ns", "load_found_ns"), np.int64),
-}
 NO_BUNDLE = "nothing is monitored yet: there is no bundle"
 
 
-@dataclass(frozen=True)
 class _NoEstimate:
     """The last estimate of a NoMonitor."""
 
-    alarm = _core.Alarm.none
-    alarm_t_ns = 0
-    touch_over = True
-    load_phase = _core.LoadPhase.none
-    health: _core.Health
+    alarm, load_phase, health = _core.Alarm.none, _core.LoadPhase.none, _core.Health.warming_up
+    alarm_t_ns, touch_over = 0, True
 
 
 class NoMonitor:
     """Stands in for _core.Monitor until there is a bundle: torques are NaN, health is never ok, no alarm is raised."""
 
     why_no_wrench = why_not_expected = why_no_weighing = why_no_load = lambda self, *arguments: NO_BUNDLE
+    last = _NoEstimate
     samples = bridged_ticks = restarts = alarms = 0
     weighing = False
     load = _core.Load(0.0)
@@ -65,18 +50,15 @@ class NoMonitor:
         self.joints, self.joint_names, self.sample_period_ns = n, list(arm.joints), arm.period_ns
         self.torque_units = self.estimate_units = list(arm.torque_units or ["N m"] * n)
         self.limit_factors = (np.ones(n), np.ones(n))
-        row: dict[str, np.ndarray] = {name: np.full((1, n), np.nan) for name in _FLOATS}
-        row |= {name: np.zeros((1, n), dtype=np.uint8) for name in _BITS}
-        row |= {name: np.full(1, -1 if "joint" in name or "other" in name else 0, t) for name, t in _SCALARS.items()}
-        self._rows = {h: row | {"health": np.full(1, h, dtype=np.uint8)} for h in (WARMING_UP, STALE)}
-        self.last = _NoEstimate(_core.Health.warming_up)
+        self._waiting = _core.no_estimate(n, _core.Health.warming_up)
+        self._missing = _core.no_estimate(n, _core.Health.stale)
 
     def run(self, *signals: object) -> dict[str, np.ndarray]:
         """One row, which all calls share."""
-        return self._rows[WARMING_UP]
+        return self._waiting
 
     def run_missing(self, now_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
-        return self._rows[STALE]
+        return self._missing
 
     def set_temperature(self, celsius: np.ndarray) -> None:
         pass

@@ -48,7 +48,7 @@ def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
         raise RecordingError(f"{path}: cannot be written ({cause})") from error
 
 
-# --- The Parquet file of a recording, specified in docs/reference/files.md.
+# --- The Parquet file of a recording, specified in docs/reference/files-data.md.
 
 
 if TYPE_CHECKING:

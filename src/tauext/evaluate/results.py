@@ -1,4 +1,4 @@
-"""results.json: dataclasses whose fields are its keys, their reader and writer; contract: docs/reference/files.md."""
+"""results.json: dataclasses whose fields are its keys, reader and writer; contract: docs/reference/files-results.md."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def evaluate_bundles(
 ) -> dict[str, Any]:
     """Write results.json, estimates, run.json and wall times for named bundles.
 
-    Returns the content of results.json; docs/reference/files.md describes it.
+    Returns the content of results.json; docs/reference/files-results.md describes it.
 
     A killed or interrupted run continues after the last recording that it finished.
 

@@ -38,7 +38,7 @@ def test_the_options_of_every_command_are_found():
         (2, "tauext: error: one\ntauext: error: two\n", "2 lines of error"),
         (2, "said something else\n", "0 lines of error"),
         (1, "Traceback (most recent call last):\n", "traceback"),
-        (1, "", "exit status 1 belongs to check and fleet run alone"),
+        (1, "", "exit status 1 belongs to check alone"),
         (3, "", "exit status 3"),
         (-11, "", "crashed with signal 11 (SIGSEGV)"),
         (0, "x.py:3: RuntimeWarning: overflow\n", "beside its own words"),

@@ -4,8 +4,8 @@
     python tests/hostile --repeat 1234             # one case again, with all that it says
 
 A case is drawn from seed and number, and runs in a process of its own with limits on memory, files and threads, as
-nobody where the program runs as root. It must end with status 0, 2, 130 after Ctrl-C, or 1 of `check` and `fleet
-run`; without a traceback or a crash; refused in one line; within 10 s, or within 10 s of a Ctrl-C where long work was
+nobody where the program runs as root. It must end with status 0, 2, 130 after Ctrl-C, or 1 of `check`;
+without a traceback or a crash; refused in one line; within 10 s, or within 10 s of a Ctrl-C where long work was
 asked for; and without a file that is half written, or any file where it was refused.
 """
 

@@ -27,10 +27,8 @@ PATIENCE_S = 10.0
 """A command that was not asked for long work ends within this."""
 WORKING_S = 5.0
 """One that was is interrupted after this, and must end within PATIENCE_S from then."""
-WAITS = ("commission", "monitor", "run", "fleet run")
-"""Commands that may rightly wait: for samples, for people, for the time of the recording, for workers."""
-WORKERS = 3
-"""Times as long for a fleet: its workers are other processes, and how long these waited for a core is not seen."""
+WAITS = ("commission", "monitor", "run")
+"""Commands that may rightly wait: for samples, for people, for the time of the recording."""
 MEMORY = 4 << 30
 LARGEST_FILE = 1 << 28
 MOST_THREADS = 400
@@ -38,7 +36,7 @@ NOBODY = 65534
 KEEP_CAPABILITIES, AMBIENT, AMBIENT_RAISE = 8, 47, 2  # of Linux: prctl
 CAPABILITY_VERSION, READ_ALL = 0x20080522, 1 << 2  # capset; DAC_READ_SEARCH
 STATUSES = (0, 1, 2, 130)
-KEEP = {"commission", "run", "monitor", "simulate", "evaluate", "reproduce", "fleet run"}
+KEEP = {"commission", "run", "monitor", "simulate", "evaluate", "reproduce"}
 """Commands that write many files: what was whole before the one that failed stays, and the same command goes on."""
 
 
@@ -228,7 +226,7 @@ def hurry(worker: Worker, now: float) -> Ending | None:
     starved_s = worker.starved_s - worker.starved_before_s
     if worker.interrupted is None:
         allowed_s = WORKING_S if case.kind == "options" else PATIENCE_S
-        if now - worker.began - starved_s > allowed_s * (WORKERS if case.command == "fleet run" else 1):
+        if now - worker.began - starved_s > allowed_s:
             os.kill(worker.pid, signal.SIGINT)
             worker.interrupted, worker.starved_before_s = now, worker.starved_s
         return None
@@ -272,8 +270,8 @@ def faults_of(case: Case, status: int, error: str, out: str, place: Path) -> lis
         faults.append(f"crashed with signal {-status} ({signal.Signals(-status).name})")
     elif status not in STATUSES:
         faults.append(f"exit status {status}")
-    if status == 1 and case.command not in ("check", "fleet run"):
-        faults.append("exit status 1 belongs to check and fleet run alone")
+    if status == 1 and case.command != "check":
+        faults.append("exit status 1 belongs to check alone")
     if "Traceback (most recent" in error + out:
         faults.append("traceback")
     if native := re.search(r"\w+Warning: |Exception ignored|HDF5-DIAG|terminate called|RuntimeError|WARNING", error):

@@ -40,13 +40,13 @@ class FleetConfig:
     """Workers of a fleet's tasks. No output depends on it."""
 
     workers: int = 0
-    """Worker processes on this machine, one thread each; 0: one a core."""
+    """Worker processes of Ray on this machine, one thread each; 0: one a core."""
     retries: int = 2
     """Number of retries of a task whose worker died (killed, out of memory, node lost). A task that reports an error is
     not retried."""
     ray: str | None = None
-    """Ray cluster that runs the tasks: its address, auto for this machine's, or local to start one with --workers cores
-    (needs tauext-fleet[ray]). None: processes of this machine."""
+    """Address of the Ray cluster that runs the tasks; auto: the one that this machine belongs to. None: workers of this
+    machine alone."""
     task_gb: float = 0.0
     """Memory that a task reserves on a node of Ray, [GB]; 0: none, and only cores count."""
 
@@ -55,9 +55,6 @@ class FleetConfig:
         require(0 <= self.workers <= MOST_THREADS, "workers", self.workers, most)
         require(0 <= self.retries <= 100, "retries", self.retries, "0 to 100")
         require(0 <= self.task_gb <= 1e6, "task_gb", self.task_gb, ">= 0, at most 1e6")
-        distributed = self.ray is not None
-        require(distributed or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
-        own = not distributed or self.ray == "local"
-        require(
-            own or self.workers == 0, "workers", self.workers, "left out with a cluster, whose nodes have their own"
-        )
+        own, words = self.ray is None, "left out with a cluster, whose nodes have their own"
+        require(not own or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
+        require(own or self.workers == 0, "workers", self.workers, words)

@@ -35,6 +35,9 @@ def open_watcher(as_json: bool) -> JsonLines | TextLines:
 class JsonLines(PrintContext):
     """On stdout, an object an event; docs/reference/files.md lists them."""
 
+    def __init__(self) -> None:
+        self._out = sys.stdout  # also while Ray has another one
+
     def reading(self, done: int, of: int) -> None:
         pass
 
@@ -47,7 +50,7 @@ class JsonLines(PrintContext):
         self._write("begun", arm=task.arm, stage=task.stage)
 
     def ended(self, ended: Ended) -> None:
-        self._write("task", **about(ended.task), **outcome_facts(ended.outcome), begun=ended.begun)
+        self._write("task", **about(ended.task), **outcome_facts(ended.outcome))
 
     def finish(self, end: FleetEnd) -> None:
         failed = [{"arm": arm, "stage": stage, "reason": why} for arm, stage, why in end.book.failures()]
@@ -55,7 +58,7 @@ class JsonLines(PrintContext):
         self._write("summary", **counts, failures=failed, file=str(end.book.path))
 
     def _write(self, event: str, **content: Any) -> None:
-        print(json.dumps({"event": event} | content, allow_nan=False), flush=True)
+        print(json.dumps({"event": event} | content, allow_nan=False), file=self._out, flush=True)
 
 
 class TextLines(PrintContext):
@@ -175,10 +178,9 @@ def outcome_facts(outcome: Outcome) -> dict[str, Any]:
 def task_line(ended: Ended) -> str:
     """`cell-01 train: done in 12.3 s`."""
     task, outcome = ended.task, ended.outcome
-    again = f", begun {ended.begun} times" if ended.begun > 1 and outcome.state != "failed" else ""
     if outcome.state == "done":
-        return f"{task.arm} {task.stage}: done in {outcome.seconds:.1f} s{again}"
-    return f"{task.arm} {task.stage}: {outcome.state}: {outcome.reason}{again}"
+        return f"{task.arm} {task.stage}: done in {outcome.seconds:.1f} s"
+    return f"{task.arm} {task.stage}: {outcome.state}: {outcome.reason}"
 
 
 def summary_lines(end: FleetEnd) -> list[str]:

@@ -14,7 +14,7 @@ from tauext_fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
 from tauext_fleet.config import FleetConfig
 from tauext_fleet.fleet_file import Fleet
 from tauext_fleet.task import Outcome, Task, clean, locked
-from tauext_fleet.workers import Begun, Ended, LocalWorkers, Workers, cores
+from tauext_fleet.workers import Ended, Workers
 
 
 class Watcher(Protocol):
@@ -27,7 +27,7 @@ class Watcher(Protocol):
         """All tasks, done or not."""
 
     def begun(self, task: Task) -> None:
-        """A worker has begun it or, with Ray, will."""
+        """A worker of this machine begins it; a cluster has it in its queue."""
 
     def ended(self, ended: Ended) -> None:
         """It is done, refused or failed."""
@@ -85,7 +85,7 @@ def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -
     faults are reported early.
 
     Raises:
-        ConfigError: a folder that cannot be written to, another driver in it, no Ray.
+        ConfigError: a folder that cannot be written to, another driver in it, no cluster.
         KeyboardInterrupt: as it came; what was finished is kept.
     """
     expect_folder(out)
@@ -100,7 +100,7 @@ def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -
         try:
             first = [task for one in plan if (task := progress.next_of(one.arm.name)) is not None]
             if first:
-                with workers_of(config, len(first), watcher.begun) as workers:
+                with Workers(config, len(first), watcher.begun) as workers:
                     work_off(first, workers, progress, watcher)
         finally:
             book.write()
@@ -131,12 +131,3 @@ def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watche
         if following is not None:
             workers.submit(following)
             under_way += 1
-
-
-def workers_of(config: FleetConfig, most: int, begun: Begun) -> Workers:
-    """most: largest number of simultaneous tasks."""
-    if config.ray is None:
-        return LocalWorkers(min(config.workers or cores(), most), config.retries, begun)
-    from tauext_fleet.ray_workers import RayWorkers
-
-    return RayWorkers(config.ray, config.workers, config.retries, config.task_gb, begun)

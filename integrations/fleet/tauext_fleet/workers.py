@@ -1,25 +1,30 @@
-"""Workers of a fleet: their interface, and processes of this machine."""
+"""Workers of a fleet: Ray runs its tasks on this machine or a cluster, and repeats those whose worker died."""
 
 from __future__ import annotations
 
-import json
+import logging
 import os
-import selectors
-import subprocess
+import secrets
+import signal
 import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import IO, Protocol, Self
+from contextlib import ExitStack, redirect_stdout
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
-from tauext_fleet.task import LONGEST_REASON, Outcome, Task
+from tauext.errors import ConfigError
+from tauext_fleet.config import FleetConfig
+from tauext_fleet.stages import STAGES
+from tauext_fleet.task import Outcome, Task, expect_json, one_line, run_task
 
-# --- The interface of workers: processes of this machine, or Ray.
-
-
-Begun = Callable[[Task], None]
-"""Called when a worker begins a task, where that is known."""
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+"""Environment variables of libraries that would use all cores."""
+STORE_BYTES = 100_000_000
+"""Memory of a local Ray for objects: a task and its outcome are some letters."""
+LONGEST_FOLDER = 24
+"""Most bytes of a folder in which Ray's sockets have names that the system accepts, 107 bytes in all."""
 
 
 @dataclass(frozen=True)
@@ -28,29 +33,11 @@ class Ended:
 
     task: Task
     outcome: Outcome
-    begun: int = 1
-    """How often it was begun, where that is known."""
 
 
-class Workers(Protocol):
-    """A context manager: no worker runs after its exit."""
-
-    def __enter__(self) -> Workers: ...
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def submit(self, task: Task) -> None:
-        """Queue a task; free workers take tasks in the order of these calls where they can choose."""
-
-    def wait(self) -> Ended:
-        """Wait for the next task to end, in any order; at least one must be running."""
-
-
-# --- Workers that are processes of this machine: a task whose worker dies is restarted.
-
-
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-"""Environment variables of libraries that would use all cores."""
+def remote_task(task: dict[str, Any]) -> dict[str, Any]:
+    """Entry point of a worker: task and outcome are plain JSON."""
+    return asdict(run_task(expect_json(task), STAGES))
 
 
 def cores() -> int:
@@ -58,127 +45,94 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@dataclass(eq=False)
-class Process:
-    """One worker."""
+def local_environment() -> dict[str, str]:
+    """Variables of a Ray that no other computer or user can reach, and whose workers have a thread each."""
+    return dict.fromkeys(ONE_THREAD, "1") | {
+        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # all sockets at 127.0.0.1; their name is older than their effect
+        "RAY_AUTH_MODE": "token",
+        "RAY_AUTH_TOKEN": secrets.token_hex(16),
+        "RAY_worker_niceness": "0",  # else a busy machine never gets to them
+    }
 
-    process: subprocess.Popen[str]
-    errors: IO[str]
-    """File of its stderr."""
-    task: Task | None = None
 
-    @classmethod
-    def start(cls) -> Process:
-        environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
-        errors = tempfile.TemporaryFile("w+")
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tauext_fleet.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            env=environment,
-            start_new_session=True,  # a Ctrl-C on the terminal is the driver's alone
-        )
-        return cls(process, errors)
+class Workers:
+    """A context: no worker of a local Ray runs after its exit, and no task of this job on a cluster."""
 
-    @property
-    def answers(self) -> IO[str]:
-        assert self.process.stdout is not None
-        return self.process.stdout
+    def __init__(self, config: FleetConfig, most: int, begun: Callable[[Task], None]):
+        """Start Ray on this machine, or connect to a cluster.
 
-    def give(self, task: Task) -> None:
-        assert self.process.stdin is not None
-        self.task = task
+        Args:
+            most: largest number of simultaneous tasks.
+            begun: called when a task is given to a worker of this machine, or to a cluster.
+
+        Raises:
+            ConfigError: there is no such cluster, or Ray cannot start here.
+        """
+        local = config.ray is None
+        workers = min(config.workers or cores(), most) if local else most
+        self._begun, self._free = begun, workers
+        self._waiting: deque[Task] = deque()
+        self._tasks: dict[Any, Task] = {}
+        self._at_exit = ExitStack()
+        self._at_exit.enter_context(redirect_stdout(sys.stderr))  # Ray prints of workers that died, in between
+        # Ray reads its environment when it is imported: no usage reports to another host, and a task that needs more
+        # memory than there is fails in the end.
+        os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_task_oom_retries": str(config.retries)}
+        given: dict[str, Any] = {"address": config.ray}
+        if local:
+            os.environ |= local_environment()
+            folder = self._at_exit.enter_context(short_folder())
+            given = {"address": "local", "num_cpus": workers, "include_dashboard": False, "_temp_dir": folder}
+            given |= {"object_store_memory": STORE_BYTES}
+        import ray
+
+        self._ray: Any = ray
+        at_end = signal.getsignal(signal.SIGTERM)
         try:
-            self.process.stdin.write(json.dumps(task.to_json()) + "\n")
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            pass  # it is dead; its end of file is detected later
-
-    def end(self) -> str:
-        """Kill it, if it lives; how it ended, for a person."""
-        self.process.kill()
-        status = self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
-            try:
-                if pipe is not None:
-                    pipe.close()
-            except OSError:
-                pass
-        self.errors.seek(0)
-        last = ([line.strip() for line in self.errors if line.strip()] or [""])[-1][:LONGEST_REASON]
-        self.errors.close()
-        how = f"signal {-status} (killed, or out of memory)" if status < 0 else f"status {status}"
-        return f"{how}: {last}" if last else how
-
-
-@dataclass
-class LocalWorkers:
-    """A context manager of so many processes, each started when there is work for it."""
-
-    workers: int
-    retries: int
-    begun: Begun
-    _waiting: deque[Task] = field(default_factory=deque)
-    _processes: list[Process] = field(default_factory=list)
-    _deaths: dict[str, int] = field(default_factory=dict)
-    """Of workers, by the folder of the task they were at."""
-    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **given)
+        except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+            self._at_exit.close()
+            away = f"--ray {config.ray}: no cluster there lets us in; one with tokens wants Ray's own settings for them"
+            why = "Ray cannot start on this machine" if local else away
+            raise ConfigError(one_line(f"{why} ({error})")) from error
+        signal.signal(signal.SIGTERM, at_end)  # Ray's own handler ends in an abort of its core
+        self._at_exit.callback(ray.shutdown)
+        claim: dict[str, Any] = {"memory": round(config.task_gb * 1e9)} if config.task_gb else {}
+        self._remote = ray.remote(num_cpus=1, max_retries=config.retries, **claim)(remote_task)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        for one in self._processes:
-            one.end()
-        self._processes.clear()
-        self._selector.close()
+        self._at_exit.close()
 
     def submit(self, task: Task) -> None:
+        """Queue a task; workers take tasks in the order of these calls."""
         self._waiting.append(task)
         self._give()
 
     def wait(self) -> Ended:
-        while True:
-            for key, _ in self._selector.select():
-                one: Process = key.data
-                task, line = one.task, one.answers.readline()
-                one.task = None
-                if line.endswith("\n"):
-                    self._give()
-                    assert task is not None
-                    return Ended(task, Outcome(**json.loads(line)), self._deaths.get(task.folder, 0) + 1)
-                how = self._bury(one)
-                ended = None if task is None else self._again(task, how)
-                self._give()
-                if ended is not None:
-                    return ended
-
-    def _bury(self, one: Process) -> str:
-        self._selector.unregister(one.answers)
-        self._processes.remove(one)
-        return one.end()
-
-    def _again(self, task: Task, how: str) -> Ended | None:
-        """A task whose worker died comes first, unless too many died of it."""
-        deaths = self._deaths[task.folder] = self._deaths.get(task.folder, 0) + 1
-        if deaths <= self.retries:
-            self._waiting.appendleft(task)
-            return None
-        times = "once" if deaths == 1 else f"{deaths} times"
-        return Ended(task, Outcome("failed", f"its worker died {times}, by {how}"), deaths)
+        """Wait for the next task to end, in any order; at least one must be running."""
+        (ready, *_), _ = self._ray.wait(list(self._tasks), num_returns=1)
+        task = self._tasks.pop(ready)
+        self._free += 1
+        self._give()
+        try:
+            return Ended(task, Outcome(**self._ray.get(ready)))
+        except self._ray.exceptions.RayError as error:
+            words = str(error).strip().splitlines()
+            return Ended(task, Outcome("failed", one_line(f"Ray gave it up: {type(error).__name__}: {words[0]}")))
 
     def _give(self) -> None:
-        """Give tasks to free workers; start a new process if there are too few."""
-        while self._waiting:
-            free = next((one for one in self._processes if one.task is None), None)
-            if free is None:
-                if len(self._processes) >= self.workers:
-                    return
-                free = Process.start()
-                self._processes.append(free)
-                self._selector.register(free.answers, selectors.EVENT_READ, free)
+        while self._waiting and self._free:
             task = self._waiting.popleft()
-            free.give(task)
-            self.begun(task)
+            self._free -= 1
+            self._tasks[self._remote.remote(task.to_json())] = task
+            self._begun(task)
+
+
+def short_folder() -> tempfile.TemporaryDirectory[str]:
+    """A new folder for Ray's sockets and logs, below /tmp where the usual place has a long name."""
+    usual = tempfile.gettempdir()
+    short = usual.isascii() and len(usual) <= LONGEST_FOLDER
+    return tempfile.TemporaryDirectory(prefix="tauext-", dir=usual if short else "/tmp", ignore_cleanup_errors=True)

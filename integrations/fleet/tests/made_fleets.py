@@ -98,7 +98,7 @@ QUICKER: dict[str, Stage] = dict.fromkeys(STAGES, says_what_it_was_told)
 def workers_here(monkeypatch, stages: Mapping[str, Stage]) -> Here:
     """Whoever runs a fleet gets these."""
     here = Here(stages)
-    monkeypatch.setattr(run, "workers_of", lambda *settings: here)
+    monkeypatch.setattr(run, "Workers", lambda *settings: here)
     return here
 
 

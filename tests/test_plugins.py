@@ -12,7 +12,7 @@ import pytest
 from made_bundles import watching_bundle
 
 from tauext import plugins
-from tauext.cli import main
+from tauext.cli import in_plain_words, main
 from tauext.errors import ConfigError
 from tauext.sources.open import open_source
 
@@ -86,6 +86,8 @@ def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", lambda group: ())
     with pytest.raises(ConfigError, match="--source ros2: 'ros2' comes with the package tauext-ros2: pip install"):
         open_source("ros2", {})
+    assert in_plain_words("Unrecognized options: --ros2.topic, /a") == plugins.how_to_add("ros2")
+    assert in_plain_words("Unrecognized options: --alarm.topic, /a") == "Unrecognized options: --alarm.topic, /a"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,9 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Literal
+from functools import cache
+from typing import Any
+from weakref import WeakSet
 
 from tauext.errors import ConfigError
 
@@ -32,7 +34,7 @@ except ImportError as missing:
     raise ConfigError(f"ROS 2 needs CycloneDDS ({missing}): pip install cyclonedds") from missing
 
 from tauext_ros2.messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
-from tauext_ros2.settings import Ros2Settings
+from tauext_ros2.settings import Durability, Reliability, Ros2Settings
 
 # --- Conditions: current input problems as text, and those not yet reported.
 
@@ -80,49 +82,34 @@ TRACING = (
 )
 
 
-class Unreadable:
-    """Counts for one domain since it was first used in this process."""
+@cache
+def unreadable(domain_id: int) -> Counter[str]:
+    """Undecodable messages of a domain by topic, whose name begins with /, counted from the first call on.
 
-    _of_domain: dict[int, Unreadable] = {}
-    _beginning = threading.Lock()
+    Call it before the domain's first participant is created. Nothing is counted where the trace is redirected already:
+    the process uses the domain, or CYCLONEDDS_URI has another trace.
+    """
+    counts: Counter[str] = Counter()
+    own = os.environ.get(CONFIGURATION, "")
+    if sys.platform != "linux" or "Tracing" in own:
+        return counts
+    reads, writes = os.pipe()
+    try:
+        domain = Domain(domain_id, ",".join(filter(None, (own, TRACING.format(writes)))))
+    except DDSException:  # the process already uses the domain, or CYCLONEDDS_URI is wrong, which a node reports
+        os.close(reads)
+        return counts
+    finally:
+        os.close(writes)  # the library has opened it by its path
 
-    def __init__(self, domain_id: int):
-        self._counts: Counter[str] = Counter()
-        self._domain: Domain | None = None
-        if sys.platform == "linux":
-            self._listen(domain_id)
-
-    @classmethod
-    def of(cls, domain_id: int) -> Unreadable:
-        """The counts of a domain. Call it before the domain's first participant is created."""
-        with cls._beginning:
-            if domain_id not in cls._of_domain:
-                cls._of_domain[domain_id] = cls(domain_id)
-            return cls._of_domain[domain_id]
-
-    def count(self, topic: str) -> int:
-        """Number of undecodable messages of a topic, whose name begins with /."""
-        return self._counts[topic]
-
-    def _listen(self, domain_id: int) -> None:
-        own = os.environ.get(CONFIGURATION, "")
-        if "Tracing" in own:
-            return  # the user redirects the library's trace
-        reads, writes = os.pipe()
-        try:
-            self._domain = Domain(domain_id, ",".join(filter(None, (own, TRACING.format(writes)))))
-        except DDSException:  # the process already uses the domain, or CYCLONEDDS_URI is wrong, which a node reports
-            os.close(reads)
-            return
-        finally:
-            os.close(writes)  # the library has opened it by its path
-        threading.Thread(target=self._read, args=(reads,), name="dds trace", daemon=True).start()
-
-    def _read(self, reads: int) -> None:
+    def count(domain: Domain) -> None:  # the domain ends with the last reference to it
         with open(reads, encoding="utf-8", errors="replace") as lines, suppress(OSError, ValueError):
             for line in lines:
                 if found := LINE.search(line):
-                    self._counts[found[1]] += 1
+                    counts[found[1]] += 1
+
+    threading.Thread(target=count, args=(domain,), name="dds trace", daemon=True).start()
+    return counts
 
 
 @contextmanager
@@ -131,27 +118,26 @@ def without_lines() -> Iterator[None]:
     before, (reads, writes) = os.dup(2), os.pipe()
     os.dup2(writes, 2)
     os.close(writes)
-    thread = threading.Thread(target=_pass_on, args=(reads, before), name="dds stderr", daemon=True)
+    thread = threading.Thread(target=_pass_on, args=(reads, os.dup(before)), name="dds stderr", daemon=True)
     thread.start()
     try:
         yield
     finally:
         os.dup2(before, 2)  # closes the pipe, unless a child process still holds it
+        os.close(before)
         thread.join(END_S)
 
 
 def _pass_on(reads: int, to: int) -> None:
-    with open(reads, "rb") as lines, suppress(OSError, ValueError):
+    with open(reads, "rb") as lines, open(to, "wb", buffering=0) as passed, suppress(OSError, ValueError):
         for line in lines:
             if not LINE.search(line.decode("utf-8", "replace")):
-                os.write(to, line)
+                passed.write(line)
 
 
 # --- The node: readers and writers with the names, types and user data that ROS 2 nodes expect.
 
 
-Kind = Literal["best-effort", "reliable"]
-Lasting = Literal["volatile", "transient-local"]
 GRAPH_TOPIC = "ros_discovery_info"
 DESCRIBING = threading.Lock()
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
@@ -159,12 +145,15 @@ XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
 
 
 class Node:
-    """One participant with one node. Others see its readers and writers after announce()."""
+    """One participant with one node. Others see its readers and writers after announce().
+
+    The node holds none of them: each ends with the last reference to it.
+    """
 
     def __init__(self, settings: Ros2Settings):
         """Raises ConfigError if the domain cannot be joined: no network, or a wrong CYCLONEDDS_URI."""
         self.settings = settings
-        self.unreadable = Unreadable.of(settings.domain_id)
+        self.unreadable = unreadable(settings.domain_id)
         try:
             # ROS nodes ignore participants that do not publish an enclave, the name of their security settings.
             self.participant = DomainParticipant(settings.domain_id, Qos(Policy.Userdata(b"enclave=/;")))
@@ -173,24 +162,32 @@ class Node:
                 f"ROS 2 domain {settings.domain_id} cannot be joined: check network and CYCLONEDDS_URI ({refused})"
             ) from refused
         self._users = 0
-        self._readers: list[DataReader] = []
-        self._writers: list[DataWriter] = []
+        self._readers: WeakSet[DataReader] = WeakSet()
+        self._writers: WeakSet[DataWriter] = WeakSet()
         gid, entities, info = GRAPH_TYPES[settings.gid_bytes]
         self._gid_type, self._entities_type, self._info_type = gid, entities, info
         qos = Qos(*quality("reliable", "transient-local", 1), XCDR1, type_hash(ParticipantEntitiesInfo))
         self._graph = DataWriter(self.participant, topic_of(self.participant, GRAPH_TOPIC, info), qos)
 
-    def inbox(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int) -> Inbox:
+    def inbox(self, name: str, of: type, reliability: Reliability, durability: Durability, depth: int) -> Inbox:
         """Create a reader of the topic `name`, which begins with /."""
-        qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
-        self._readers.append(DataReader(self.participant, self._topic(name, of), qos))
-        return Inbox(self._readers[-1], depth)
+        qos = Qos(*quality(reliability, durability, depth), XCDR1, type_hash(of))
+        reader = DataReader(self.participant, topic_of(self.participant, f"rt{name}", of), qos)
+        self._readers.add(reader)
+        return Inbox(reader, depth)
 
-    def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
+    def input(self, name: str, of: type) -> Inbox:
+        """Create a reader with the quality of service in the settings."""
+        return self.inbox(name, of, self.settings.reliability, self.settings.durability, self.settings.depth)
+
+    def writer(
+        self, name: str, of: type, reliability: Reliability, durability: Durability, depth: int = 1
+    ) -> DataWriter:
         """Create a writer to the topic `name`, which begins with /. write() never waits: it drops old messages."""
-        qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
-        self._writers.append(DataWriter(self.participant, self._topic(name, of), qos))
-        return self._writers[-1]
+        qos = Qos(*quality(reliability, durability, depth), XCDR1, type_hash(of))
+        writer = DataWriter(self.participant, topic_of(self.participant, f"rt{name}", of), qos)
+        self._writers.add(writer)
+        return writer
 
     def announce(self) -> None:
         """Publish node, readers and writers to the graph. Call it after each change."""
@@ -202,24 +199,15 @@ class Node:
         """Register one more user of the node."""
         self._users += 1
 
-    def leave(self, entities: list[Entity]) -> None:
-        """Remove a user and its readers and writers; the last user closes the node."""
+    def leave(self) -> None:
+        """Remove a user, which holds its readers and writers no longer; the last user closes the node."""
         self._users -= 1
-        self.remove(entities)
         if self._users > 0:
             self.announce()
         else:
             self._graph = self.participant = None
 
-    def remove(self, entities: list[Entity]) -> None:
-        """Remove readers and writers."""
-        self._readers = [reader for reader in self._readers if reader not in entities]
-        self._writers = [writer for writer in self._writers if writer not in entities]
-
-    def _topic(self, name: str, of: type) -> Topic:
-        return topic_of(self.participant, f"rt{name}", of)
-
-    def _gids(self, entities: list[Entity]) -> list:
+    def _gids(self, entities: WeakSet) -> list:
         return [self._gid(entity) for entity in entities]
 
     def _gid(self, entity: Entity) -> Any:
@@ -252,11 +240,12 @@ def topic_of(participant: DomainParticipant, name: str, of: type) -> Topic:
         return Topic(participant, name, of)
 
 
-def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:
+def quality(reliability: Reliability, durability: Durability, depth: int) -> tuple:
     """QoS policies of a reader or writer."""
+    best_effort, volatile = reliability == "best-effort", durability == "volatile"
     return (
-        Policy.Reliability.BestEffort if kind == "best-effort" else Policy.Reliability.Reliable(max_blocking_time=0),
-        Policy.Durability.Volatile if lasting == "volatile" else Policy.Durability.TransientLocal,
+        Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(max_blocking_time=0),
+        Policy.Durability.Volatile if volatile else Policy.Durability.TransientLocal,
         Policy.History.KeepLast(depth),
     )
 

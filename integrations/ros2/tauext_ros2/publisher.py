@@ -24,7 +24,6 @@ from tauext.monitor.control_lines import alarm_of_text
 from tauext.monitor.events import health_words
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, unseen_words
 from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
-from tauext.monitor.source import Sample
 from tauext_ros2.messages import (
     ERROR,
     OK,
@@ -197,10 +196,9 @@ class Wrenches:
             for topic, frame in self._frames.items()
         }
 
-    @property
-    def writers(self) -> list:
-        """Writers to return to the node."""
-        return [writer for pair in self._writers.values() for writer in pair]
+    def close(self) -> None:
+        """Remove the writers."""
+        self._writers = {}
 
     def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
         """Send wrench and covariance at each frame where the force is known."""
@@ -234,6 +232,45 @@ def covariance_message(covariance: np.ndarray) -> Float64MultiArray:
     return Float64MultiArray(layout, covariance.ravel().tolist())
 
 
+# --- Requests of other nodes: what a message asks the loop to do.
+
+
+def acknowledge(control: Control, message: Bool, by: str) -> None:
+    """End a latched alarm."""
+    if message.data:
+        control.acknowledge(by)
+
+
+def resume(control: Control, message: Bool, by: str) -> None:
+    """End a latched alarm and accept the torque that the push left."""
+    if message.data:
+        control.resume(by)
+
+
+def set_load(control: Control, body: Inertia, by: str) -> None:
+    """Set the load; m = 0: none."""
+    inertia = [body.ixx, body.iyy, body.izz, body.ixy, body.ixz, body.iyz]
+    control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
+
+
+def answer(control: Control, message: String, by: str) -> None:
+    """Keep what an alarm was: `touched` or `nothing`, with the number of the alarm or without."""
+    what, _, alarm = message.data.strip().partition(" ")
+    if what not in ("touched", "nothing"):
+        raise ConfigError(f"{message.data.strip()[:60]!r} must be `touched` or `nothing`")
+    control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(alarm))
+
+
+REQUESTS: dict[str, tuple[type, Callable[[Control, Any, str], None]]] = {
+    "profile": (String, lambda control, message, by: control.use_profile(message.data, by)),
+    "acknowledge": (Bool, acknowledge),
+    "resume": (Bool, resume),
+    "load": (Inertia, set_load),
+    "answer": (String, answer),
+}
+"""Type and action by topic; an action raises ConfigError where the loop refuses the request."""
+
+
 # --- The publisher.
 
 
@@ -249,24 +286,15 @@ class Ros2Publisher:
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, transient local: late subscribers receive the last one. `event`: String, JSON, for reactions with
     publish = true. `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance, while it is known.
-    `diagnostics`: DiagnosticArray. Subscribed: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
-    `load` (Inertia, in the bundle's load frame; m = 0: no load), `answer` (String: `touched` or `nothing`, with the
-    number of the alarm or without, as the control lines; kept by `tauext commission`).
+    `diagnostics`: DiagnosticArray. Subscribed: REQUESTS.
 
     A slow subscriber never blocks the loop; it misses messages older than the topic's depth. `unsent` counts messages
     that the library refuses to send.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        conditions: Conditions,
-        source: Ros2Source | None = None,
-        wrenches: Wrenches | None = None,
-    ):
-        """source: provides the stamps of the torques; None: time of reception. wrenches: None: none are published."""
-        self._wrenches = wrenches or Wrenches((), None)
-        self._node, self._conditions, self._source = node, conditions, source
+    def __init__(self, node: Node, conditions: Conditions, source: Ros2Source, wrenches: Wrenches):
+        """source: provides the stamps of the torques."""
+        self._node, self._conditions, self._source, self._wrenches = node, conditions, source, wrenches
         self.unsent = 0
         self._verdict: Verdict | None = None
         self._report: LoopReport | None = None
@@ -293,13 +321,7 @@ class Ros2Publisher:
         self._message = JointState(name=list(settings.names or joints))
         self._requests = {
             name: (node.inbox(settings.full_name(name), of, "reliable", "volatile", 8), do)
-            for name, of, do in (
-                ("profile", String, self._use_profile),
-                ("acknowledge", Bool, self._acknowledge),
-                ("resume", Bool, self._resume),
-                ("load", Inertia, self._load),
-                ("answer", String, self._answer),
-            )
+            for name, (of, do) in REQUESTS.items()
         }
         node.announce()
         self._send_alarm(NONE)
@@ -317,7 +339,7 @@ class Ros2Publisher:
         self._verdict = verdict
         if verdict.sample is not None:
             # The writer serialises immediately, so one message is reused.
-            stamp_ns = self._stamp_ns(verdict.sample)
+            stamp_ns = self._source.last_stamp_ns
             self._message.header.stamp = Time.of_ns(stamp_ns)
             self._message.effort = verdict.estimates["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
@@ -343,16 +365,10 @@ class Ros2Publisher:
             return
         self._closing.set(True)
         self._listening.join()
-        entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics, *self._wrenches.writers]
-        entities += [inbox.reader for inbox, _ in self._requests.values()]
         self._listening = self._closing = self._torque = self._events = self._diagnostics = None
         self._alarms, self._requests = {}, {}
-        self._node.leave(entities)
-
-    def _stamp_ns(self, sample: Sample) -> int:
-        if self._source is not None:
-            return self._source.last_stamp_ns
-        return time.time_ns() - (time.monotonic_ns() - sample.received_ns)
+        self._wrenches.close()
+        self._node.leave()
 
     def _send_alarm(self, alarm: int) -> None:
         for name, stands in (("contact", alarm != NONE), ("collision", alarm == COLLISION)):
@@ -389,34 +405,8 @@ class Ros2Publisher:
                 if damaged:
                     self._conditions.report(name, f"{topic}: {damaged}", time.monotonic_ns())
                 for message in messages:
-                    do(message if isinstance(message, Inertia) else message.data, f"ros2 {topic}")
-
-    def _use_profile(self, name: str, by: str) -> None:
-        try:
-            self._control.use_profile(name, by)
-        except ConfigError as refused:
-            self._conditions.report("profile", f"{by}: {refused}", time.monotonic_ns())
-
-    def _acknowledge(self, requested: bool, by: str) -> None:
-        if requested:
-            self._control.acknowledge(by)
-
-    def _load(self, body: Inertia, by: str) -> None:
-        inertia = [body.ixx, body.iyy, body.izz, body.ixy, body.ixz, body.iyz]
-        try:
-            self._control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
-        except ConfigError as refused:
-            self._conditions.report("load", f"{by}: {refused}", time.monotonic_ns())
-
-    def _answer(self, text: str, by: str) -> None:
-        what, _, alarm = text.strip().partition(" ")
-        try:
-            if what not in ("touched", "nothing"):
-                raise ConfigError(f"{text.strip()[:60]!r} must be `touched` or `nothing`")
-            self._control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(alarm))
-        except ConfigError as refused:
-            self._conditions.report("answer", f"{by}: {refused}", time.monotonic_ns())
-
-    def _resume(self, requested: bool, by: str) -> None:
-        if requested:
-            self._control.resume(by)
+                    by = f"ros2 {topic}"
+                    try:
+                        do(self._control, message, by)
+                    except ConfigError as refused:
+                        self._conditions.report(name, f"{by}: {refused}", time.monotonic_ns())

@@ -13,6 +13,8 @@ DOMAINS = 232
 """Highest domain with valid ports on every system."""
 LONG_GID_DISTROS = ("foxy", "galactic", "humble")
 """Distributions whose graph messages have ids of 24 bytes; later ones have 16."""
+Reliability = Literal["best-effort", "reliable"]
+Durability = Literal["volatile", "transient-local"]
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -31,10 +33,10 @@ class Ros2Settings:
     temperatures: tuple[str, ...] = ()
     """Topics of sensor_msgs/Temperature [degC], one for each joint in the bundle's order; empty: temperatures are
     unknown."""
-    reliability: Literal["best-effort", "reliable"] = "best-effort"
+    reliability: Reliability = "best-effort"
     """Reliability requested from publishers: best-effort receives from both kinds; reliable refuses best-effort
     ones."""
-    durability: Literal["volatile", "transient-local"] = "volatile"
+    durability: Durability = "volatile"
     """Durability requested from publishers: transient-local also receives earlier messages, and refuses volatile
     publishers."""
     depth: int = 256

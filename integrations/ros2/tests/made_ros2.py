@@ -85,4 +85,4 @@ class Robot:
 
     def dies(self):
         self.writer = None
-        self.node.leave([])
+        self.node.leave()

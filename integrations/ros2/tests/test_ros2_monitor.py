@@ -25,8 +25,8 @@ pytest.importorskip("cyclonedds")
 from tauext_ros2 import connect
 from tauext_ros2.messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
 from tauext_ros2.node import Node
+from tauext_ros2.samples import LEARNT_FROM
 from tauext_ros2.settings import Ros2Settings
-from tauext_ros2.source import LEARNT_FROM
 
 from tauext import _core
 from tauext.cli import main

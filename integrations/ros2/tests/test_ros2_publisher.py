@@ -162,7 +162,6 @@ def test_it_is_a_publisher(talking):
 def test_torques_bear_stamp_and_names_and_nothing_but_effort(talking, peer, space):
     publisher, _ = talking
     reader = reading(peer, f"{space}/external_torque", JointState)
-    before = time.time_ns()
     publisher._source.last_stamp_ns = 5 * 10**18 // 3
     publisher.verdict(verdict((1.5, float("nan"))))
     publisher.verdict(verdict(sample=False))
@@ -171,9 +170,6 @@ def test_torques_bear_stamp_and_names_and_nothing_but_effort(talking, peer, spac
     assert first.name == list(JOINTS) and first.position == [] and first.velocity == []
     assert first.effort[0] == 1.5 and np.isnan(first.effort[1]) and second.effort == [2.5, 0.0]
     assert first.header.stamp.ns == 5 * 10**18 // 3
-    publisher._source = None
-    publisher.verdict(verdict())
-    assert before <= next_of(reader).header.stamp.ns <= time.time_ns()
 
 
 def test_alarms_are_latched_and_told_once(talking, peer, space):
@@ -352,7 +348,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
     assert len(node.reader_gid_seq) == 5 and len(node.writer_gid_seq) == 5
-    assert bytes(node.writer_gid_seq[0].data) == publisher._torque.guid.bytes.ljust(size, b"\0")
+    assert publisher._torque.guid.bytes.ljust(size, b"\0") in [bytes(one.data) for one in node.writer_gid_seq]
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]
     ends = BuiltinDataReader(peer.participant, BuiltinTopicDcpsPublication).take(500)

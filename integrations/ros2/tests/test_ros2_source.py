@@ -13,8 +13,8 @@ from cyclonedds._clayer import ddspy_write
 from tauext_ros2 import connect
 from tauext_ros2 import source as ros2_source
 from tauext_ros2.messages import JointState, Temperature
+from tauext_ros2.samples import LEARNT_FROM
 from tauext_ros2.settings import Ros2Settings
-from tauext_ros2.source import LEARNT_FROM
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings

@@ -270,6 +270,7 @@ PLAIN: Sequence[tuple[str, Callable[[re.Match[str]], str]]] = (
         lambda m: f"{m[2]} takes one of {choices(m[3])}; not {m[1]}",
     ),
     (r"Missing from tauext[\w ]*: (.*)", lambda m: f"missing: {m[1]}"),
+    (r"Unrecognized options: --(\w+)\..*", lambda m: plugins.how_to_add(m[1]) or m[0]),
 )
 """The parser's messages, and the same in plain words; the first that matches."""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from tauext.data.labels import ALARM, labels_of
 from tauext.errors import ConfigError
 from tauext.files.journal import COMPACTED, Contents, read
 from tauext.files.places import Place
@@ -96,13 +97,12 @@ def read_events(folder: Place) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=4)
 def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
+    answered = (one for one in labels_of(journal) if one.is_answered)
+    answers: dict[Any, dict[str, Any]] = {one.id: {"answer": one.answer, "by": one.by} for one in answered}
     newest: dict[Any, dict[str, Any]] = {}
-    for one in journal.kinds.get("event", ()):
+    for one in journal.kinds.get(ALARM, ()):
         own = {key: value for key, value in one.items() if key not in ("number", "kind", "format", "journal")}
-        newest[one.get("id")] = own | {"answer": None}
-    for one in journal.kinds.get("label", ()):
-        if one.get("answer") in ("touched", "nothing") and one.get("id") in newest:
-            newest[one["id"]] |= {"answer": one["answer"], "by": one.get("by")}
+        newest[one.get("id")] = own | answers.get(one.get("id"), {"answer": None})
     return tuple(newest.values())
 
 

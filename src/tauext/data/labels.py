@@ -46,6 +46,11 @@ class Label:
     bundle: str = ""
     """Bundle that raised the alarm or found the touch."""
 
+    @property
+    def is_answered(self) -> bool:
+        """Whether a person has answered."""
+        return self.answer in ("touched", "nothing")
+
     def answered(self, by: Label) -> Label:
         """This alarm's label with the answer of another one."""
         return replace(self, answer=by.answer, by=by.by, wall=by.wall)
@@ -53,11 +58,12 @@ class Label:
 
 def read_labels(folder: Place) -> tuple[Label, ...]:
     """The newest label of each id in the journal of a folder."""
-    return _labels(read(folder))
+    return labels_of(read(folder))
 
 
 @lru_cache(maxsize=8)
-def _labels(journal: Contents) -> tuple[Label, ...]:
+def labels_of(journal: Contents) -> tuple[Label, ...]:
+    """The newest label of each id in these lines."""
     newest: dict[int, Label] = {}
     alarms: dict[int, Label] = {}
     for content in journal.lines:
@@ -67,8 +73,8 @@ def _labels(journal: Contents) -> tuple[Label, ...]:
                 newest.setdefault(content["id"], alarms[content["id"]])
             elif content.get("kind") == KIND:
                 label = label_of(content)
-                is_answered = label.id in newest and newest[label.id].answer in ("touched", "nothing")
-                if label.answer != "withdrawn" or not is_answered:  # the answer came while labels were withdrawn
+                is_late = label.id in newest and newest[label.id].is_answered
+                if label.answer != "withdrawn" or not is_late:  # the answer came while labels were withdrawn
                     newest[label.id] = label
     labels = (label for label in newest.values() if label.answer != "withdrawn")
     return tuple(one if one.id not in alarms else alarms[one.id].answered(one) for one in labels)

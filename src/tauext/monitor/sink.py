@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -260,9 +260,10 @@ class EventFinder:
                     events.append(self._event("fault", change.joint, verdict))
             elif isinstance(change, AlarmChange | TouchChange | PlaceChange) and change.alarm and change.joint >= 0:
                 kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
-                news, of_place = isinstance(change, AlarmChange), isinstance(change, PlaceChange)
                 episode = next((one for one in verdict.news if one.number == change.number), None)
-                events.append(self._event(kind, change.joint, verdict, episode, news, of_place))
+                event = self._event(kind, change.joint, verdict, episode)
+                news, of_place = isinstance(change, AlarmChange), isinstance(change, PlaceChange)
+                events.append(replace(event, news=news, of_place=of_place))
         if events:
             self._unsettled = True
         elif self._unsettled and verdict.estimates["health"][0] == OK and verdict.estimates["alarm"][0] == NONE:
@@ -270,37 +271,20 @@ class EventFinder:
             events.append(self._event("cleared", -1, verdict))
         return events
 
-    def _event(
-        self,
-        kind: EventKind,
-        joint: int,
-        verdict: Verdict,
-        episode: Episode | None = None,
-        news: bool = True,
-        of_place: bool = False,
-    ) -> ReactionEvent:
-        estimates, sample = verdict.estimates, verdict.sample
-        facts = {
-            **self._facts,
-            "joints": list(self._joints),
-            "row": verdict.row,
-            **sample_facts(estimates, 0),
-        }
-        received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
-        name = self._joints[joint] if joint >= 0 else None
-        touched = kind in ("collision", "contact")
-        place = None if episode is None else episode.place
-        facts |= {"number": episode and episode.number, "place": place and place_facts(place, self._joints)}
+    def _event(self, kind: EventKind, joint: int, verdict: Verdict, episode: Episode | None = None) -> ReactionEvent:
+        """episode: of a collision or contact."""
+        received_ns = time.monotonic_ns() if verdict.sample is None else verdict.sample.received_ns
+        place, number = (None, 0) if episode is None else (episode.place, episode.number)
+        facts = self._facts | {"joints": list(self._joints), "row": verdict.row} | sample_facts(verdict.estimates, 0)
+        facts |= {"number": number or None, "place": place and place_facts(place, self._joints)}
         return ReactionEvent(
             kind,
-            name,
+            self._joints[joint] if joint >= 0 else None,
             verdict.t_ns,
             received_ns,
             facts,
-            touch=facts["touch"] if touched else None,
-            news=news,
+            touch=facts["touch"] if episode else None,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),
-            number=episode.number if episode else 0,
-            of_place=of_place,
+            number=number,
         )

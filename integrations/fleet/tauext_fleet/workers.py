@@ -9,7 +9,7 @@ import signal
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, redirect_stdout
 from dataclasses import asdict, dataclass
 from typing import Any, Self
@@ -21,6 +21,13 @@ from tauext_fleet.task import Outcome, Task, expect_json, one_line, run_task
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 """Environment variables of libraries that would use all cores."""
+LOCAL = {
+    **dict.fromkeys(ONE_THREAD, "1"),
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # all sockets at 127.0.0.1, on Linux too
+    "RAY_AUTH_MODE": "token",
+    "RAY_worker_niceness": "0",  # else a busy machine never gets to them
+}
+"""Environment of a Ray that no other computer or user can reach, and whose workers have a thread each."""
 STORE_BYTES = 100_000_000
 """Memory of a local Ray for objects: a task and its outcome are some letters."""
 LONGEST_FOLDER = 24
@@ -45,14 +52,33 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def local_environment() -> dict[str, str]:
-    """Variables of a Ray that no other computer or user can reach, and whose workers have a thread each."""
-    return dict.fromkeys(ONE_THREAD, "1") | {
-        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # all sockets at 127.0.0.1; their name is older than their effect
-        "RAY_AUTH_MODE": "token",
-        "RAY_AUTH_TOKEN": secrets.token_hex(16),
-        "RAY_worker_niceness": "0",  # else a busy machine never gets to them
-    }
+def short_folder() -> tempfile.TemporaryDirectory[str]:
+    """A new folder for Ray's sockets and logs, below /tmp where the usual place has a long name."""
+    usual = tempfile.gettempdir()
+    short = usual.isascii() and len(usual) <= LONGEST_FOLDER
+    return tempfile.TemporaryDirectory(prefix="tauext-", dir=usual if short else "/tmp", ignore_cleanup_errors=True)
+
+
+def started(settings: Mapping[str, Any], retries: int, failed: str) -> Any:
+    """The module ray, connected to the cluster of these settings.
+
+    Raises:
+        ConfigError: there is none, or it cannot start; begins with `failed`.
+    """
+    # Ray reads its environment when it is imported: no usage reports to another host, and a task that needs more memory
+    # than there is fails in the end.
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_task_oom_retries": str(retries)}
+    import ray
+
+    at_end = signal.getsignal(signal.SIGTERM)
+    try:
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **settings)
+    except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        raise ConfigError(one_line(f"{failed} ({error})")) from error
+    finally:
+        if signal.getsignal(signal.SIGTERM) is not at_end:
+            signal.signal(signal.SIGTERM, at_end)  # Ray's own handler ends in an abort of its core
+    return ray
 
 
 class Workers:
@@ -68,38 +94,24 @@ class Workers:
         Raises:
             ConfigError: there is no such cluster, or Ray cannot start here.
         """
-        local = config.ray is None
-        workers = min(config.workers or cores(), most) if local else most
-        self._begun, self._free = begun, workers
+        self._begun, self._free = begun, most
         self._waiting: deque[Task] = deque()
         self._tasks: dict[Any, Task] = {}
-        self._at_exit = ExitStack()
-        self._at_exit.enter_context(redirect_stdout(sys.stderr))  # Ray prints of workers that died, in between
-        # Ray reads its environment when it is imported: no usage reports to another host, and a task that needs more
-        # memory than there is fails in the end.
-        os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_task_oom_retries": str(config.retries)}
-        given: dict[str, Any] = {"address": config.ray}
-        if local:
-            os.environ |= local_environment()
-            folder = self._at_exit.enter_context(short_folder())
-            given = {"address": "local", "num_cpus": workers, "include_dashboard": False, "_temp_dir": folder}
-            given |= {"object_store_memory": STORE_BYTES}
-        import ray
-
-        self._ray: Any = ray
-        at_end = signal.getsignal(signal.SIGTERM)
-        try:
-            ray.init(log_to_driver=False, logging_level=logging.ERROR, **given)
-        except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
-            self._at_exit.close()
-            away = f"--ray {config.ray}: no cluster there lets us in; one with tokens wants Ray's own settings for them"
-            why = "Ray cannot start on this machine" if local else away
-            raise ConfigError(one_line(f"{why} ({error})")) from error
-        if signal.getsignal(signal.SIGTERM) is not at_end:
-            signal.signal(signal.SIGTERM, at_end)  # Ray's own handler ends in an abort of its core
-        self._at_exit.callback(ray.shutdown)
-        claim: dict[str, Any] = {"memory": round(config.task_gb * 1e9)} if config.task_gb else {}
-        self._remote = ray.remote(num_cpus=1, max_retries=config.retries, **claim)(remote_task)
+        settings: dict[str, Any] = {"address": config.ray}
+        failed = f"--ray {config.ray}: no cluster there lets us in; one with tokens wants Ray's own settings for them"
+        with ExitStack() as at_exit:
+            at_exit.enter_context(redirect_stdout(sys.stderr))  # Ray prints of workers that died, in between
+            if config.ray is None:
+                os.environ |= LOCAL | {"RAY_AUTH_TOKEN": secrets.token_hex(16)}
+                self._free = min(config.workers or cores(), most)
+                settings = {"address": "local", "num_cpus": self._free, "object_store_memory": STORE_BYTES}
+                settings |= {"include_dashboard": False, "_temp_dir": at_exit.enter_context(short_folder())}
+                failed = "Ray cannot start on this machine"
+            self._ray = started(settings, config.retries, failed)
+            at_exit.callback(self._ray.shutdown)
+            claim: dict[str, Any] = {"memory": round(config.task_gb * 1e9)} if config.task_gb else {}
+            self._remote = self._ray.remote(num_cpus=1, max_retries=config.retries, **claim)(remote_task)
+            self._at_exit = at_exit.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -130,10 +142,3 @@ class Workers:
             self._free -= 1
             self._tasks[self._remote.remote(task.to_json())] = task
             self._begun(task)
-
-
-def short_folder() -> tempfile.TemporaryDirectory[str]:
-    """A new folder for Ray's sockets and logs, below /tmp where the usual place has a long name."""
-    usual = tempfile.gettempdir()
-    short = usual.isascii() and len(usual) <= LONGEST_FOLDER
-    return tempfile.TemporaryDirectory(prefix="tauext-", dir=usual if short else "/tmp", ignore_cleanup_errors=True)

@@ -164,10 +164,9 @@ class Node:
         self._users = 0
         self._readers: WeakSet[DataReader] = WeakSet()
         self._writers: WeakSet[DataWriter] = WeakSet()
-        gid, entities, info = GRAPH_TYPES[settings.gid_bytes]
-        self._gid_type, self._entities_type, self._info_type = gid, entities, info
+        self._gid_type, self._entities_type, self._info_type = GRAPH_TYPES[settings.gid_bytes]
         qos = Qos(*quality("reliable", "transient-local", 1), XCDR1, type_hash(ParticipantEntitiesInfo))
-        self._graph = DataWriter(self.participant, topic_of(self.participant, GRAPH_TOPIC, info), qos)
+        self._graph = DataWriter(self.participant, topic_of(self.participant, GRAPH_TOPIC, self._info_type), qos)
 
     def inbox(self, name: str, of: type, reliability: Reliability, durability: Durability, depth: int) -> Inbox:
         """Create a reader of the topic `name`, which begins with /."""

@@ -15,7 +15,11 @@ LONG_GID_DISTROS = ("foxy", "galactic", "humble")
 """Distributions whose graph messages have ids of 24 bytes; later ones have 16."""
 Reliability = Literal["best-effort", "reliable"]
 Durability = Literal["volatile", "transient-local"]
-NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+PART = "[A-Za-z_][A-Za-z0-9_]*"
+ROOTED = re.compile(f"(/{PART})+"), "begin with / and consist of letters, digits and _ between slashes"
+NAME = re.compile(f"/?{PART}(/{PART})*"), "consist of letters, digits and _ between slashes"
+NODE = re.compile(PART), "consist of letters, digits and _"
+"""Names of topics that begin with /, of topics below the namespace or not, and of nodes, with their rules."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +60,15 @@ class Ros2Settings:
     None: ROS_DISTRO, else a later one."""
 
     def __post_init__(self) -> None:
-        for field, rooted in (("topic", True), ("namespace", True), ("diagnostics", False), ("node", False)):
-            name = getattr(self, field)
-            if not NAME.fullmatch(name) or (rooted and name[0] != "/") or (field == "node" and "/" in name):
-                begins = "must begin with / and " if rooted else "must "
-                raise ConfigError(
-                    f"ROS 2 {field} {name!r} {begins}consist of letters, digits and _"
-                    f"{'' if field == 'node' else ' between slashes'}, no part beginning with a digit"
-                )
-        for name in self.temperatures:
-            if not NAME.fullmatch(name) or name[0] != "/":
-                raise ConfigError(f"ROS 2 temperatures {name!r} must begin with / and be a topic name")
+        for field, name, (pattern, rule) in (
+            ("topic", self.topic, ROOTED),
+            ("namespace", self.namespace, ROOTED),
+            *(("temperatures", name, ROOTED) for name in self.temperatures),
+            ("diagnostics", self.diagnostics, NAME),
+            ("node", self.node, NODE),
+        ):
+            if not pattern.fullmatch(name):
+                raise ConfigError(f"ROS 2 {field} {name!r} must {rule}, no part beginning with a digit")
         if self.depth < 1:
             raise ConfigError(f"ROS 2 depth = {self.depth} must be >= 1")
         if len(set(self.names)) < len(self.names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -114,4 +115,14 @@ def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypa
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["fleet", "run", "fleet.toml"]) == 2
     told = "'fleet' comes with the package tauext-fleet: pip install tauext-fleet"
+    assert capsys.readouterr().err == f"tauext: error: {told}\n"
+
+
+def test_an_option_of_a_source_whose_package_is_not_installed_names_the_package(monkeypatch, capsys):
+    for name in ("tauext.cli.monitor", "tauext.cli.source_options"):  # modules that hold the options
+        importlib.import_module(name)
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    assert main(["monitor", "arm.tauext", "--source", "feetech:/dev/ttyACM0", "--bus", "bus.toml"]) == 2
+    told = "'feetech' comes with the package lerobot_robot_tauext: pip install lerobot_robot_tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"

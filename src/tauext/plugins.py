@@ -36,8 +36,8 @@ def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
 
 
 def how_to_add(name: str) -> str | None:
-    """Which package adds this command or source; None: no package of this repository does."""
-    package = PACKAGES.get(name)
+    """Which package adds this command or source; None: it is installed, or no package of this repository adds it."""
+    package = None if name in installed(SOURCES) | installed(COMMANDS) else PACKAGES.get(name)
     return package and f"'{name}' comes with the package {package}: pip install {package}"
 
 

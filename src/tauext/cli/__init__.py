@@ -126,7 +126,9 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise ConfigError(f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
+        missing = (plugins.how_to_add(word.partition(":")[0]) for word in arguments)  # its options are missing, too
+        added = next(filter(None, missing), None)
+        raise ConfigError(added or f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
     sys.stderr.write(printed.getvalue())
     return call
 

@@ -179,7 +179,6 @@ class DamiaoSource(BusSource):
             wanted = settings.servo.torque_from.name.replace("_", "-")
             raise ConfigError(f"{self.name} reports torque, the bundle takes its torque from {wanted}")
         self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
-        self._states: dict[int, bytes] = {}
 
     def connect(self) -> None:
         library = self._library = optional_library("can", "source damiao", "python-can", "python-can")
@@ -197,7 +196,7 @@ class DamiaoSource(BusSource):
         except Unreachable:
             self.disconnect()
             raise
-        self._states = {}
+        self._states: dict[int, bytes] = {}
         self._due_s = None
 
     def read(self) -> Sample | None:

@@ -1,11 +1,8 @@
 """The simulated servos of tauext's own tests, and a bundle of theirs."""
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path[:0] = [str(Path(__file__).parents[3] / "tests"), str(Path(__file__).parent)]
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ pytest.importorskip("scservo_sdk")
 from lerobot.motors import Motor, MotorCalibration, MotorNormMode
 from lerobot.motors.feetech import FeetechMotorsBus
 from lerobot_robot_tauext.block_read import BlockRead
+from made_servo_bus import crc16
 
 
 def packet(*content: int) -> bytes:
@@ -80,19 +81,9 @@ def test_a_servo_without_the_register_is_refused(bus):
         BlockRead(bus, ("current",))
 
 
-def crc(content: bytes) -> bytes:
-    """CRC-16 of protocol 2.0: polynomial 0x8005, nothing reflected."""
-    value = 0
-    for byte in content:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
-    return struct.pack("<H", value)
-
-
 def packet2(id_: int, *content: int) -> bytes:
     body = b"\xff\xff\xfd\x00" + struct.pack("<BH", id_, len(content) + 2) + bytes(content)
-    return body + crc(body)
+    return body + struct.pack("<H", crc16(body))
 
 
 def test_one_request_reads_all_of_dynamixels(serial):

@@ -7,6 +7,7 @@ import ast
 import json
 import re
 import shutil
+from importlib.metadata import distribution
 from pathlib import Path
 
 import lerobot_arm as arms
@@ -334,6 +335,12 @@ def test_options_of_the_wrapped_robot_exist(text):
     printed = set(re.findall(r"--robot\.(\w+)", text))
     assert {"bundle", "arm", "robot"} <= printed
     assert printed <= settings | {"type", "id"}, printed - settings
+
+
+def test_the_distribution_has_the_name_of_the_module_that_lerobot_imports():
+    """register_third_party_plugins: names of distributions that begin with lerobot_robot_, as written."""
+    name = "lerobot_robot_tauext"
+    assert (HERE / name / "__init__.py").is_file() and distribution(name).metadata["Name"] == name
 
 
 def test_the_current_is_added_as_the_page_describes():

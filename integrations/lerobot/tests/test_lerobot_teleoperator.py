@@ -11,8 +11,6 @@ import pytest
 
 pytestmark = pytest.mark.slow
 lerobot = pytest.importorskip("lerobot", reason="needs lerobot of version 0.4 or later")
-if sys.version_info < (3, 12):
-    pytest.skip("lerobot of these versions needs Python 3.12", allow_module_level=True)
 
 from lerobot.robots import Robot, RobotConfig  # noqa: E402
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config  # noqa: E402
@@ -20,7 +18,7 @@ from lerobot.teleoperators.keyboard import KeyboardTeleopConfig  # noqa: E402, F
 from lerobot.teleoperators.koch_leader import KochLeaderConfig  # noqa: E402, F401
 from lerobot.teleoperators.so_leader import SO101LeaderConfig  # noqa: E402, F401
 from lerobot_robot_tauext import TauextLeader, TauextLeaderConfig  # noqa: E402
-from lerobot_robot_tauext.programs import processors  # noqa: E402
+from lerobot_robot_tauext.programs import processors, teleoperate  # noqa: E402
 from lerobot_robot_tauext.tauext_leader import radians_a_unit  # noqa: E402
 from lerobot_robot_tauext.torque_ports import DamiaoPort, DynamixelPort, torque_port  # noqa: E402
 
@@ -305,6 +303,25 @@ def test_lerobots_own_loop_makes_the_leader_feel(tmp_path):
     assert leader.leader.sent[ticks] == {f"{joint}.torque": 0.0 for joint in JOINTS}
     teleop_loop(leader, robot, 50, step, robot_action, robot_observation, duration=0.05)
     assert len(leader.leader.sent) == ticks + 1  # one that is not connected is told nothing
+
+
+def test_the_program_is_lerobots_with_the_step(tmp_path, monkeypatch):
+    from lerobot.scripts import lerobot_teleoperate as program
+
+    made = []
+
+    def make(config):
+        made.append(make_teleoperator_from_config(config))
+        return made[-1]
+
+    monkeypatch.setattr(program, "make_default_processors", program.make_default_processors)  # put back afterwards
+    monkeypatch.setattr(program, "make_teleoperator_from_config", make)
+    leader = f"{{type: fake_torque_leader, calibration_dir: {tmp_path}}}"
+    options = [f"--teleop.leader={leader}", "--teleop.dead_band_nm=0.2", f"--teleop.calibration_dir={tmp_path}"]
+    options += ["--robot.type=fake_felt_robot", f"--robot.calibration_dir={tmp_path}", "--teleop_time_s=0.2"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-tauext-teleoperate", "--teleop.type=tauext_leader", *options])
+    teleoperate()
+    assert made[0].leader.sent[-2]["shoulder.torque"] < 0 == made[0].leader.sent[-1]["shoulder.torque"]
 
 
 def heard(wire) -> list[tuple[int, str]]:

@@ -269,8 +269,8 @@ class FakeLoop:
 
 @contextlib.contextmanager
 def serving(host, port, *arguments):
-    """A page's server in a thread, see tauext.page.live_server.Server; gives its port."""
-    from tauext.page.live_server import Server
+    """A page's server in a thread, see tauext.commission.page.live_server.Server; gives its port."""
+    from tauext.commission.page.live_server import Server
 
     server, end = Server(host, socket.create_server((host, port)), *arguments), []
 

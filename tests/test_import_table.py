@@ -25,7 +25,6 @@ ORDER = {
     "report": {"numpy", "matplotlib", "jinja2"},
     "sim": {"numpy", "mujoco"},
     "commission": {"numpy"},
-    "page": {"numpy", "aiohttp"},
     "cli": {"tyro", "rich"},
 }
 """Packages in order, with their outside libraries: each may import those before it."""
@@ -35,6 +34,8 @@ ALSO = {
     "data/importers/ros1_bag": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
+    "commission/page/connections": {"aiohttp"},
+    "commission/page/live_server": {"aiohttp"},
     "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},
 }

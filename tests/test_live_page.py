@@ -15,12 +15,12 @@ from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from tauext.commission.page import connections, live_server
+from tauext.commission.page.door import is_own_name, listening_socket
+from tauext.commission.page.live_arm import arm_facts
+from tauext.commission.page.live_server import line_of
 from tauext.errors import ConfigError
 from tauext.files import journal
-from tauext.page import connections, live_server
-from tauext.page.door import is_own_name, listening_socket
-from tauext.page.live_arm import arm_facts
-from tauext.page.live_server import line_of
 
 PATIENCE_S = 20.0
 TOKEN = "right-token"
@@ -324,7 +324,7 @@ def test_a_busy_port_is_passed_over(monkeypatch):
             listening_socket("127.0.0.1", port) as another,
         ):
             assert port < found.getsockname()[1] < another.getsockname()[1]
-        monkeypatch.setattr("tauext.page.door.PORTS", 1)
+        monkeypatch.setattr("tauext.commission.page.door.PORTS", 1)
         with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
             listening_socket("127.0.0.1", port)
     with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):

@@ -15,7 +15,7 @@ from made_browser import CHROMIUM, Browser
 from made_live_page import JOINTS, LOST
 from test_live_page import TOKEN, served
 
-from tauext.page import live_server
+from tauext.commission.page import live_server
 from tauext.sim.arms import ARMS
 
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}")

@@ -86,9 +86,9 @@ def import_all() -> None:
     import tauext.check.examine
     import tauext.cli.monitor_output
     import tauext.cli.reproduce
+    import tauext.commission.page.live_server
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
-    import tauext.page.live_server
     import tauext.report.check_picture
     import tauext.report.page
     import tauext.train.stage  # noqa: F401

@@ -81,10 +81,10 @@ def commission(
     require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(1 <= port <= 65535, "port", port, "1 to 65535")
 
+    from tauext.commission.page import serve
+    from tauext.commission.page.door import LOOPBACK, listening_socket
     from tauext.commission.run import Options, run
     from tauext.monitor.reaction_file import load_reactions
-    from tauext.page import serve
-    from tauext.page.door import LOOPBACK, listening_socket
 
     token, door, address = "", None, ""
     if not no_page:

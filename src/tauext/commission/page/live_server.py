@@ -22,8 +22,8 @@ from typing import Any
 from aiohttp import web
 
 from tauext.bundle.history_file import read_events, read_history, read_question
-from tauext.page.connections import Connection
-from tauext.page.door import is_from_own_page, is_own_host
+from tauext.commission.page.connections import Connection
+from tauext.commission.page.door import is_from_own_page, is_own_host
 
 LONGEST_BODY = 1000
 LONGEST_LINE = 1 << 20
@@ -74,7 +74,7 @@ class Folder:
 
     def arm(self) -> dict[str, Any]:
         """See arm_facts()."""
-        from tauext.page.live_arm import arm_facts
+        from tauext.commission.page.live_arm import arm_facts
 
         with self._reading:
             facts = self._read("commission.json", json.loads) or {}
@@ -237,7 +237,7 @@ class Server:
         """token: that a browser must show; empty: none."""
         self._host, self._token, self._control, self._live_path = host, token, control, live
         self._folder = Folder(folder)
-        self._page = files("tauext.page").joinpath("live_page.html").read_text(encoding="utf-8")
+        self._page = files("tauext.commission.page").joinpath("live_page.html").read_text(encoding="utf-8")
         script = self._page.partition("<script>")[2].partition("</script>")[0]
         kept = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         self._headers = {

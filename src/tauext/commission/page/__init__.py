@@ -8,7 +8,7 @@ from typing import Any
 
 
 def serve(*arguments: Any) -> None:
-    """The page's process, see tauext.page.live_server.serve(); no other process loads the server library."""
-    from tauext.page.live_server import serve as run
+    """The page's process, see tauext.commission.page.live_server.serve(); no other process loads the server library."""
+    from tauext.commission.page.live_server import serve as run
 
     run(*arguments)

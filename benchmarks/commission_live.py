@@ -389,8 +389,8 @@ def fill(report: Report, command: Command, kept: Confirmed, dummy: Path, out: Pa
     report.line(f"(a file of {dummy.stat().st_size / 1e6:.0f} MB fills the disk)")
     wait_for(lambda: losses(command), "the report of lost samples", 30.0)
     report.check("the loss is reported", *within(began, 15.0))
-    line = command.reach(lambda line: line["says"], "the page's report of lost samples", 15.0)
-    report.check("the page reports the loss", f"`{line['says']}`", "LOSES SAMPLES" in line["says"])
+    line = command.reach(lambda line: line["message"], "the page's report of lost samples", 15.0)
+    report.check("the page reports the loss", f"`{line['says']}`", "LOSES SAMPLES" in line["message"])
     photograph(browser, command.url, out, "failures-disk")
     done = int(kept.answer(command, f"touched {command.alarm()}"))
     for _ in range(4):
@@ -418,7 +418,7 @@ def empty(report: Report, command: Command, kept: Confirmed, dummy: Path) -> Non
     report.line("(the file is removed)")
     wait_for(lambda: recordings(folder) >= before + 2, "recordings after the file is removed", 60.0)
     report.check("two recordings after the file is removed", *within(began, 30.0))
-    command.reach(lambda line: not line["says"], "the end of the page's report", 15.0)
+    command.reach(lambda line: not line["message"], "the end of the page's report", 15.0)
     kept.check("afterwards")
 
 

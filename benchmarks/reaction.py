@@ -32,7 +32,7 @@ from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
-from tauext.monitor.sink import Event
+from tauext.monitor.sink import ReactionEvent
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 from tauext.sources.reader import SampleQueue
 from tauext.sources.ur_dashboard import Dashboard
@@ -86,7 +86,7 @@ def measure_stop(seconds: float, settings: LoopSettings) -> None:
         dashboard.check()
         received_ns, confirmed = [], Latencies()
 
-        def stop(event: Event) -> None:
+        def stop(event: ReactionEvent) -> None:
             dashboard.stop()
             received_ns.append(event.received_ns)
             confirmed.add(time.monotonic_ns() - event.received_ns)

@@ -419,3 +419,39 @@ def test_the_template_guesses_names_of_columns():
     described = parse_arm(re.sub(r"names = .*", f"names = {json.dumps(JOINTS)}", text))
     assert described.robot.joints == ("j1", "j2", "j3") and described.names == JOINTS
     assert not described.signals["dq"].columns
+
+
+@pytest.mark.parametrize(
+    ("words", "columns", "unit"),
+    [
+        ("Mom", "{joint}_Mom", "Nm"),
+        ("Drehmoment", "{joint}_Drehmoment", "Nm"),
+        ("tq", "{joint}_tq", "Nm"),
+        ("Strom", "{joint}_Strom", "A"),
+        ("I", "{joint}_I", "A"),
+        ("M", "?{joint}_M", "Nm"),  # may be a motor
+        ("Last", "?", "Nm"),
+    ],
+)
+def test_the_template_marks_a_torque_that_no_name_shows(words, columns, unit):
+    names = [f"Gelenk{k}_{signal}" for signal in ("Pos", "Vel", words) for k in (1, 2)]
+    text = template(guess({"": names}))
+    table = text.partition("\n[signals.tau]\n")[2].partition("\n[")[0]
+    assert f'\ncolumns = "{columns}"\n' in "\n" + table and f'\nunit = "{unit}"' in table
+    evidence = "not in use: {joint}_Last" if columns == "?" else "by the names of 2 columns"
+    assert f"# Evidence: {'no column is named' if columns == '?' else evidence}" in table and evidence in table
+    if columns.startswith("?"):
+        with pytest.raises(ConfigError, match=r"\[signals.tau\] columns has '\?"):
+            parse_arm(text)
+    else:
+        assert parse_arm(text).signals["tau"].columns == (columns,)
+
+
+def test_the_template_asks_for_a_position_and_a_velocity_that_no_name_shows():
+    text = template(guess({"": [f"{signal}_{k}" for signal in ("lage", "tau") for k in (1, 2)]}))
+    with pytest.raises(ConfigError, match=r"\[signals.q\] columns has '\?'"):
+        parse_arm(text)
+    text = template(guess({"": [f"{signal}_{k}" for signal in ("q", "tempo", "tau") for k in (1, 2)]}))
+    with pytest.raises(ConfigError, match=r"\[signals.dq\] columns has '\?'"):
+        parse_arm(text)
+    assert not parse_arm(text.replace('"?"', '""')).signals["dq"].columns

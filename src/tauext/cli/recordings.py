@@ -80,7 +80,7 @@ def import_data(
 
 def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
     """Write the commented arm.toml; nothing is overwritten."""
-    from tauext.data.description import open_entries
+    from tauext.data.description import GUESSED, open_entries
     from tauext.data.description_template import RATE, Guess, guess, guess_values, template
     from tauext.data.importers.damaged import whole
     from tauext.data.importers.open_raw import open_raw
@@ -105,9 +105,14 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     text = template(guessed, model, joints, list(streams))
     write_text(path, text)
     print(path)
-    for entry in dict.fromkeys(entry.partition(" has ")[0] for entry in open_entries(parse_toml(text, path))):
+    values: dict[str, list[str]] = {}
+    for words in open_entries(parse_toml(text, path)):
+        entry, _, value = words.partition(" has ")
+        values.setdefault(entry, []).append(value)
+    for entry, guesses in values.items():
         evidence = guessed.why.get(entry.removeprefix("[").replace("] ", "."), "no evidence")
-        Terminal().say(f"to confirm or fill in, marked with '?': {entry}: {evidence}")
+        to_do = "fill in" if set(guesses) == {f"'{GUESSED}'"} else "confirm or fill in"
+        Terminal().say(f"to {to_do}, marked with '{GUESSED}': {entry}: {evidence}")
     if RATE in guessed.why:
         Terminal().say(f"to fill in: [time] rate_hz: {guessed.why[RATE]}")
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from tauext.data.clock import SHARED_STAMPS
 from tauext.data.description import GUESSED, SIGNALS, TABLES, TIME_UNITS, SignalTable
-from tauext.data.importers.raw import RawRecording, RawSignals
+from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.joint_names import GRIPPER, match_joints
 from tauext.files.toml_file import Key, comment_lines, field_help
 
-_BEFORE = r"((actual|act|measured|meas|joints?|state|present|robot|motor|arm)_)*"
+_BEFORE = r"((actual|act|measured|meas|joints?|state|present|robot|motor|arm|ax[ei]s|gelenke?|achsen?|ist)_)*"
 _AFTER = r"(_(actual|act|measured|meas|joints?|state|rad|deg|rads|rad_s|deg_s|nm))*"
 _GOAL = r"(des|desired|cmd|commanded|command|ref|reference|target|goal|set)"
 
@@ -26,10 +26,13 @@ def _usual(core: str) -> str:
 
 
 GUESSES = {
-    "q": _usual(r"q|qpos|q_pos|pos|positions?|act_pos\w*|theta|angles?") + r"|observation\.state",
-    "dq": _usual(r"dq|qd|v|qvel|q_vel|qdot|q_dot|vel|velocity|velocities|speeds?|act_vel\w*")
+    "q": _usual(r"q|qpos|q_pos|pos|positions?|act_pos\w*|theta|angles?|winkel") + r"|observation\.state",
+    "dq": _usual(r"dq|qd|v|qvel|q_vel|qdot|q_dot|vel|velocity|velocities|speeds?|geschw(indigkeit)?|act_vel\w*")
     + r"|observation\.velocity",
-    "tau": _usual(r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|trq|act_torque\w*|currents?|i")
+    "tau": _usual(
+        r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|torq|trq|tq|act_torque\w*|currents?|i|m|"
+        r"(dreh)?moment[es]?|mom|str[oö]me?|motorstr[oö]me?"
+    )
     + r"|observation\.effort",
     "tau_ext": r"(tau_ext\w*|external_torques?)",
     "q_des": rf"q_d|{_BEFORE}(q|pos|positions?)_{_GOAL}|{_GOAL}_(q|pos|positions?)\w*|ref_pos\w*|goal(_pos\w*)?|action",
@@ -40,6 +43,8 @@ GUESSES = {
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
 """Usual names of each signal, without joint and counter."""
+UNSURE = {"tau": _usual("m")}
+"""Of these, names that may mean something else: a motor, metres."""
 
 
 @dataclass
@@ -64,7 +69,7 @@ def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Gu
     Args:
         robot: joints of the robot file, whose names columns may contain.
     """
-    found = Guess()
+    found, left = Guess(), dict[str, int]()
     for stream, names in streams.items():
         groups, joints = _groups(names), _named_joints(names, robot)
         for pattern in sorted({name.replace(joints[0], "{joint}") for name in names if joints and joints[0] in name}):
@@ -80,18 +85,61 @@ def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Gu
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
                 # With torque and current in a file, prefer the torque, which needs no constant.
-                found.columns[signal] = min(
-                    fits, key=lambda group: (signal == "tau" and _is_current(group), len(group))
+                fits.sort(
+                    key=lambda group: (signal == "tau" and _is_current(group), _is_unsure(signal, group), len(group))
                 )
+                found.columns[signal] = fits[0]
+                _explain(found, signal, fits, groups[fits[0]])
                 if signal == "q":
                     found.topic, found.count = stream, groups[fits[0]]
+        left |= groups
         base = found.columns.get("q", "")
         elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
         if elements and not all(e.isdigit() for e in elements):
             found.joint_names = tuple(elements)
         elif joints and "{joint}" in base:
             found.joint_names = joints
+    _ask_for_missing(found, {group: count for group, count in left.items() if group not in found.columns.values()})
     return found
+
+
+def _explain(found: Guess, signal: str, fits: Sequence[str], count: int) -> None:
+    """Add the evidence of a signal's columns; names that may mean something else are marked as unsure."""
+    if signal == "time":  # the unit of the stamps has its evidence
+        return
+    key = "contact.column" if signal == "label" else f"signals.{signal}.columns"
+    words = "by its name" if signal == "label" else f"by the names of {count} columns"
+    found.why[key] = f"{words}; {', '.join(fits[1:])} would fit, too" if fits[1:] else words
+    if _is_unsure(signal, fits[0]):
+        found.values[key] = GUESSED + fits[0]
+        found.why[key] += f"; it may mean something else than {NEEDED_WORDS[signal]}"
+
+
+NEEDED_WORDS = {"q": "a position", "dq": "a velocity", "tau": "a torque or a current"}
+
+
+def _ask_for_missing(found: Guess, left: Mapping[str, int]) -> None:
+    """Mark the needed signals without columns as entries to fill in.
+
+    Args:
+        left: columns of no signal, and the number of each.
+    """
+    joints = [group for group, count in left.items() if count == found.count > 0]
+    for signal in () if not found.columns and not left else NEEDED:
+        if signal in found.columns or (signal != "q" and _torque_source(found)) or (signal == "dq" and not joints):
+            continue
+        key = f"signals.{signal}.columns"
+        found.values[key] = GUESSED
+        found.why[key] = f"no column is named as {NEEDED_WORDS[signal]} usually is"
+        found.why[key] += f"; not in use: {short_list(joints or left)}" if left else ""
+        found.why[key] += '; "" derives it from the position' if signal == "dq" else "; check the unit, too"
+
+
+def _torque_source(found: Guess) -> str:
+    """Source of a servo's torque, where no column holds the torque; empty: none."""
+    if "q" not in found.columns or "tau" in found.columns:
+        return ""
+    return next((source for signal, source in MADE_OF.items() if signal in found.columns), "")
 
 
 WIDE_RAD = 7.0
@@ -242,7 +290,6 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     columns, why = guessed.columns, guessed.why
     robot, evidence = _joint_entries(guessed, joints)
     why |= {f"robot.{key}": words for key, words in evidence.items()}
-    made_of = next((source for signal, source in MADE_OF.items() if signal in columns), "")
     found: dict[str, dict[str, Any]] = {
         "robot": {"model": model} | robot,
         "time": {"column": columns.get("time", ""), "unit": "ns" if columns.get("time", "").endswith("_ns") else "s"},
@@ -250,7 +297,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     }
     signals = {name: _signal(name, columns.get(name, NEEDED.get(name, name))) for name in SIGNALS}
     in_force = {*found, *NEEDED, *columns}
-    if made_of and "q" in columns and "tau" not in columns:
+    if made_of := _torque_source(guessed):
         found["servo"] = {"torque_from": made_of}
         in_force = (in_force | {"servo"}) - {"tau"}
     if len(topics) > 1 and guessed.topic:
@@ -437,7 +484,11 @@ def _is_part(group: str, names: Sequence[str]) -> bool:
 
 
 def _is_current(pattern: str) -> bool:
-    return re.fullmatch(r"\w*current\w*|i", _bare(pattern), re.IGNORECASE) is not None
+    return re.fullmatch(r"\w*current\w*|\w*str[oö]me?|(\w*_)?i", _bare(pattern), re.IGNORECASE) is not None
+
+
+def _is_unsure(signal: str, pattern: str) -> bool:
+    return signal in UNSURE and re.fullmatch(UNSURE[signal], _bare(pattern), re.IGNORECASE) is not None
 
 
 def _bare(pattern: str) -> str:

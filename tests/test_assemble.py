@@ -308,9 +308,15 @@ def test_a_source_without_a_clock_needs_a_column_of_times_or_a_rate():
     t_ns, q, dq, tau = motion(joints=2)
     source = a_source(t_ns, q=q, dq=dq, tau=tau, t=(t_ns - t_ns[0]) * 1e-6)
     clockless = RawRecording(
-        "run", Path("run.csv"), "test", lambda: (dataclasses.replace(b, t_ns=None) for b in source.blocks())
+        "run",
+        Path("run.csv"),
+        "test",
+        lambda: (dataclasses.replace(b, t_ns=None) for b in source.blocks()),
+        stated_hz={"fs": 100.0},
+        unread_times={"when": "10h00"},
     )
-    with pytest.raises(RecordingError, match="it has no clock: name its column of times"):
+    named = r"column 'when' is text such as '10h00', .* is read; the file states fs = 100 Hz"
+    with pytest.raises(RecordingError, match=rf"it has no clock: name its column of times .*; {named}"):
         one(clockless, arm())
     by_column = one(clockless, arm(time='column = "t"\nunit = "ms"'))
     by_rate = one(clockless, arm(time="rate_hz = 100"))

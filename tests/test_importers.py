@@ -289,6 +289,9 @@ def test_names_of_csv_columns(tmp_path):
 
 STAMPS = {
     "ISO 8601": ("2024-05-01T23:59:{:06.3f}Z", "2024-05-01T23:59"),
+    "ISO 8601, basic": ("20240501T2359{:06.3f}", "2024-05-01T23:59"),
+    "basic, in UTC": ("20240501T2359{:06.3f}Z", "2024-05-01T23:59"),
+    "basic, a zone": ("20240502_0159{:06.3f}+0200", "2024-05-01T23:59"),
     "a zone": ("2024-05-02 01:59:{:06.3f}+02:00", "2024-05-01T23:59"),
     "microseconds": ("2024-05-01 23:59:{:09.6f}", "2024-05-01T23:59"),
     "slashes": ("2024/05/01 23:59:{:06.3f}", "2024-05-01T23:59"),
@@ -312,6 +315,22 @@ def test_a_column_of_dates_or_times_is_the_clock(tmp_path, form):
     np.testing.assert_array_equal(columns["q0"], table()["q0"])
     assert source.clocks == ("time", "") and "time" not in columns
     assert source.notes == ["stamps from column 'time', which has dates or times"]
+
+
+def test_a_basic_stamp_with_a_decimal_comma_is_the_clock(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time;q\n" + "".join(f"20240501T2359{k:02d},250;{k},5\n" for k in range(50)))
+    t_ns, columns = read(path)[1][""]
+    begin = np.datetime64("2024-05-01T23:59:00.250", "ns").astype(np.int64)
+    np.testing.assert_array_equal(t_ns, begin + 10**9 * np.arange(50))
+    np.testing.assert_array_equal(columns["q"], np.arange(50) + 0.5)
+
+
+def test_a_column_of_times_that_is_not_read_is_named(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("when,mode,robot,q\n" + "".join(f"10h00m{k:02d},idle,UR5,{k}\n" for k in range(50)))
+    source, _ = read(path)
+    assert source.hints() == ["column 'when' is text such as '10h00m00', no form of date or time that is read"]
 
 
 def test_times_of_day_continue_over_midnight_and_the_finest_clock_is_used(tmp_path):

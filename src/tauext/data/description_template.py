@@ -154,16 +154,15 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
     """Add what the first block of numbers shows: unit and use of the stamps, and degrees."""
     for block in raw.blocks():
         if block.stream == guessed.topic or not guessed.topic:
-            _guess_clock(guessed, block, raw.stated_hz)
+            _guess_clock(guessed, block, raw.hints())
             _guess_degrees(guessed, block)
             return
 
 
-def _guess_clock(guessed: Guess, block: RawSignals, stated_hz: Mapping[str, float]) -> None:
+def _guess_clock(guessed: Guess, block: RawSignals, hints: list[str]) -> None:
     column = guessed.columns.get("time", "")
     rate_hz = _rate_of_velocity(guessed, block)
-    hints = [f"the file states {name} = {hz:g} Hz" for name, hz in stated_hz.items()]
-    hints += [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
+    hints = hints + [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
     if not column or column not in block.names:
         if block.t_ns is None:
             guessed.why[RATE] = "; ".join(

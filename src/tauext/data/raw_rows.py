@@ -231,11 +231,8 @@ class RowReader:
                 self._stamped = True
                 return block.t_ns, known
         if not arm.time.rate_hz:
-            stated = "".join(f"; the file states {name} = {hz:g} Hz" for name, hz in raw.stated_hz.items())
-            raise RecordingError(
-                f"{raw.path}: it has no clock: name its column of times in arm.toml ([time] column), or the rate of "
-                f"its rows ([time] rate_hz){stated}"
-            )
+            remedy = "name its column of times in arm.toml ([time] column), or the rate of its rows ([time] rate_hz)"
+            raise RecordingError("; ".join([f"{raw.path}: it has no clock: {remedy}", *raw.hints()]))
         self._by_rate = True
         known = np.ones(len(values), bool)
         return np.round(rows * (1e9 / arm.time.rate_hz)).astype(np.int64), known

@@ -35,6 +35,8 @@ STAMP = (
 _NUMBER = {mark: re.compile(text) for mark, text in NUMBER.items()}
 _THOUSANDS = {mark: re.compile(text) for mark, text in THOUSANDS.items()}
 _STAMP = re.compile(STAMP)
+BASIC, EXTENDED = r"^(\d{4})(\d{2})(\d{2})[T _](\d{2}):?(\d{2}):?(\d{2})", r"\1-\2-\3T\4:\5:\6"
+"""Beginning of a stamp in the basic format of ISO 8601, `20260301T100000`, and what STAMP reads in its place."""
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 DAY_NS = 86_400 * 10**9
 
@@ -46,7 +48,7 @@ def is_number(cell: str, decimal: str = ".") -> bool:
 
 def is_stamp(cell: str) -> bool:
     """Whether the cell has a time of day, with or without a date."""
-    return _STAMP.fullmatch(cell) is not None
+    return _STAMP.fullmatch(re.sub(BASIC, EXTENDED, cell)) is not None
 
 
 def has_thousands(cell: str, decimal: str) -> bool:
@@ -140,7 +142,7 @@ class StampReader:
 
     def stamps(self, column: Any) -> tuple[np.ndarray, np.ndarray]:
         """(samples,) int64 [ns], and which cells are stamps."""
-        text = pc.utf8_trim_whitespace(column.cast(pa.string()))
+        text = pc.replace_substring_regex(pc.utf8_trim_whitespace(column.cast(pa.string())), BASIC, EXTENDED)
         found = pc.extract_regex(text, f"^(?:{STAMP})$")
         if isinstance(found, pa.ChunkedArray):
             found = found.combine_chunks()
@@ -227,6 +229,19 @@ def clock_notes(candidates: Mapping[str, int], clock: str) -> list[str]:
     others = [name for name in candidates if name != clock]
     notes = [f"stamps from column '{clock}', which has dates or times"]
     return notes + [f"further columns of dates or times left out: {', '.join(others)}"] * bool(others)
+
+
+def unread_times(columns: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Of columns of text, those that may hold times in a form that is not read, and a cell of each.
+
+    Most of their cells have digits and differ.
+    """
+    found = {}
+    for name, cells in columns.items():
+        known = {cell for cell in cells if not is_missing(cell) and sum(map(str.isdigit, cell)) >= 4}
+        if len(cells) > 1 and 2 * len(known) > len(cells):
+            found[name] = next(cell for cell in cells if cell in known)
+    return found
 
 
 def paired_stamps(names: Sequence[str], columns: np.ndarray) -> np.ndarray | None:

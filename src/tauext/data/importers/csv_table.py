@@ -31,6 +31,7 @@ from tauext.data.importers.cells import (
     numbers_of,
     paired_stamps,
     stated_hz,
+    unread_times,
 )
 from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
@@ -124,6 +125,7 @@ def open_csv(path: Path) -> list[RawRecording]:
             clocks=(clock, ""),
             stated_hz=_stated(lines[: dialect.first_line]),
             row_word=reader.row_word,
+            unread_times=unread_times({name: [row[dialect.names.index(name)] for row in rows] for name in others}),
         )
     ]
 

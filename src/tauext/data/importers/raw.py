@@ -82,6 +82,16 @@ class RawRecording:
     """Rates that the file states beside its stamps, [Hz], by the name of the entry."""
     row_word: tuple[str, int] = ("row", 1)
     """What a row is called, and the number of the first: ("line", 2) of a CSV file with a header."""
+    unread_times: dict[str, str] = field(default_factory=dict)
+    """Columns of text that may hold times in a form that is not read, with a cell of each."""
+
+    def hints(self) -> list[str]:
+        """What the file has in place of a clock, a clause each: unread times, and stated rates."""
+        times = [
+            f"column '{name}' is text such as '{cell[:60]}', no form of date or time that is read"
+            for name, cell in self.unread_times.items()
+        ]
+        return times + [f"the file states {name} = {hz:g} Hz" for name, hz in self.stated_hz.items()]
 
     def place(self, row: int) -> str:
         """Place of a row, counted from 0, as a person finds it in the file."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import subprocess
 import sys
+import threading
 import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from made_bundles import watching_bundle
 from tauext import plugins
 from tauext.cli import in_plain_words, main
 from tauext.errors import ConfigError
+from tauext.monitor.source import SourceSettings
 from tauext.sources.open import open_source
 
 ROOT = Path(__file__).parent.parent
@@ -47,12 +51,24 @@ def site(tmp_path_factory):
     return site
 
 
+@contextmanager
+def started(site: Path, *words: str):
+    """A command with these packages installed, killed after a minute."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path]), "COLUMNS": "200"}
+    command = [sys.executable, "-u", "-m", "tauext", *words]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, cwd=site, **pipes, text=True) as process:
+        timer = threading.Timer(60, process.kill)
+        timer.start()
+        yield process
+        timer.cancel()
+
+
 def tauext(site: Path, *words: str) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of a command with these packages installed."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path]), "COLUMNS": "200"}
-    command = [sys.executable, "-m", "tauext", *words]
-    done = subprocess.run(command, env=environment, cwd=site, capture_output=True, text=True, timeout=60)
-    return done.returncode, done.stdout, done.stderr
+    with started(site, *words) as done:
+        out, err = done.communicate()
+    return done.returncode, out, err
 
 
 def test_the_robot_of_the_example_is_a_source_of_the_monitor(site):
@@ -61,6 +77,27 @@ def test_the_robot_of_the_example_is_a_source_of_the_monitor(site):
     assert code == 0 and "my arm cell7" in out, err
     code, _, err = tauext(site, *words[:-3], "0.3", "--speed", "2")
     assert code == 2 and "--speed is for source replay, not for my-arm" in err
+
+
+def test_the_robot_of_the_example_is_commissioned(site):
+    with started(site, "commission", "--source", "my-arm:cell7", "--out", "cell7", "--no-page") as process:
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if line.startswith("learning"):
+                process.send_signal(signal.SIGINT)
+        err = process.communicate()[1]
+    assert process.returncode == 0 and any(line.startswith("learning") for line in lines), (lines, err)
+    described = tomllib.loads((site / "cell7" / "arm.toml").read_text())
+    assert described["robot"]["joints"] == ["shoulder", "elbow"], described
+
+
+def test_the_robot_of_the_example_refuses_a_torque_in_amperes(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    arm = importlib.import_module("my_arm").MyArm("cell7", 0.5)
+    arm.open(SourceSettings(("a", "b"), 10_000_000, ("N m", "N m")))
+    with pytest.raises(ConfigError, match="my arm cell7 measures torques in N m, the bundle has A"):
+        arm.open(SourceSettings(("a", "b"), 10_000_000, ("N m", "A")))
 
 
 def test_an_option_of_a_plug_in_is_checked_by_it_and_shown_in_the_help(site):

@@ -1,6 +1,7 @@
 """A plug-in: a robot of your own for `tauext monitor` and `commission`, and a command.
 
     pip install ./examples/04_plugin
+    tauext commission --source my-arm:HOST --out cell7
     tauext monitor ARM.tauext --source my-arm:HOST --amplitude-rad 0.3
     tauext my-arm ARM.tauext --seconds 10
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -19,10 +21,14 @@ import tyro
 import tauext
 from tauext.cli.commands import Command
 from tauext.config import require
+from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.sink import LoopReport, Verdict
-from tauext.monitor.source import Sample, Source, SourceCounts, SourceSettings
+from tauext.monitor.source import Sample, Source, SourceCounts, SourceFacts, SourceSettings
+from tauext.sources.describing import joint_names
 from tauext.sources.open import Option, SourceKind
+
+JOINTS, PERIOD_NS = ("shoulder", "elbow"), 10_000_000
 
 
 class MyArm:
@@ -34,7 +40,15 @@ class MyArm:
         self.name = f"my arm {host}"
         self.counts, self._amplitude_rad = SourceCounts(), amplitude_rad
 
+    def describe(self, wait_s: float, robot: Path | None = None) -> SourceFacts:
+        # YOUR ARM: connect, ask for number of joints, rate and unit of the torque, and disconnect.
+        joints, notes = joint_names(JOINTS, robot, self.name)
+        settings = SourceSettings(joints, PERIOD_NS, ("N m",) * len(joints), "instant")
+        return SourceFacts(settings, "torque", temperature=False, notes=notes)
+
     def open(self, settings: SourceSettings) -> None:
+        if others := set(settings.torque_units) - {"N m"}:
+            raise ConfigError(f"{self.name} measures torques in N m, the bundle has {', '.join(sorted(others))}")
         self._speed = 1.0 + 0.3 * np.arange(len(settings.joints))
         self._period_ns, self._due_ns = settings.period_ns, time.monotonic_ns()
 
@@ -43,7 +57,7 @@ class MyArm:
         time.sleep(max(0.0, min(left_s, timeout_s)))
         if left_s > timeout_s:
             return None
-        # YOUR ARM: read q [rad], dq [rad/s], tau in settings.torque_units and the time at which they were measured.
+        # YOUR ARM: read q [rad], dq [rad/s], tau [N m] and the time at which they were measured.
         t_ns, self._due_ns = self._due_ns, self._due_ns + self._period_ns
         angle = self._speed * t_ns * 1e-9
         q, dq = self._amplitude_rad * np.sin(angle), self._amplitude_rad * self._speed * np.cos(angle)
@@ -68,7 +82,7 @@ class Printer:
             print(f"sample {verdict.row}: {change}")
 
     def every_second(self, report: LoopReport) -> None:
-        print(f"{report.rate_hz:.0f} Hz, {report.missing} missing, told after {report.tick_p99_us:.0f} us (p99)")
+        print(f"{report.rate_hz:.0f} Hz, {report.missing} missing, reported after {report.tick_p99_us:.0f} us (p99)")
 
     def close(self) -> None:
         pass
@@ -84,7 +98,9 @@ AMPLITUDE = Option("amplitude_rad", float | None, "with --source my-arm, amplitu
 KIND = SourceKind(open_arm, "HOST", (AMPLITUDE,))
 
 
-def watch(bundle: tyro.conf.Positional[Path], seconds: float = 10.0) -> None:
+def watch(
+    bundle: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="ARM.tauext")], seconds: float = 10.0
+) -> None:
     """Run a bundle on this arm, and print what changes.
 
     Args:

@@ -7,7 +7,7 @@ A package adds a robot or a command in its pyproject.toml:
     [project.entry-points."tauext.commands"]
     mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
 
-`examples/plugin` holds one of each. The names of tauext itself cannot be replaced.
+`examples/04_plugin` holds one of each. The names of tauext itself cannot be replaced.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import pushed, watching_bundle
+from made_live import ScriptedSource
 from made_results import run_command
 
 from tauext.cli import main
@@ -129,6 +131,30 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
 def test_what_cannot_be_is_refused_in_one_line(place, capsys, arguments, message):
     code, _, err = monitor(capsys, *arguments)
     assert code == 2 and err.startswith("tauext: error: ") and message in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("script", "words", "refused", "message"),
+    [
+        ([], (), 0, "script: no sample came in"),
+        ([lambda: False], ("--duration-s", "0.05"), 0, "script: no sample came in"),
+        ([], (), 7, "script: none of 7 samples could be used in"),
+    ],
+)
+def test_a_monitor_that_received_no_sample_ends_with_status_2(
+    place, capsys, monkeypatch, script, words, refused, message
+):
+    source = ScriptedSource(script)
+    source.counts.refused = refused
+    monkeypatch.setattr("tauext.cli.monitor.open_source", lambda *_: (source, ()))
+    code, out, err = monitor(capsys, "watching.tauext", "--source", "my-arm:x", *words)
+    assert code == 2 and message in err and "check that the robot sends" in err and err.count("\n") == 1, (out, err)
+
+
+def test_a_monitor_that_is_stopped_before_the_first_sample_ends_with_status_0(place, capsys, monkeypatch):
+    monkeypatch.setattr("tauext.cli.monitor.open_source", lambda *_: (ScriptedSource([lambda: False]), ()))
+    monkeypatch.setattr("sys.stdin", io.StringIO("stop\n"))
+    assert monitor(capsys, "watching.tauext", "--source", "my-arm:x", "--control", "-")[::2] == (0, "")
 
 
 def run_beside(place, *arguments: str, **pipes) -> subprocess.Popen:

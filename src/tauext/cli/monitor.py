@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +14,7 @@ import tyro
 from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
-from tauext.errors import ConfigError
+from tauext.errors import AwayError, ConfigError
 from tauext.files.places import Place
 from tauext.sources.open import open_source
 
@@ -129,6 +130,7 @@ def watch(
 
     Raises:
         ConfigError: something does not fit, before the first sample; or, at the end, samples or flights are lost.
+        AwayError: the source or the duration ended without a sample.
     """
     from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.monitor_output import Aside, OutputSink
@@ -168,7 +170,9 @@ def watch(
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
         aside.do(partial(output.start_live, source.name, bundle))
+        began_s = time.monotonic()
         loop.run()
+        ran_s = time.monotonic() - began_s
         shown.print_news()
         if recorder is not None:
             shown.flights.missed = recorder.missed
@@ -178,6 +182,12 @@ def watch(
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))
+    if not loop.samples and not loop.stopped:
+        refused = source.counts.refused
+        came = f"none of {refused} samples could be used" if refused else "no sample came"
+        raise AwayError(
+            f"{source.name}: {came} in {ran_s:.1f} s; check that the robot sends, and the options of --source"
+        )
     recorded = outcome.recorded
     if recorded is not None and recorded.lost:
         of = recorded.lost + recorded.samples

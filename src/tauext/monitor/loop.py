@@ -309,6 +309,11 @@ class Loop:
         """The active profile."""
         return self._profile
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a request ended the loop, not its source or its duration."""
+        return self._stopped
+
     # The loop: one thread.
 
     def run(self) -> None:

@@ -16,10 +16,12 @@ from test_few_data import motion
 
 from tauext import _core
 from tauext.bundle.estimates import OK
+from tauext.cli.show import prior_words
 from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
+from tauext.files.toml_file import field_help
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ridge import Regressors, fit_ridge
 from tauext.fit.training_set import Setup
@@ -61,7 +63,7 @@ def unlimited(monkeypatch):
 
 
 def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeypatch, unlimited, capsys):
-    row = Recipe("viscous", fit=f"{__name__}:fit_viscous", baseline="viscous", rank=1)
+    row = Recipe("viscous", "constant and viscous friction", fit=f"{__name__}:fit_viscous", baseline="viscous")
     monkeypatch.setitem(RECIPES, row.name, row)
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
@@ -79,13 +81,17 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     healthy = said["health"] == OK
     rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("residual", "tau_ext")}
     assert (rms["tau_ext"] < 0.5 * rms["residual"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
-    assert "viscous" in baselines() and list(baselines())[-1] == "tauext"
+    assert list(baselines())[-2:] == ["tauext", "viscous"]  # the order of the rows
+    assert "Coulomb" not in (
+        shown := prior_words(facts["prior"], {"elbow": "Nm", "shoulder": "Nm"})["friction of elbow"]
+    )
+    assert shown.startswith("viscous ")
     assert any(sentence.startswith("viscous: error on left-out motion") for sentence in heard.sentences)
     assert capsys.readouterr() == ("", "")  # a stage prints nothing
 
 
 def test_what_an_added_recipe_does_not_use_follows_from_its_row(monkeypatch):
-    monkeypatch.setitem(RECIPES, "viscous", Recipe("viscous", fit=f"{__name__}:fit_viscous"))
+    monkeypatch.setitem(RECIPES, "viscous", Recipe("viscous", "friction", fit=f"{__name__}:fit_viscous"))
     kept = training_settings(EXACT, TrainConfig(recipe="viscous"))["config"]
     assert not {"threads", "targets", "prior", "gate_margin", "drift", "filters"} & kept.keys()
     assert kept == training_settings(EXACT, TrainConfig(recipe="friction"))["config"] | {"recipe": "viscous"}
@@ -102,8 +108,15 @@ def test_what_a_row_names_exists():
         assert getattr(_core.ResidualMethod, recipe.method)
         assert {"threads", "filters"} <= {*recipe.unused} or recipe.high_pass
         assert all(hasattr(TrainConfig, name) for name in (*recipe.unused, *recipe.defaults) if name not in FACTORIES)
-    ranks = [recipe.rank for recipe in RECIPES.values() if recipe.baseline]
-    assert len(set(ranks)) == len(ranks)
+    named = [recipe.baseline for recipe in RECIPES.values() if recipe.baseline]
+    assert len(set(named)) == len(named)
+
+
+def test_every_row_has_a_summary_and_the_help_prints_it():
+    words = field_help(TrainConfig)["recipe"]
+    for recipe in RECIPES.values():
+        assert recipe.summary.strip() and not recipe.summary.endswith("."), recipe.name
+        assert f"{recipe.name}: {recipe.summary}" in words
 
 
 FACTORIES = {"prior", "drift", "filters"}
@@ -116,7 +129,7 @@ def test_a_recipe_that_divides_by_the_inertia_needs_a_model():
 
 
 def test_an_unknown_recipe_is_refused_with_those_that_exist():
-    with pytest.raises(ConfigError, match="recipe = lstm must be one of tauext, prior, paper"):
+    with pytest.raises(ConfigError, match="recipe = lstm must be one of observer, friction, highpass"):
         TrainConfig(recipe="lstm")
 
 

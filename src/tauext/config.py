@@ -275,13 +275,10 @@ class EventsConfig:
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = "prior"
-    """Method to train. prior: presliding states and a prior fitted by ridge regression, no network. tauext: the same,
-    and a network on its residual where that lowers the error. paper: windows, as published. dense: the paper's network,
-    trained on longer sequences with a target at every step; far fewer steps. observer: no network at all, the plain
-    momentum observer. For comparison: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
-    and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy:
-    observers of other kinds."""
+    recipe: RecipeName = field(
+        default="prior", metadata={"choices": {name: recipe.summary for name, recipe in RECIPES.items()}}
+    )
+    """Method to train."""
     minutes: float | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
     validation recordings; None: all."""

@@ -1,5 +1,7 @@
 """The recipes of `train`: one row each. A new baseline is one row here and, where it is fitted, one function.
 
+A fit function takes and returns what the protocol `tauext.train.fitting.Fit` states.
+
 Standard library only, since the settings and with them the command line's help are made from this table.
 """
 
@@ -41,6 +43,8 @@ class Recipe:
     """What makes one kind of bundle: the residual, the fit, the network for the rest, and the limits."""
 
     name: str
+    summary: str
+    """What it is, as the help of --recipe prints it: a phrase in small letters, without a full stop."""
     method: str = "momentum"
     """Method of the residual: a name of the core's ResidualMethod."""
     needs_model: str = ""
@@ -50,7 +54,8 @@ class Recipe:
     low_pass: bool = False
     """... and low-passed at filters.low_pass_per_s."""
     fit: str | None = None
-    """Function that fits a prior, as "module:function" (see tauext.train.fitting), imported on use; None: no prior."""
+    """Function that fits a prior, as "module:function", imported on use; None: no prior. Its signature is
+    tauext.train.fitting.Fit: fit(setup, recordings, *, config, report, known) returns a PriorFit."""
     presliding: bool = False
     """The prior has presliding states, described by the setting `prior`."""
     drift: bool = False
@@ -74,9 +79,7 @@ class Recipe:
     defaults: Mapping[str, float] = field(default_factory=dict)
     """Values for settings that are None in TrainConfig."""
     baseline: str | None = None
-    """Its name among the baselines; None: it is not a baseline ..."""
-    rank: int = 0
-    """... and its position there, simplest first."""
+    """Its name among the baselines, which have the order of the rows; None: it is not a baseline."""
 
     @property
     def learns(self) -> bool:
@@ -122,25 +125,42 @@ DRAWN = {"targets": 100, "batch": 64, "learning_rate": 0.01}
 RECIPES = {
     recipe.name: recipe
     for recipe in (
+        Recipe("observer", "the plain momentum observer, nothing learned", baseline="observer"),
         Recipe(
-            "tauext",
-            **FULL_PRIOR,
-            network="sequences",
-            defaults=DRAWN | {"max_steps": 10_000},
-            baseline="tauext",
-            rank=10,
+            "friction",
+            "constant, viscous and Coulomb friction of each joint, fitted",
+            fit="tauext.fit.prior:fit_friction",
+            baseline="friction",
         ),
-        Recipe("prior", **FULL_PRIOR, baseline="prior", rank=9),
+        Recipe("highpass", "the observer's r through a high-pass", high_pass=True, baseline="highpass"),
         Recipe(
-            "paper",
-            network="windows",
-            largest_error_limits=True,
-            defaults={"epochs": 500, "batch": 1000, "learning_rate": 0.001},
+            "bandpass",
+            "the observer's r through a high-pass and a low-pass",
+            high_pass=True,
+            low_pass=True,
+            baseline="bandpass",
+        ),
+        Recipe(
+            "velocity",
+            "an observer of the joint velocities",
+            method="velocity",
+            needs_model="it divides by the inertia",
+            baseline="velocity",
+        ),
+        Recipe("energy", "an observer of the energy", method="energy", baseline="energy"),
+        Recipe("direct", "the residual of the equation of motion, low-passed", method="direct", baseline="direct"),
+        Recipe(
+            "feedforward",
+            "a feed-forward network on x(k) alone",
+            network="samples",
+            defaults={"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
+            baseline="feedforward",
         ),
         # Stands for the paper's network among the baselines: its errors are below the published ones at a fraction of
         # the time. A bundle of the paper's whole recipe can be given beside it.
         Recipe(
             "dense",
+            "the paper's network, trained on longer sequences with a target at every step, in far fewer steps",
             network="sequences",
             largest_error_limits=True,
             drawing=Drawing(
@@ -148,25 +168,31 @@ RECIPES = {
             ),
             defaults=DRAWN | {"targets": 140, "batch": 32, "max_steps": 90_000},
             baseline="paper-lstm",
-            rank=8,
         ),
         Recipe(
-            "feedforward",
-            network="samples",
-            defaults={"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
-            baseline="feedforward",
-            rank=7,
+            "paper",
+            "the paper's network, trained on windows, as published",
+            network="windows",
+            largest_error_limits=True,
+            defaults={"epochs": 500, "batch": 1000, "learning_rate": 0.001},
         ),
-        Recipe("observer", baseline="observer", rank=0),
-        Recipe("friction", fit="tauext.fit.prior:fit_friction", baseline="friction", rank=1),
-        Recipe("highpass", high_pass=True, baseline="highpass", rank=2),
-        Recipe("bandpass", high_pass=True, low_pass=True, baseline="bandpass", rank=3),
-        Recipe("direct", method="direct", baseline="direct", rank=6),
-        Recipe("velocity", method="velocity", needs_model="it divides by the inertia", baseline="velocity", rank=4),
-        Recipe("energy", method="energy", baseline="energy", rank=5),
+        Recipe(
+            "prior",
+            "presliding states and a prior fitted by ridge regression, no network",
+            **FULL_PRIOR,
+            baseline="prior",
+        ),
+        Recipe(
+            "tauext",
+            "as prior, with a network on its residual where that lowers the error",
+            **FULL_PRIOR,
+            network="sequences",
+            defaults=DRAWN | {"max_steps": 10_000},
+            baseline="tauext",
+        ),
     )
 }
-"""Recipes by name, in the order of the help."""
+"""Recipes by name, simplest first: the order of the help and of the baselines."""
 
 
 def recipe_of(name: str) -> Recipe:
@@ -181,6 +207,5 @@ def recipe_of(name: str) -> Recipe:
 
 
 def baselines() -> dict[str, str]:
-    """Recipes by the name of their baseline, simplest first; tauext itself is the last."""
-    ranked = sorted(RECIPES.values(), key=lambda recipe: recipe.rank)
-    return {recipe.baseline: recipe.name for recipe in ranked if recipe.baseline is not None}
+    """Recipes by the name of their baseline, in the order of the rows."""
+    return {recipe.baseline: recipe.name for recipe in RECIPES.values() if recipe.baseline is not None}

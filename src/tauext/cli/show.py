@@ -405,10 +405,13 @@ def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:
     rows: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():
         unit = units[joint]
+        terms = {  # a recipe without a term has 0
+            f"Coulomb {friction['coulomb_nm']:.3g} {unit}": friction["coulomb_nm"],
+            f"viscous {friction['viscous_nm_s_rad']:.3g} {unit} s/rad": friction["viscous_nm_s_rad"],
+            f"constant {friction['constant_nm']:.2g} {unit}": friction["constant_nm"],
+        }
         words = [
-            f"Coulomb {friction['coulomb_nm']:.3g} {unit}",
-            f"viscous {friction['viscous_nm_s_rad']:.3g} {unit} s/rad",
-            f"constant {friction['constant_nm']:.2g} {unit}",
+            *(term for term, value in terms.items() if value),
             *(f"ripple {r['amplitude_nm']:.2g} {unit}, {r['cycles_a_turn']} cycles a turn" for r in friction["ripple"]),
         ]
         if friction["not_supported"]:

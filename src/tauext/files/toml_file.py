@@ -246,7 +246,7 @@ def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] 
 
 
 def field_help(kind: type) -> dict[str, str]:
-    """The docstring under each field of a dataclass, without line breaks."""
+    """The docstring under each field of a dataclass, without line breaks, and the choices in the field's metadata."""
     found: dict[str, str] = {}
     for owner in reversed(kind.__mro__[:-1]):
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
@@ -254,6 +254,9 @@ def field_help(kind: type) -> dict[str, str]:
         for one, text in pairwise(definition.body):
             if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr):
                 found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
+    for name, choices in ((one.name, one.metadata.get("choices")) for one in fields(kind)):
+        if choices:
+            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices.items())}."
     return found
 
 

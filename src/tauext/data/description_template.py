@@ -105,10 +105,8 @@ def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Gu
 
 def _explain(found: Guess, signal: str, fits: Sequence[str], count: int) -> None:
     """Add the evidence of a signal's columns; names that may mean something else are marked as unsure."""
-    if signal == "time":  # the unit of the stamps has its evidence
-        return
-    key = "contact.column" if signal == "label" else f"signals.{signal}.columns"
-    words = "by its name" if signal == "label" else f"by the names of {count} columns"
+    key = {"time": "time.column", "label": "contact.column"}.get(signal, f"signals.{signal}.columns")
+    words = "by its name" if signal in ("time", "label") else f"by the names of {count} columns"
     found.why[key] = f"{words}; {', '.join(fits[1:])} would fit, too" if fits[1:] else words
     if _is_unsure(signal, fits[0]):
         found.values[key] = GUESSED + fits[0]
@@ -154,20 +152,22 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
     """Add what the first block of numbers shows: unit and use of the stamps, and degrees."""
     for block in raw.blocks():
         if block.stream == guessed.topic or not guessed.topic:
-            _guess_clock(guessed, block, raw.hints())
+            _guess_clock(guessed, block, raw)
             _guess_degrees(guessed, block)
             return
 
 
-def _guess_clock(guessed: Guess, block: RawSignals, hints: list[str]) -> None:
+def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
     column = guessed.columns.get("time", "")
     rate_hz = _rate_of_velocity(guessed, block)
-    hints = hints + [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
+    hints = raw.hints() + [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
     if not column or column not in block.names:
         if block.t_ns is None:
             guessed.why[RATE] = "; ".join(
                 ["no column of times: name it in column, or give the rate of the rows", *hints]
             )
+        elif raw.clocks[0] and not column:
+            guessed.why["time.column"] = f"the stamps of the file, '{raw.clocks[0]}', are the clock"
         return
     times = block.columns[:, block.names.index(column)]
     steps = np.diff(times[np.isfinite(times)])
@@ -185,6 +185,7 @@ def _guess_clock(guessed: Guess, block: RawSignals, hints: list[str]) -> None:
         why = f"'{column}' grows by exactly 1 a row: it counts rows"
     if why:
         guessed.columns["time"] = ""
+        guessed.why.pop("time.column", None)
         guessed.why[RATE] = "; ".join([f"{why}, so it is no clock: give the rate of the rows", *hints])
         return
     step = float(np.median(ahead))

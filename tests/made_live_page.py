@@ -14,10 +14,12 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
+from tauext.data.labels import Label
 from tauext.files import journal
 
 STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost",
@@ -190,7 +192,8 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     for one in events:
         journal.append(folder, "event", one)
         if one["answer"]:
-            journal.append(folder, "label", {name: one[name] for name in ("id", "answer")})
+            label = Label(one["id"], 1, one["t_ns"], one["t_ns"], one["answer"], "page", one["wall"])
+            journal.append(folder, "label", asdict(label))
     write_trace(folder / "flights" / "sim-3.000s-collision.estimates.parquet", joints)
     if state == "question":
         words = "The tool of joint7 seems 0.8 kg heavier than yesterday. Shall the monitor learn this?"

@@ -37,4 +37,4 @@ def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp
     bundle.save(str(tmp_path / "arm.tauext"))
     loaded = modules_after("show", str(tmp_path / "arm.tauext"))
     assert "tauext.bundle.units" in loaded
-    assert not loaded & {"numpy", "tauext.data", "pyarrow"}
+    assert not loaded & {"numpy", "tauext.data.recording", "pyarrow"}

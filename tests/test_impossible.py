@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -190,7 +191,7 @@ def test_calibration_recordings_leave_them_out_and_tell(tmp_path, monkeypatch):
 
 def test_numbers_of_a_fault_stay_readable(tmp_path, monkeypatch, capsys):
     flight = {"q": np.array([[0.5]]), "dq": np.array([[-1e300]]), "tau": np.array([[1e300]])}
-    source = type("Source", (), {"torque_units": ("N m",)})
+    source = SimpleNamespace(bundle=SimpleNamespace(torque_units=("N m",)))
     assert signals(flight, 0, 0, source) == "q = 0.50000 rad, dq = -1e+300 rad/s, tau = +1e+300 Nm"
     assert text_number(1e300, "+") == "+1e+300" and text_number(-12.345) == "-12.35"
     trained(tmp_path, monkeypatch, [motion()], recipe="observer")

@@ -7,6 +7,7 @@ import json
 import socket
 import time
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from tauext.commission.page import connections, live_server
 from tauext.commission.page.door import is_own_name, listening_socket
 from tauext.commission.page.live_arm import arm_facts
 from tauext.commission.page.live_server import line_of
+from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.files import journal
 
@@ -93,7 +95,7 @@ def test_the_state_is_the_folders_files_and_follows_them(tmp_path):
         state = json.loads(get(port, "/state")[1])
         assert state["name"] == "cell7" and state["active"] == {"bundle": "b0004"}
         assert [one["id"] for one in state["events"]] == [15, 16] and len(state["history"]) == 10
-        journal.append(tmp_path / "cell7", "label", {"id": 16, "answer": "nothing"})
+        journal.append(tmp_path / "cell7", "label", asdict(Label(16, 1, 1, 2, "nothing", "page", "")))
         with (tmp_path / "cell7" / "journal.jsonl").open("a") as file:
             file.write('{"crc32": "00000000", "number": 17, "sent')  # a line that is cut off by a kill
         (tmp_path / "cell7" / "coverage.json").write_text('{"secon')

@@ -183,13 +183,13 @@ def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
         ('like = "a.prior.json"\nrecipe = "friction"', "recipe = friction must be tauext or prior"),
     ],
 )
-def test_a_fleet_with_a_wrong_prior_is_refused_before_anything_runs(made, tmp_path, train, says):
+def test_a_fleet_with_a_wrong_prior_is_refused_before_anything_runs(made, tmp_path, train, message):
     dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15)))
     shutil.copy(made[0], tmp_path / "a.prior.json")
     fleet = write_fleet(tmp_path, f'[train]\n{train}\n[[arms]]\nname = "new"\ndataset = "data"\n')
     with pytest.raises(ConfigError) as refused:
         load_fleet(fleet)
-    assert says in str(refused.value) and "arm 'new'" in str(refused.value) and "\n" not in str(refused.value)
+    assert message in str(refused.value) and "arm 'new'" in str(refused.value) and "\n" not in str(refused.value)
 
 
 def test_recipes_without_such_a_prior_refuse_it(made, tmp_path):

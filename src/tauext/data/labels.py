@@ -7,13 +7,14 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any, Literal, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from tauext.config import FreeMotionConfig
 from tauext.files.journal import Contents, is_journal, read
 from tauext.files.places import Place
+
+if TYPE_CHECKING:
+    import numpy as np
 
 LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
 KIND, ALARM = "label", "event"
@@ -121,6 +122,8 @@ def overlay(labels: Iterable[Label], epoch: int, t_ns: np.ndarray, contact: np.n
     Args:
         contact: of the recording itself; None: free throughout.
     """
+    import numpy as np  # here alone: `show` reads labels without it
+
     out = np.zeros(len(t_ns), dtype=np.int8) if contact is None else np.array(contact, dtype=np.int8)
     order = ("suspect", "nothing", "unanswered", "touched")
     for label in sorted((one for one in labels if one.epoch == epoch), key=lambda one: order.index(one.answer)):

@@ -40,9 +40,9 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(INTEGRATIONS:=
 	$(GET) pip setuptools scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
 	$(call requirements,dev) > $(VENV)/requirements.txt
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
-	$(GET) --no-deps --no-build-isolation $(addprefix -e ./,$(INTEGRATIONS))
 	# Under LC_ALL=C, Python 3.11 does not start where a .pth file holds a path that is not ASCII.
 	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth
+	$(GET) --no-deps --no-build-isolation $(addprefix -e ./,$(INTEGRATIONS))
 	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@

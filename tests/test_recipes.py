@@ -81,7 +81,7 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     healthy = said["health"] == OK
     rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("residual", "tau_ext")}
     assert (rms["tau_ext"] < 0.5 * rms["residual"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
-    assert list(baselines())[-2:] == ["tauext", "viscous"]  # the order of the rows
+    assert list(baselines())[:2] == ["viscous", "observer"]  # the last row comes first
     assert "Coulomb" not in (
         shown := prior_words(facts["prior"], {"elbow": "Nm", "shoulder": "Nm"})["friction of elbow"]
     )
@@ -129,7 +129,7 @@ def test_a_recipe_that_divides_by_the_inertia_needs_a_model():
 
 
 def test_an_unknown_recipe_is_refused_with_those_that_exist():
-    with pytest.raises(ConfigError, match="recipe = lstm must be one of observer, friction, highpass"):
+    with pytest.raises(ConfigError, match="recipe = lstm must be one of tauext, prior, highpass"):
         TrainConfig(recipe="lstm")
 
 

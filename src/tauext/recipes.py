@@ -79,7 +79,7 @@ class Recipe:
     defaults: Mapping[str, float] = field(default_factory=dict)
     """Values for settings that are None in TrainConfig."""
     baseline: str | None = None
-    """Its name among the baselines, which have the order of the rows; None: it is not a baseline."""
+    """Its name among the baselines, the last row first; None: it is not a baseline."""
 
     @property
     def learns(self) -> bool:
@@ -125,36 +125,26 @@ DRAWN = {"targets": 100, "batch": 64, "learning_rate": 0.01}
 RECIPES = {
     recipe.name: recipe
     for recipe in (
-        Recipe("observer", "the plain momentum observer, nothing learned", baseline="observer"),
         Recipe(
-            "friction",
-            "constant, viscous and Coulomb friction of each joint, fitted",
-            fit="tauext.fit.prior:fit_friction",
-            baseline="friction",
-        ),
-        Recipe("highpass", "the observer's r through a high-pass", high_pass=True, baseline="highpass"),
-        Recipe(
-            "bandpass",
-            "the observer's r through a high-pass and a low-pass",
-            high_pass=True,
-            low_pass=True,
-            baseline="bandpass",
+            "tauext",
+            "as prior, with a network on its residual where that lowers the error",
+            **FULL_PRIOR,
+            network="sequences",
+            defaults=DRAWN | {"max_steps": 10_000},
+            baseline="tauext",
         ),
         Recipe(
-            "velocity",
-            "an observer of the joint velocities",
-            method="velocity",
-            needs_model="it divides by the inertia",
-            baseline="velocity",
+            "prior",
+            "presliding states and a prior fitted by ridge regression, no network",
+            **FULL_PRIOR,
+            baseline="prior",
         ),
-        Recipe("energy", "an observer of the energy", method="energy", baseline="energy"),
-        Recipe("direct", "the residual of the equation of motion, low-passed", method="direct", baseline="direct"),
         Recipe(
-            "feedforward",
-            "a feed-forward network on x(k) alone",
-            network="samples",
-            defaults={"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
-            baseline="feedforward",
+            "paper",
+            "the paper's network, trained on windows, as published",
+            network="windows",
+            largest_error_limits=True,
+            defaults={"epochs": 500, "batch": 1000, "learning_rate": 0.001},
         ),
         # Stands for the paper's network among the baselines: its errors are below the published ones at a fraction of
         # the time. A bundle of the paper's whole recipe can be given beside it.
@@ -170,29 +160,39 @@ RECIPES = {
             baseline="paper-lstm",
         ),
         Recipe(
-            "paper",
-            "the paper's network, trained on windows, as published",
-            network="windows",
-            largest_error_limits=True,
-            defaults={"epochs": 500, "batch": 1000, "learning_rate": 0.001},
+            "feedforward",
+            "a feed-forward network on x(k) alone",
+            network="samples",
+            defaults={"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
+            baseline="feedforward",
+        ),
+        Recipe("direct", "the residual of the equation of motion, low-passed", method="direct", baseline="direct"),
+        Recipe("energy", "an observer of the energy", method="energy", baseline="energy"),
+        Recipe(
+            "velocity",
+            "an observer of the joint velocities",
+            method="velocity",
+            needs_model="it divides by the inertia",
+            baseline="velocity",
         ),
         Recipe(
-            "prior",
-            "presliding states and a prior fitted by ridge regression, no network",
-            **FULL_PRIOR,
-            baseline="prior",
+            "bandpass",
+            "the observer's r through a high-pass and a low-pass",
+            high_pass=True,
+            low_pass=True,
+            baseline="bandpass",
         ),
+        Recipe("highpass", "the observer's r through a high-pass", high_pass=True, baseline="highpass"),
         Recipe(
-            "tauext",
-            "as prior, with a network on its residual where that lowers the error",
-            **FULL_PRIOR,
-            network="sequences",
-            defaults=DRAWN | {"max_steps": 10_000},
-            baseline="tauext",
+            "friction",
+            "constant, viscous and Coulomb friction of each joint, fitted",
+            fit="tauext.fit.prior:fit_friction",
+            baseline="friction",
         ),
+        Recipe("observer", "the plain momentum observer, nothing learned", baseline="observer"),
     )
 }
-"""Recipes by name, simplest first: the order of the help and of the baselines."""
+"""Recipes by name, in the order of the help; the baselines are in the reverse one, simplest first."""
 
 
 def recipe_of(name: str) -> Recipe:
@@ -207,5 +207,5 @@ def recipe_of(name: str) -> Recipe:
 
 
 def baselines() -> dict[str, str]:
-    """Recipes by the name of their baseline, in the order of the rows."""
-    return {recipe.baseline: recipe.name for recipe in RECIPES.values() if recipe.baseline is not None}
+    """Recipes by the name of their baseline, simplest first: the last row comes first."""
+    return {recipe.baseline: recipe.name for recipe in reversed(RECIPES.values()) if recipe.baseline is not None}

@@ -129,7 +129,7 @@ def test_a_recipe_that_divides_by_the_inertia_needs_a_model():
 
 
 def test_an_unknown_recipe_is_refused_with_those_that_exist():
-    with pytest.raises(ConfigError, match="recipe = lstm must be one of tauext, prior, highpass"):
+    with pytest.raises(ConfigError, match="recipe = lstm must be one of tauext, prior, paper"):
         TrainConfig(recipe="lstm")
 
 

@@ -12,18 +12,18 @@ A package adds a robot or a command in its pyproject.toml:
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TypeVar
 
 from tauext.errors import ConfigError
 
+Added = TypeVar("Added")
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
-PACKAGES = {"fleet": "tauext-fleet", "ros2": "tauext-ros2"} | dict.fromkeys(
-    ("feetech", "dynamixel", "damiao", "label"), "lerobot_robot_tauext"
-)
-"""Packages of this repository, by the command or source that they add."""
+FOLDERS = {"fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(("feetech", "dynamixel", "damiao", "label"), "lerobot")
+"""Folders of integrations/, by the command or source that their packages add. No registry has these packages yet: their
+names there may be those of strangers."""
 
 
 def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
@@ -35,13 +35,25 @@ def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
     return {one.name: one for one in found if one.name not in taken}
 
 
+def named(name: str, own: Mapping[str, Added], group: str, kind: type[Added]) -> Added | None:
+    """What has this name, of tauext's own or, searched only then, of a plug-in; None: nothing has it.
+
+    Raises:
+        ConfigError: a plug-in adds it and cannot be loaded.
+    """
+    if name in own:
+        return own[name]
+    entry = installed(group, own).get(name)
+    return None if entry is None else load(entry, kind)
+
+
 def how_to_add(name: str) -> str | None:
     """Which package adds this command or source; None: it is installed, or no package of this repository adds it."""
-    package = None if name in installed(SOURCES) | installed(COMMANDS) else PACKAGES.get(name)
-    return package and f"'{name}' comes with the package {package}: pip install {package}"
+    folder = None if name in installed(SOURCES) | installed(COMMANDS) else FOLDERS.get(name)
+    return folder and f"'{name}' is a plug-in: pip install ./integrations/{folder} in the source folder of tauext"
 
 
-def load(entry: EntryPoint, kind: type) -> Any:
+def load(entry: EntryPoint, kind: type[Added]) -> Added:
     """The object of this entry point.
 
     Raises:

@@ -80,12 +80,5 @@ def all_commands() -> dict[str, Command]:
 
 
 def command_named(name: str) -> Command | None:
-    """The command of this name; None: there is none. Plug-ins are searched only for names that tauext lacks.
-
-    Raises:
-        ConfigError: a plug-in adds it and cannot be loaded.
-    """
-    if name in OWN:
-        return OWN[name]
-    entry = plugins.installed(plugins.COMMANDS, OWN).get(name)
-    return None if entry is None else plugins.load(entry, Command)
+    """The command of this name, see plugins.named()."""
+    return plugins.named(name, OWN, plugins.COMMANDS, Command)

@@ -95,21 +95,9 @@ def kinds() -> dict[str, SourceKind]:
     for name, entry in plugins.installed(plugins.SOURCES, KINDS).items():
         try:
             found[name] = plugins.load(entry, SourceKind)
-        except ConfigError:  # reported by kind_of(), to those who want it
+        except ConfigError:  # reported where its source is opened
             continue
     return found
-
-
-def kind_of(name: str) -> SourceKind | None:
-    """The kind of this name; None: there is none.
-
-    Raises:
-        ConfigError: a plug-in adds it and cannot be loaded.
-    """
-    if name in KINDS:
-        return KINDS[name]
-    entry = plugins.installed(plugins.SOURCES, KINDS).get(name)
-    return None if entry is None else plugins.load(entry, SourceKind)
 
 
 def options_of(kinds: Mapping[str, SourceKind]) -> dict[str, Option]:
@@ -135,9 +123,9 @@ def open_source(
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
     """
     name, colon, target = text.partition(":")
-    kind = kind_of(name)
-    if kind is None and (package := plugins.how_to_add(name)):
-        raise ConfigError(f"--source {text}: {package}")
+    kind = plugins.named(name, KINDS, plugins.SOURCES, SourceKind)
+    if kind is None and (how := plugins.how_to_add(name)):
+        raise ConfigError(f"--source {text}: {how}")
     if kind is None or bool(target) != bool(kind.target) or (colon and not target):
         choices = ", ".join([*(one.typed(other) for other, one in kinds().items()), *([also] if also else ())])
         raise ConfigError(f"--source {text!r} must be one of {choices}")

@@ -119,6 +119,8 @@ def test_online_equals_offline_bit_for_bit_at_every_sample():
         "alarm_number",
         "touch_t_ns",
         "touch_over",
+        "declared_moment_nm",
+        "declared_travel_m",
     }
     assert set(offline) - set(online) == {"entered", "restarted"}
     for name in set(offline) & set(online):
@@ -132,7 +134,7 @@ def test_estimates_of_some_torque_columns_are_those_of_all():
     signals = made.t_ns, made.q, made.dq, made.tau
     whole, some = _core.estimate(bundle, *signals, 1), _core.estimate(bundle, *signals, 1, torques=["doubt", "tau_ext"])
     torques = {"residual", "prior", "network", "drift", "sigma_nm", "contact_sigma_nm", "limit_scale", "limit_nm"}
-    assert set(whole) - set(some) == torques | {"contact_limit_nm"}
+    assert set(whole) - set(some) == torques | {"contact_limit_nm", "declared_nm"}
     for name, values in some.items():
         np.testing.assert_array_equal(values, whole[name], err_msg=name)
     with pytest.raises(_core.CoreError, match="no torque column 'health'"):

@@ -9,9 +9,8 @@
 namespace made {
 
 // With an error scale of 1 N m for every joint, and errors that correlate by 0.2.
-inline tauext::Bundle force_bundle(int joints) {
-  const auto n = static_cast<std::size_t>(joints);
-  tauext::Bundle bundle = made::bundle(joints, 0, 30, 10, 1);
+inline tauext::Bundle with_errors(tauext::Bundle bundle) {
+  const auto n = static_cast<std::size_t>(bundle.joints());
   bundle.error_scale.features = {tauext::MotionFeature::constant};
   bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
       bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(n, 1.0);
@@ -19,6 +18,8 @@ inline tauext::Bundle force_bundle(int joints) {
   for (std::size_t j = 0; j < n; ++j) bundle.wrench.correlation[j * n + j] = 1;
   return bundle;
 }
+
+inline tauext::Bundle force_bundle(int joints) { return with_errors(made::bundle(joints, 0, 30, 10, 1)); }
 
 // A member of the JSON object on stdout.
 inline void print_quantiles(const char* name, std::vector<double>& ns) {

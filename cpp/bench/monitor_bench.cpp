@@ -23,7 +23,7 @@
 #include <time.h>
 #endif
 
-#include "../tests/made_bundle.hpp"
+#include "force_bundle.hpp"
 #include "network/lstm_lanes.hpp"
 #include "network/sliding_lstm.hpp"
 #include "tauext/monitor.hpp"
@@ -259,7 +259,7 @@ Stepped timed_step(Monitor& monitor, const Sample& sample, Parts& parts, bool on
 }
 
 // What goes on while a monitor is timed.
-enum class During { free_motion, weighing, expecting, contact };
+enum class During { free_motion, weighing, expecting, contact, declared };
 constexpr double kPushLimits = 3;  // a contact's torque, in the limits of the first joint in free motion
 
 void keep_up(Monitor& monitor, During during) {
@@ -267,6 +267,17 @@ void keep_up(Monitor& monitor, During during) {
     throw Error(monitor.why_no_weighing());
   if (during == During::expecting && monitor.last().load_phase == LoadPhase::none && !monitor.expect_load(60, 1))
     throw Error(monitor.why_not_expected(60, 1));
+}
+
+// The force that is declared at the last link, in an arm of three joints or more within a cone.
+DeclaredContact declared_contact(int joints) {
+  DeclaredContact contact;
+  contact.frame = joints - 1;
+  contact.point = {0.05, 0.02, 0.1};
+  contact.axis = {0.3, 0.2, 1};
+  contact.half_angle_rad = joints > 3 ? 0.5 : 0.0;
+  contact.at_most_n = 20;
+  return contact;
 }
 
 // Samples whose health is ok are timed; sines have no others.
@@ -278,6 +289,8 @@ std::string monitor_part(const Bundle& b, const Recorded* recorded, NetworkRate 
   parts.clear();
   real_time.lock_memory();
   std::int64_t k = warm_up(monitor, motion, b), not_ok = 0;
+  if (during == During::declared && monitor.expect_contact(declared_contact(b.joints()), kAlways_s) < 0)
+    throw Error(monitor.why_no_contact(declared_contact(b.joints()), kAlways_s));
   if (during == During::contact) motion.push_nm = kPushLimits * monitor.last().limit_nm[0];
   for (std::int64_t timed = 0; timed < steps; ++k) {
     keep_up(monitor, during);
@@ -461,15 +474,22 @@ void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded,
   std::string json = "{" + sizes(b) + ", \"bundle\": " + quoted(bundle_name);
   json += ", \"compiler\": " + quoted(__VERSION__);
   json += format(", \"lanes\": %d, \"steps\": %lld", lanes::lane_count(), (long long)steps);
-  const auto monitor_in = [&](During during, NetworkRate rate = NetworkRate::every_sample) {
-    return monitor_part(b, recorded, rate, during, steps, real_time, parts);
+  const auto time_of = [&](const Bundle& of, During during, NetworkRate rate = NetworkRate::every_sample) {
+    return monitor_part(of, recorded, rate, during, steps, real_time, parts);
   };
+  const auto monitor_in = [&](During during, NetworkRate rate = NetworkRate::every_sample) { return time_of(b, during, rate); };
   json += ", \"monitor\": " + monitor_in(During::free_motion);
   if (recorded) {
     json += ", \"contact\": " + monitor_in(During::contact);
     const Monitor able(b);
     json += ", \"weighing\": " + (able.can_weigh() ? monitor_in(During::weighing) : "null");
     json += ", \"expecting\": " + (able.why_not_expected(60, 1).empty() ? monitor_in(During::expecting) : "null");
+  }
+  Bundle forces = b;  // a contact can be declared where standard errors are known
+  if (!recorded && !forces.error_scale.on()) forces = made::with_errors(b);
+  if (b.joints() > 1 && Monitor(forces).contact_fault(declared_contact(b.joints()), 1) == ContactFault::none) {
+    json += ", \"with_errors\": " + time_of(forces, During::free_motion);
+    json += ", \"declared\": " + time_of(forces, During::declared);
   }
   json += ", \"network\": " + network_part(b, steps, real_time, parts);
   json += ", \"recomputed_window\": " + recomputed_part(b, real_time, parts);

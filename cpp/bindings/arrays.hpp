@@ -11,6 +11,7 @@
 #include <string_view>
 #include <vector>
 
+#include "tauext/declared_contact.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/wrench.hpp"
 
@@ -94,6 +95,20 @@ struct FrameWrench : Wrench {
   std::optional<std::array<double, 3>> point;
 };
 
+// Python's ToolForce: its wrench with the frame's name.
+struct FrameToolForce : ToolForce {
+  FrameWrench at;
+};
+
+// Python's DeclaredContact: with the names of the frame or joint, whose numbers only a monitor has.
+struct NamedContact : DeclaredContact {
+  std::string frame_name, joint_name;
+  bool operator==(const NamedContact&) const = default;
+};
+// With the numbers. Throws Error if there is no such frame or joint.
+DeclaredContact contact_of(const WrenchModel& model, const NamedContact& named);
+
+void bind_contact(nb::module_& m);
 void bind_coverage(nb::module_& m);
 void bind_load(nb::module_& m);
 void bind_load_found(nb::module_& m);

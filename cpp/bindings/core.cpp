@@ -2,6 +2,7 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <limits>
@@ -552,6 +553,10 @@ void bind_bundle(nb::module_& m) {
           [](Bundle& b, double v) { b.limits.after_contact_factor = v; },
           "Factor on the limits of a joint that was pushed while stuck, until it has slid; 1: none.")
       .def_prop_rw(
+          "declared_spread", [](const Bundle& b) { return b.limits.declared_spread; },
+          [](Bundle& b, double v) { b.limits.declared_spread = v; },
+          "Standard errors of what a declared contact explains by which limits rise meanwhile, in squares.")
+      .def_prop_rw(
           "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); },
           "Torque at which each drive saturates, [N m]; infinite: unknown.")
@@ -658,13 +663,17 @@ void bind_bundle(nb::module_& m) {
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
          const Array<double, 2>& tau, int threads, const Temperatures& temperature,
-         const std::optional<Array<float, 2>>& outputs, const std::vector<std::string>& torques) {
+         const std::optional<Array<float, 2>>& outputs, const std::vector<std::string>& torques,
+         const std::vector<std::tuple<NamedContact, std::int64_t, double>>& contacts) {
         const RecordingView recording = view(t_ns, q, dq, tau, temperature);
+        std::vector<TimedContact> timed;
+        for (const auto& [named, from_ns, seconds] : contacts)
+          timed.push_back({contact_of(WrenchModel(b), named), from_ns, seconds});
         const auto known = outputs ? std::span<const float>(outputs->data(), outputs->size()) : std::span<const float>();
         Estimates e;
         {
           nb::gil_scoped_release released;
-          e = estimate(b, recording, threads, known, torques);
+          e = estimate(b, recording, threads, known, torques, timed);
         }
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
         ArrayDict out;
@@ -684,6 +693,10 @@ void bind_bundle(nb::module_& m) {
         out["alarm_joint"] = to_numpy(std::move(e.alarm_joint), {N});
         out["held_alarm"] = to_numpy(std::move(e.held_alarm), {N});
         out["touch"] = to_numpy(std::move(e.touch), {N});
+        out["declared"] = to_numpy(std::move(e.declared), {N});
+        out["declared_contact"] = to_numpy(std::move(e.declared_contact), {N});
+        out["declared_size"] = to_numpy(std::move(e.declared_size), {N});
+        out["declared_sigma"] = to_numpy(std::move(e.declared_sigma), {N});
         out["entered"] = to_numpy(std::move(e.entered), {N});
         out["restarted"] = to_numpy(std::move(e.restarted), {N});
         return out;
@@ -691,9 +704,10 @@ void bind_bundle(nb::module_& m) {
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       nb::arg("temperature") = nb::none(), nb::arg("outputs") = nb::none(),
       nb::arg("torques") = std::vector<std::string>(),
+      nb::arg("contacts") = std::vector<std::tuple<NamedContact, std::int64_t, double>>(),
       "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. outputs: those of "
       "network_outputs(), so that the network is not run again. torques: names of the torque columns that are returned; "
-      "empty: all. See estimates.hpp.");
+      "empty: all. contacts: declared contacts, from a time [ns] on, for seconds. See estimates.hpp.");
   m.def(
       "network_outputs",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -779,6 +793,7 @@ NB_MODULE(_core, m) {
   bind_coverage(m);
   bind_load(m);
   bind_load_found(m);
+  bind_contact(m);
   bind_monitor(m);
   bind_refit(m);
 }

@@ -119,6 +119,12 @@ class Columns {
     load_error_kg_.push_back(e.load_error_kg);
     load_phase_.push_back(static_cast<std::uint8_t>(e.load_phase));
     load_found_ns_.push_back(e.load_found_ns);
+    declared_.push_back(static_cast<std::uint8_t>(e.declared));
+    declared_contact_.push_back(static_cast<std::int8_t>(e.declared_contact));
+    declared_size_.push_back(e.declared_size);
+    declared_sigma_.push_back(e.declared_sigma);
+    declared_moment_nm_.push_back(e.declared_moment_nm);
+    declared_travel_m_.push_back(e.declared_travel_m);
   }
   // With torques that do not exist.
   void add_unknown(Estimate e) {
@@ -151,6 +157,12 @@ class Columns {
     out["load_error_kg"] = to_numpy(std::move(load_error_kg_), {N});
     out["load_phase"] = to_numpy(std::move(load_phase_), {N});
     out["load_found_ns"] = to_numpy(std::move(load_found_ns_), {N});
+    out["declared"] = to_numpy(std::move(declared_), {N});
+    out["declared_contact"] = to_numpy(std::move(declared_contact_), {N});
+    out["declared_size"] = to_numpy(std::move(declared_size_), {N});
+    out["declared_sigma"] = to_numpy(std::move(declared_sigma_), {N});
+    out["declared_moment_nm"] = to_numpy(std::move(declared_moment_nm_), {N});
+    out["declared_travel_m"] = to_numpy(std::move(declared_travel_m_), {N});
     return out;
   }
 
@@ -159,7 +171,7 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 14> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 15> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
                                                    {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
@@ -172,14 +184,16 @@ class Columns {
                                                    {"limit_nm", &Estimate::limit_nm},
                                                    {"contact_limit_nm", &Estimate::contact_limit_nm},
                                                    {"margin_nm", &Estimate::margin_nm},
-                                                   {"load_nm", &Estimate::load_nm}}};
+                                                   {"load_nm", &Estimate::load_nm},
+                                                   {"declared_nm", &Estimate::declared_nm}}};
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
   std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_, alarm_number_;
-  std::vector<double> unfamiliar_, load_kg_, load_error_kg_;
+  std::vector<double> unfamiliar_, load_kg_, load_error_kg_, declared_size_, declared_sigma_;
+  std::vector<double> declared_moment_nm_, declared_travel_m_;
   std::vector<std::int64_t> load_found_ns_, touch_t_ns_;
-  std::vector<std::uint8_t> health_, alarm_, held_alarm_, touch_over_, touch_, detection_, unseen_, load_phase_;
-  std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, touch_over_, touch_, detection_, unseen_, load_phase_, declared_;
+  std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_, declared_contact_;
 };
 
 // step() for many samples; signals are (samples, joints).
@@ -367,6 +381,16 @@ void bind_estimate(nb::module_& m) {
   bind_torques("network", &Estimate::network, "What the network adds to the prior, [N m]; 0 without a network.");
   bind_torques("load_nm", &Estimate::load_nm,
                "Part of tau_ext attributed to an expected load, [N m]; the alarm uses the rest. 0 if none is expected.");
+  bind_torques("declared_nm", &Estimate::declared_nm,
+               "Part of tau_ext that declared contacts explain, [N m]; the alarm uses the rest.");
+  estimate.def_ro("declared", &Estimate::declared, "State of the declared contact in effect.")
+      .def_ro("declared_contact", &Estimate::declared_contact, "Its number, of Monitor.expect_contact(); -1: none is in effect.")
+      .def_ro("declared_size", &Estimate::declared_size,
+              "Its force within the cone, however large, [N]; of a joint the torque, in its unit.")
+      .def_ro("declared_sigma", &Estimate::declared_sigma, "Standard error of declared_size.")
+      .def_ro("declared_moment_nm", &Estimate::declared_moment_nm, "Its moment, [N m].")
+      .def_ro("declared_travel_m", &Estimate::declared_travel_m,
+              "Way of its point along the axis since the contact began, [m].");
   bind_torques("drift", &Estimate::drift,
                "Slow changes of r since training, from the tracker, [N m]; 0 without a tracker.");
   bind_torques("uncertainty", &Estimate::uncertainty,
@@ -387,7 +411,7 @@ void bind_estimate(nb::module_& m) {
                "Collision limit of |tau_ext| at this sample, scale and doubt included, [N m].");
   bind_torques("contact_limit_nm", &Estimate::contact_limit_nm,
        "Contact limit of |tau_ext| at this sample, scale and doubt included, [N m].");
-  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext - load_nm|, [N m]; negative at a detection.");
+  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext - load_nm - declared_nm|, [N m]; negative at a detection.");
 }
 
 }  // namespace
@@ -512,6 +536,46 @@ void bind_monitor(nb::module_& m) {
           "Raises CoreError, and changes nothing, if it is refused.")
       .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
            "Reason for which expect_load() would refuse; empty: none.")
+      .def(
+          "expect_contact",
+          [](Monitor& self, const NamedContact& named, double seconds) {
+            const DeclaredContact contact = contact_of(self.wrench_model(), named);
+            const int which = self.expect_contact(contact, seconds);
+            if (which < 0) throw Error(self.why_no_contact(contact, seconds));
+            return which;
+          },
+          nb::arg("contact"), nb::arg("seconds") = kAlways_s,
+          "Declares a contact that the task means, for `seconds` from the next sample on; without a time until end_contact().\n"
+          "The alarm then uses only the part of tau_ext that nothing within its bounds explains; drift, weighing and a refit learn\n"
+          "nothing. Returns its number. Raises CoreError, and changes nothing, if it is refused.")
+      .def("end_contact", &Monitor::end_contact, nb::arg("which"),
+           "Ends a declared contact at once. False: there is none of this number.")
+      .def(
+          "why_no_contact",
+          [](const Monitor& self, const NamedContact& named, double seconds) {
+            try {
+              return self.why_no_contact(contact_of(self.wrench_model(), named), seconds);
+            } catch (const Error& error) {
+              return std::string(error.what());
+            }
+          },
+          nb::arg("contact"), nb::arg("seconds") = kAlways_s, "Reason for which expect_contact() would refuse; empty: none.")
+      .def(
+          "unmonitored", [](const Monitor& self, const NamedContact& named) { return self.unmonitored(contact_of(self.wrench_model(), named)); },
+          nb::arg("contact"), "What is not monitored while the contact is in effect, as a sentence; empty: nothing.")
+      .def(
+          "tool_force",
+          [](const Monitor& self, WrenchAxes axes) {
+            FrameToolForce tool;
+            static_cast<ToolForce&>(tool) = self.tool_force(axes);
+            static_cast<Wrench&>(tool.at) = tool.wrench;
+            tool.at.axes = axes;
+            if (tool.frame >= 0) tool.at.frame = self.wrench_model().frame(tool.frame).name;
+            return tool;
+          },
+          nb::arg("axes") = WrenchAxes::base,
+          "The force that acts on the tool, at the last sample: at the declared contact in effect, else at the load frame; with\n"
+          "covariance and its standard errors by cause.")
       .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
                    "Load from the next sample on; mass 0: none.")
       .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },

@@ -232,9 +232,7 @@ void bind_wrench(nb::module_& m) {
           [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q) {
             if (q.size() != static_cast<std::size_t>(self.joints()))
               throw Error("q must hold " + std::to_string(self.joints()) + " values");
-            std::array<double, 9> rotation;
-            std::array<double, 3> origin;
-            self.pose(expect_frame(self, frame), q, rotation, origin);
+            const auto [rotation, origin] = self.pose(expect_frame(self, frame), q);
             return std::pair(to_numpy(std::vector(rotation.begin(), rotation.end()), {3, 3}),
                              to_numpy(std::vector(origin.begin(), origin.end()), {3}));
           },

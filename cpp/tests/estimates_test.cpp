@@ -46,6 +46,9 @@ Bundle quick(int joints, int hidden, unsigned seed) {
 // residuals.
 std::vector<Bundle> chains() {
   std::vector<Bundle> all{quick(1, 0, 1), quick(2, 5, 2), quick(7, 8, 3)};
+  all[2].error_scale.features = {MotionFeature::constant};  // a contact at a frame needs standard errors
+  all[2].error_scale.limit_weights = all[2].error_scale.largest = all[2].error_scale.sigma_weights =
+      all[2].error_scale.sigma_near_weights = all[2].error_scale.largest_sigma = std::vector<double>(7, 1.0);
   Bundle prior = quick(2, 6, 4);
   prior.prior.widths_rad = {1e-3, 1e-2};
   prior.prior.terms = {{TermKind::coulomb, 0, 0, 0, 0, 0.05}, {TermKind::presliding, 0, 1, 0, 0, 0},
@@ -174,16 +177,38 @@ Signals broken(int joints, std::mt19937_64& random) {
 
 struct Seen {
   int health[4] = {}, alarms = 0, detections = 0;
-  std::uint32_t causes = 0, unseen = 0;
+  std::uint32_t causes = 0, unseen = 0, declared = 0;
 };
+
+// A contact at the last link where the bundle can have one, and one of the first joint, each for some time.
+std::vector<TimedContact> some_contacts(const Monitor& monitor, const RecordingView& recording) {
+  std::vector<TimedContact> contacts;
+  DeclaredContact tool, joint;
+  tool.frame = monitor.joints() - 1;
+  tool.axis = {1, 0.4, 0.2};
+  tool.half_angle_rad = monitor.joints() > 3 ? 0.6 : 0.0;
+  tool.at_most_n = 4;
+  joint.joint = 0;
+  joint.at_most_nm = 0.5;
+  if (recording.samples < 300) return contacts;
+  for (const DeclaredContact& one : {joint, tool})
+    if (monitor.contact_fault(one, 0.4) == ContactFault::none)
+      contacts.push_back({one, recording.t_ns[contacts.empty() ? 100 : 200], 0.15});
+  if (contacts.size() == 2 && contacts[1].from_ns < contacts[0].from_ns) contacts[1].from_ns = contacts[0].from_ns;
+  return contacts;
+}
 
 // The first difference, in words; empty: none.
 std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen& seen) {
   RecordingView recording = s.view();
   recording.temperature = s.tau.data();  // as wild as anything
-  const Estimates bulk = estimate(bundle, recording, threads);
   Monitor monitor(bundle);
+  const std::vector<TimedContact> contacts = some_contacts(monitor, recording);
+  const Estimates bulk = estimate(bundle, recording, threads, {}, {}, contacts);
+  std::size_t declared = 0;
   for (std::int64_t k = 0; k < s.samples(); ++k) {
+    for (; declared < contacts.size() && contacts[declared].from_ns <= recording.t_ns[k]; ++declared)
+      monitor.expect_contact(contacts[declared].contact, contacts[declared].seconds);
     const Estimate& e = monitor.step(recording.at(k));
     const auto row = static_cast<std::size_t>(k);
     const auto n = static_cast<std::size_t>(s.joints);
@@ -200,6 +225,10 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
     if (!same(e.unfamiliar, bulk.unfamiliar[row]) || static_cast<std::uint8_t>(e.unseen) != bulk.unseen[row] ||
         e.unseen_joint != bulk.unseen_joint[row] || e.unseen_other != bulk.unseen_other[row])
       return "unfamiliar" + here;
+    if (static_cast<std::uint8_t>(e.declared) != bulk.declared[row] || e.declared_contact != bulk.declared_contact[row] ||
+        !same(e.declared_size, bulk.declared_size[row]) || !same(e.declared_sigma, bulk.declared_sigma[row]))
+      return "declared contact" + here;
+    seen.declared |= 1u << static_cast<unsigned>(e.declared);
     seen.unseen |= 1u << static_cast<unsigned>(e.unseen);
     for (std::size_t j = 0; j < n; ++j) {
       const std::size_t at = row * n + j;
@@ -213,6 +242,7 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
       if (!same(e.limit_scale[j], bulk.limit_scale[at])) return "limit scale" + here;
       if (!same(e.limit_nm[j], bulk.limit_nm[at])) return "limit" + here;
       if (!same(e.contact_limit_nm[j], bulk.contact_limit_nm[at])) return "contact limit" + here;
+      if (!same(e.declared_nm[j], bulk.declared_nm[at])) return "declared torque" + here;
       if ((e.near_stiction >> j & 1) != bulk.near_stiction[at]) return "near_stiction" + here;
       // No NaN while the health reports an estimate.
       if (e.health == Health::ok && !std::isfinite(e.tau_ext[j])) return "tau_ext that is not finite" + here;
@@ -244,6 +274,7 @@ void batch_and_loop_agree_on_random_mixtures_of_all_faults() {
   CHECK(seen.causes == (kNotFinite | kLateSample | kTimeBackwards | kGap | kWrongRate | kTorqueSaturated | kEncoderStill |
                         kImpossibleTorque | kImpossibleVelocity | kImpossiblePosition));
   CHECK(seen.unseen == 0b1111);
+  CHECK((seen.declared & 0b111) == 0b111);
   CHECK(seen.alarms > kRecordings && seen.detections > kRecordings);
   std::printf("%d recordings of %d samples with %d faults, both ways, bit for bit: %d differ\n", recordings, kSamples, tried,
               different);

@@ -92,7 +92,7 @@ struct Everything {
   Monitor every, own, plain, velocity;
   FlightRecorder recorder;
   double weighed = 0;
-  int touched = 0, placed = 0;
+  int touched = 0, placed = 0, declared = 0;
   std::vector<std::byte> state, carried;
   PlaceModel places;
   TouchPlaces told;
@@ -157,6 +157,21 @@ struct Everything {
         places.locate(told);
         placed += told.places;
       }
+      if (k % 1000 == 500) {
+        DeclaredContact contact;
+        contact.frame = joints - 1;
+        contact.axis = {1, 0.5, 0};
+        contact.half_angle_rad = joints > 3 ? 0.4 : 0.0;
+        contact.at_most_n = 5;
+        contact.at_most_nm = joints == 7 && k % 2000 == 500 ? 0.5 : 0.0;
+        contact.boxed = k % 2000 == 1500;
+        contact.lowest_m = {-9, -9, -9}, contact.highest_m = {9, 9, 9};
+        CHECK(every.expect_contact(contact, 0.3) >= 0);
+        contact.frame = -1;
+        CHECK(every.expect_contact(contact, 0.3) == -1 && !every.end_contact(6));
+      }
+      declared += every.last().declared_nm[0] != 0;
+      if (k % 50 == 0) declared += every.tool_force().declared;
       if (k % 450 == 0) weighed += every.estimate_load().misfit + own.estimate_load().misfit;
       if (k % 3700 == 3699) own.stop_weighing();
       if (k % 3600 == 0) every.finish_refit();
@@ -177,7 +192,7 @@ void nothing_is_allocated() {
     allocations = 0;
     everything.run(6'000);
     CHECK(allocations == 0);
-    CHECK(everything.weighed != 0 && everything.touched > 0 && everything.placed > 0);
+    CHECK(everything.declared > 100 && everything.weighed != 0 && everything.touched > 0 && everything.placed > 0);
   }
 }
 

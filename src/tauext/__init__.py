@@ -19,7 +19,7 @@ The public names, each loaded on first use:
 ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
 **Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Touch; Load, LoadFound,
-LoadPhase
+LoadPhase; DeclaredContact, Declared, ToolForce: contacts that the task means
 **Forces** WrenchModel, Wrench, WrenchAxes: force and moment at a frame · PlaceModel, TouchPlaces, TouchPlace: which
 link is touched, where and how hard
 **Progress** Reporter: progress of train_bundle and evaluate_bundles **Errors** TauextError and under it RobotError,
@@ -35,8 +35,8 @@ import importlib
 
 _WHERE = {
     "_core": (
-        "Alarm Bundle Estimate FlightRecorder Health Load LoadFound LoadPhase Monitor PlaceModel Touch "
-        "TouchPlace TouchPlaces Wrench WrenchAxes WrenchModel __version__ cause_names"
+        "Alarm Bundle Declared DeclaredContact Estimate FlightRecorder Health Load LoadFound LoadPhase Monitor PlaceModel "
+        "ToolForce Touch TouchPlace TouchPlaces Wrench WrenchAxes WrenchModel __version__ cause_names"
     ),
     "bundle.bundle_file": "load_bundle",
     "bundle.estimates": "Estimates",

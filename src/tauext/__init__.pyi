@@ -2,6 +2,8 @@
 
 from tauext._core import Alarm as Alarm
 from tauext._core import Bundle as Bundle
+from tauext._core import Declared as Declared
+from tauext._core import DeclaredContact as DeclaredContact
 from tauext._core import Estimate as Estimate
 from tauext._core import FlightRecorder as FlightRecorder
 from tauext._core import Health as Health
@@ -10,6 +12,7 @@ from tauext._core import LoadFound as LoadFound
 from tauext._core import LoadPhase as LoadPhase
 from tauext._core import Monitor as Monitor
 from tauext._core import PlaceModel as PlaceModel
+from tauext._core import ToolForce as ToolForce
 from tauext._core import Touch as Touch
 from tauext._core import TouchPlace as TouchPlace
 from tauext._core import TouchPlaces as TouchPlaces

@@ -49,6 +49,16 @@ enum class LoadPhase : std::uint8_t {
 
 const char* name(LoadPhase phase) noexcept;  // "none", "expecting", ...
 
+// What a declared contact explains of a sample.
+enum class Declared : std::uint8_t {
+  none,    // no declared contact is in effect, or there is no torque
+  within,  // in effect; what the bounds admit is explained
+  beyond,  // the force or torque is larger than declared by more than two standard errors
+  moved,   // the point moved farther along the axis than declared: nothing is explained until the force has gone
+};
+
+const char* name(Declared declared) noexcept;  // "none", "within", ...
+
 // Result for one sample. Torques that do not exist are NaN: tau_ext, sigma_nm, network, uncertainty and margin_nm exist
 // only while health is ok or stale, or if kTorqueSaturated is the only cause.
 struct Estimate {
@@ -83,12 +93,19 @@ struct Estimate {
   JointVector limit_scale{};        // factor of the motion on the limits, unfamiliar motion included; 1 in usual motion
   JointVector limit_nm{};           // collision limit of |tau_ext|, scale and doubt included, [N m]; infinite: not monitored
   JointVector contact_limit_nm{};   // contact limit of |tau_ext|, scale and doubt included, [N m]
-  JointVector margin_nm{};          // limit_nm - |tau_ext - load_nm|, [N m]
+  JointVector margin_nm{};          // limit_nm - |tau_ext - load_nm - declared_nm|, [N m]
   Load load;                        // load that the model carries; mass 0: none
   LoadPhase load_phase = LoadPhase::none;  // phase of an expected load
   std::int64_t load_found_ns = 0;   // sample at which the last expected load was found, [ns]; 0: none
   double load_error_kg = 0;         // standard error of its mass, with that of the torque constants, [kg]
   JointVector load_nm{};            // part of tau_ext attributed to an expected load, [N m]; 0 if none is expected
+  Declared declared = Declared::none;  // state of the declared contact in effect
+  int declared_contact = -1;        // its number: one beyond its bounds, else one at a frame, else one of a joint; -1: none
+  double declared_size = 0;         // its force within the cone, however large, [N]; of a joint the torque, in its unit
+  double declared_sigma = 0;        // standard error of that
+  double declared_moment_nm = 0;    // its moment, [N m]
+  double declared_travel_m = 0;     // way of its point along the axis since the contact began, [m]
+  JointVector declared_nm{};        // part of tau_ext that declared contacts explain, [N m]; the alarm uses the rest
 
   // Healthy and no alarm: the only condition that means "no collision".
   bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "tauext/bundle.hpp"
+#include "tauext/declared_contact.hpp"
 #include "tauext/estimate.hpp"
 #include "tauext/load.hpp"
 #include "tauext/sample.hpp"
@@ -113,6 +114,29 @@ class Monitor {
   LoadFound estimate_load() const noexcept;
   // Reason for which start_weighing() would refuse; empty: none. Allocates: not for the loop.
   std::string why_no_weighing() const;
+
+  // --- Contacts that the task means.
+
+  // Declares a contact for `seconds` from the next sample on (kAlways_s: until end_contact()): the alarm uses only the part of
+  // tau_ext that no force and moment within its bounds explains (Estimate's declared_*), and limits rise by the error of what is
+  // explained. A force beyond the bounds is Declared::beyond; what is beyond them stays in the alarm. Meanwhile drift, weighing and
+  // a refit learn nothing. The contact stays in effect for 5/K0 afterwards, since r still contains it. Of several contacts at
+  // frames the last one counts, while no load is expected; contacts of joints count beside it. A sample takes about a microsecond
+  // longer. Returns the contact's number, or -1 and changes nothing if contact_fault() gives a reason.
+  int expect_contact(const DeclaredContact& contact, double seconds) noexcept;
+  // Ends a declared contact at once; false: there is none of this number.
+  bool end_contact(int which) noexcept;
+  // The declared contact of this number; null: none.
+  const DeclaredContact* declared_contact(int which) const noexcept;
+  // Reason for which expect_contact() would refuse.
+  ContactFault contact_fault(const DeclaredContact& contact, double seconds) const noexcept;
+  // The same as a sentence; empty: the contact is accepted. Allocates: not for the loop.
+  std::string why_no_contact(const DeclaredContact& contact, double seconds) const;
+  // What is not monitored while it is in effect, as a sentence; empty: nothing. Allocates: not for the loop.
+  std::string unmonitored(const DeclaredContact& contact) const;
+  // The force that acts on the tool, with covariance and its parts by cause: at the declared contact in effect, else at the load
+  // frame. Along the declared line only, if it is one; a moment only if one is declared. Takes microseconds and changes nothing.
+  ToolForce tool_force(WrenchAxes axes = WrenchAxes::base) const noexcept;
 
   // --- Forces and moments.
 

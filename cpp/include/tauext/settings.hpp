@@ -173,6 +173,8 @@ struct Limits {
   // it has slid for kSlidS. A factor of 1 switches this off.
   static constexpr double kSlidS = 0.5;
   double after_contact_factor = 1;
+  // Standard errors of what a declared contact explains by which limits rise meanwhile, in squares (DeclaredContacts).
+  double declared_spread = 3;
 
   // A joint that has slid by a width has a state of 1 or -1 for it, and a reversal changes the state at once. A
   // reversal is therefore near stiction from its first sample until the joint slides again, however noisy its speed.

@@ -9,11 +9,12 @@
  * Torques are positive if they push the joint in its positive direction; tau is the motor's torque at the joint's side
  * of the gear. A null pointer returns TAUEXT_BAD_ARGUMENT, unless documented as allowed.
  * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _set_load,
- * _clear_load, _expect_load, _reset, _save_state and _restore_state do not allocate, lock, log or call the system. Use
- * each monitor from one thread at a time. */
+ * _clear_load, _expect_load, _expect_contact, _end_contact, _tool_force, _reset, _save_state and _restore_state do not
+ * allocate, lock, log or call the system. Use each monitor from one thread at a time. */
 #ifndef TAUEXT_H
 #define TAUEXT_H
 
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -30,7 +31,8 @@ typedef enum tauext_status {
   TAUEXT_BAD_BUNDLE = 2,   /* the message contains the reason */
   TAUEXT_NO_MEMORY = 3,    /* the monitor could not be allocated */
   TAUEXT_BAD_STATE = 4,    /* damaged, or of another monitor */
-  TAUEXT_BAD_LOAD = 5      /* tauext_monitor_why_no_load returns the reason */
+  TAUEXT_BAD_LOAD = 5,     /* tauext_monitor_why_no_load returns the reason */
+  TAUEXT_BAD_CONTACT = 6   /* tauext_monitor_why_no_contact returns the reason */
 } tauext_status;
 
 /* How often the network is evaluated: at every sample, or, for slow processors, once per network period (about 10
@@ -87,6 +89,14 @@ typedef enum tauext_touch {
   TAUEXT_LOAD_TOUCH = 5     /* a weight at the load frame */
 } tauext_touch;
 
+/* What a declared contact explains of a sample. */
+typedef enum tauext_declared {
+  TAUEXT_NOTHING_DECLARED = 0, /* no declared contact is in effect, or there is no torque */
+  TAUEXT_WITHIN = 1,           /* in effect; what its bounds admit is explained */
+  TAUEXT_BEYOND = 2,           /* the force or torque is larger than declared by more than two standard errors */
+  TAUEXT_MOVED = 3             /* the point moved farther along the axis than declared: nothing is explained */
+} tauext_declared;
+
 /* Result for one sample. Torques that do not exist are NaN. Only (health == TAUEXT_HEALTHY && alarm ==
  * TAUEXT_NO_ALARM) means "no collision". */
 typedef struct tauext_estimate {
@@ -105,7 +115,7 @@ typedef struct tauext_estimate {
   double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m], r expected in free motion: prior, network and drift */
   double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m], residual - uncertainty */
   double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision limit of |tau_ext|; infinite: not monitored */
-  double margin_nm[TAUEXT_MAX_JOINTS];   /* [N m], limit_nm - |tau_ext - load_nm| */
+  double margin_nm[TAUEXT_MAX_JOINTS];   /* [N m], limit_nm - |tau_ext - load_nm - declared_nm| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], slow changes since training; part of uncertainty */
   uint32_t drift_saturated; /* a bit per joint: drift has reached its bound, retrain; health is unchanged */
   uint32_t unused;                       /* 0 */
@@ -118,6 +128,16 @@ typedef struct tauext_estimate {
   double load_error_kg;                  /* standard error of its mass, with that of the torque constants */
   double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], part of tau_ext attributed to an expected load */
   double contact_sigma_nm[TAUEXT_MAX_JOINTS];  /* [N m], standard error during and after a contact */
+  uint32_t alarm_number;                 /* of the newest alarm, which stands if one does; 0: there was none */
+  int32_t touch_over;                    /* 1: no alarm, or within all limits, and known, for the release time of a contact */
+  int64_t touch_t_ns;                    /* last sample at which some joint was over a limit; 0: none since the last alarm */
+  int32_t declared;                      /* tauext_declared: of the declared contact in effect */
+  int32_t declared_contact;              /* its number, of tauext_monitor_expect_contact; -1: none */
+  double declared_size;                  /* its force within the cone, however large, [N]; of a joint the torque */
+  double declared_sigma;                 /* standard error of that */
+  double declared_moment_nm;             /* its moment, [N m] */
+  double declared_travel_m;              /* way of its point along the axis since the contact began, [m] */
+  double declared_nm[TAUEXT_MAX_JOINTS]; /* [N m], part of tau_ext that declared contacts explain */
 } tauext_estimate;
 
 /* What the arm carries in addition to its own links, in the axes of tauext_monitor_load_frame(). */
@@ -180,6 +200,39 @@ typedef struct tauext_wrench {
   double chi_square;      /* of the torques that the wrench does not explain */
   double consistent;      /* p-value of chi_square for a touch at this frame; 1 if freedom is 0 */
 } tauext_wrench;
+
+/* What the task means the environment to exert, see declared_contact.hpp: at a frame a force within a cone and a moment,
+ * or a torque of one joint. Start from TAUEXT_CONTACT_AT(frame) or TAUEXT_CONTACT_OF(joint). */
+typedef struct tauext_contact_bounds {
+  size_t size;            /* set by the caller: sizeof(tauext_contact_bounds) */
+  int32_t frame;          /* of tauext_monitor_find_frame; -1: of a joint */
+  int32_t joint;          /* -1: at a frame */
+  double point[3];        /* where the force acts, [m] along the frame's own axes */
+  double axis[3];         /* direction of the force on the arm, of any length; zeros: any direction */
+  int32_t axes;           /* tauext_axes of the axis */
+  int32_t boxed;          /* 1: in effect only while the frame's origin is in the box */
+  double half_angle_rad;  /* of the cone around the axis, 0 (a line) to pi/2 */
+  double at_most_n;       /* largest force */
+  double at_most_nm;      /* largest moment; of a joint its torque, in the joint's unit */
+  double at_most_travel_m; /* largest way of the point along the axis during the contact; infinite: any */
+  double lowest_m[3], highest_m[3]; /* corners of the box, in the base's axes */
+} tauext_contact_bounds;
+
+#define TAUEXT_CONTACT_AT(frame) \
+  { sizeof(tauext_contact_bounds), (frame), -1, {0, 0, 0}, {0, 0, 0}, TAUEXT_FRAME_AXES, 0, 0, 0, 0, HUGE_VAL, {0, 0, 0}, {0, 0, 0} }
+#define TAUEXT_CONTACT_OF(joint) \
+  { sizeof(tauext_contact_bounds), -1, (joint), {0, 0, 0}, {0, 0, 0}, TAUEXT_FRAME_AXES, 0, 0, 0, 0, HUGE_VAL, {0, 0, 0}, {0, 0, 0} }
+
+/* The force at the tool as a sensor would measure it. */
+typedef struct tauext_tool_force {
+  size_t size;           /* set by the caller: sizeof(tauext_tool_force); no more is written */
+  int32_t frame;         /* where it acts; -1: there is no tool's frame */
+  int32_t declared;      /* 1: at the declared contact in effect; 0: at the load frame */
+  double motion_n;       /* standard errors of the force along itself: errors of free motion, */
+  double rest_n;         /* friction that resting joints hide, and lag, */
+  double constants_n;    /* torque constants and gear friction under the load */
+  tauext_wrench wrench;  /* its size is set by the call */
+} tauext_tool_force;
 
 typedef struct tauext_monitor tauext_monitor; /* made by tauext_monitor_open, freed by tauext_monitor_close */
 
@@ -255,6 +308,21 @@ tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds
 /* Writes the reason for a refusal, cut to message_size; "": none. Allocates: not for the loop. */
 tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, double seconds, double at_most_kg,
                                               char* message, size_t message_size);
+/* Declares a contact for `seconds` from the next sample on (HUGE_VAL: until tauext_monitor_end_contact); the alarm uses
+ * only what it cannot explain (see monitor.hpp). Writes its number. Returns TAUEXT_BAD_CONTACT and changes nothing if
+ * tauext_monitor_why_no_contact gives a reason. */
+tauext_status tauext_monitor_expect_contact(tauext_monitor* monitor, const tauext_contact_bounds* contact, double seconds,
+                                            int32_t* which);
+/* Ends a declared contact at once; TAUEXT_BAD_CONTACT: there is none of this number. */
+tauext_status tauext_monitor_end_contact(tauext_monitor* monitor, int32_t which);
+/* Write, cut to message_size, the reason for a refusal, or what is not monitored while the contact is in effect; "":
+ * none, nothing. Allocate: not for the loop. */
+tauext_status tauext_monitor_why_no_contact(const tauext_monitor* monitor, const tauext_contact_bounds* contact,
+                                            double seconds, char* message, size_t message_size);
+tauext_status tauext_monitor_unmonitored(const tauext_monitor* monitor, const tauext_contact_bounds* contact, char* message,
+                                         size_t message_size);
+/* The force on the tool at the last sample: at the declared contact in effect, else at the load frame. */
+tauext_status tauext_monitor_tool_force(const tauext_monitor* monitor, tauext_axes axes, tauext_tool_force* tool);
 /* Reads the load in effect. */
 tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load);
 /* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the

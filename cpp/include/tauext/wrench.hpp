@@ -85,12 +85,21 @@ class WrenchModel {
   void keep_told(std::span<double> values, std::size_t count, bool square) const noexcept;
   const WrenchSettings& settings() const noexcept { return settings_; }
 
+  // Pose of a frame: rotation base from frame, row-major, and origin in the base's frame, [m].
+  struct Pose {
+    std::array<double, 9> rotation;
+    std::array<double, 3> origin;
+  };
+
   // Fills (6, joints): joint torques of a unit force, then of a unit moment, along `axes`, at `point` of the frame, [m]
-  // along the frame's own axes. This is J at that point. Allocates nothing.
-  void columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
+  // along the frame's own axes. This is J at that point. Returns the frame's pose. Allocates nothing.
+  Pose columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
                std::span<double> into) const noexcept;
-  // Pose of a frame: rotation base from frame, row-major, and origin in the base's frame, [m]. Allocates nothing.
-  void pose(int frame, std::span<const double> q, std::array<double, 9>& rotation, std::array<double, 3>& origin) const noexcept;
+  Pose pose(int frame, std::span<const double> q) const noexcept;
+  // A force along one direction only: `direction` of unit length, along `axes`. Its covariance has rank 1.
+  Wrench force_along(const std::array<double, 3>& direction, int frame, const std::array<double, 3>& point, std::span<const double> q,
+                     std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
+                     std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept;
   // S of a sample, (joints, joints). contact_sigma_nm: empty in free motion.
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept;
@@ -112,7 +121,8 @@ class WrenchModel {
  private:
   Wrench solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-               std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept;
+               std::span<const double> contact_sigma_nm, std::span<const double> dq,
+               const std::array<double, 3>* direction = nullptr) const noexcept;
 
   std::string refused_;
   std::vector<Link> links_;

@@ -58,8 +58,8 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
 }
 
 bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
-                      std::uint32_t near_stiction, bool trusted, JointVector& limit_nm,
-                      JointVector& contact_limit_nm) noexcept {
+                      std::uint32_t near_stiction, bool trusted, JointVector& limit_nm, JointVector& contact_limit_nm,
+                      const JointVector& spread_nm, bool pressed) noexcept {
   for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;
@@ -73,14 +73,19 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
   for (int j = 0; j < joints_; ++j) {
     const bool near = near_stiction >> j & 1;
     const double times = (raised >> j & 1 ? limits_.after_contact_factor : 1.0) * scale[j];
-    limit_nm[j] = times * factors_.collision[j] * limits_.limit_nm(limits_.collision, j, near) + doubt[j];
+    const double spread = spread_nm[j];
+    const auto limit = [&](const Level& level, double factor) noexcept {
+      const double free = times * factor * limits_.limit_nm(level, j, near);
+      return (spread > 0 ? std::sqrt(free * free + spread * spread) : free) + doubt[j];
+    };
+    limit_nm[j] = limit(limits_.collision, factors_.collision[j]);
     const double size = trusted ? std::fabs(tau_ext[j]) : 0.0;
     const auto held = [&](bool over, std::int64_t& since_ns, std::uint64_t hold_ns) noexcept {
       if (!over) since_ns = kNever;
       if (over && since_ns == kNever) since_ns = t_ns;
       return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
     };
-    const double contact_limit = times * factors_.contact[j] * limits_.limit_nm(limits_.contact, j, near) + doubt[j];
+    const double contact_limit = limit(limits_.contact, factors_.contact[j]);
     contact_limit_nm[j] = contact_limit;
     const bool over = size > limit_nm[j], over_contact = size > contact_limit;
     detection = detection || over;
@@ -99,10 +104,10 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
   if (touched) state_.touch_t_ns = t_ns;
   if (touched || !trusted) state_.contact_seen_ns = t_ns;
   state_.touch_over = trusted && !touched && elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_;
-  for (int j = 0; touching && j < joints_; ++j)
+  state_.touching = touching || pressed;
+  for (int j = 0; state_.touching && j < joints_; ++j)
     if (near_stiction >> j & 1) state_.stuck_t_ns[j] = t_ns;
-  if (touching) state_.pushed |= near_stiction;
-  state_.touching = touching;
+  if (state_.touching) state_.pushed |= near_stiction;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     rise(Alarm::collision, collision_joint, t_ns);
   } else if (state_.alarm == Alarm::none && contact_joint >= 0) {

@@ -40,6 +40,11 @@ class ContactErrors {
   // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
   void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
             std::span<const double> sigma_nm, std::span<const double> memory_gap, std::span<double> into) noexcept;
+  // Variance that a torque on a joint brings, [N m]^2: friction that it may hide if it rests, and errors in proportion.
+  double brought(int joint, bool rests, double torque_nm) const noexcept {
+    const double hidden = rests ? hidden_nm_[joint] : 0.0, of_torque = of_torque_[joint] * torque_nm;
+    return hidden * hidden + of_torque * of_torque;
+  }
   // A sample without tau_ext: what changed until the next one is no rate.
   void skip() noexcept { state_.started = false; }
   void reset() noexcept { state_ = {}; }

@@ -39,6 +39,8 @@ static_assert(TAUEXT_PULLS_UP == static_cast<int>(tauext::LoadVerdict::lifts));
 static_assert(TAUEXT_LOAD_UNCLEAR == static_cast<int>(tauext::LoadVerdict::unclear));
 static_assert(TAUEXT_BASE_AXES == static_cast<int>(tauext::WrenchAxes::base));
 static_assert(TAUEXT_FRAME_AXES == static_cast<int>(tauext::WrenchAxes::frame));
+static_assert(TAUEXT_MOVED == static_cast<int>(tauext::Declared::moved));
+static_assert(TAUEXT_BEYOND == static_cast<int>(tauext::Declared::beyond));
 static_assert(TAUEXT_WARMING_UP == static_cast<int>(Health::warming_up));
 static_assert(TAUEXT_HEALTHY == static_cast<int>(Health::ok));
 static_assert(TAUEXT_STALE == static_cast<int>(Health::stale));
@@ -96,6 +98,16 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   e.load_error_kg = from.load_error_kg;
   std::ranges::copy(from.load_nm, e.load_nm);
   std::ranges::copy(from.contact_sigma_nm, e.contact_sigma_nm);
+  e.alarm_number = from.alarm_number;
+  e.touch_over = from.touch_over;
+  e.touch_t_ns = from.touch_t_ns;
+  e.declared = static_cast<std::int32_t>(from.declared);
+  e.declared_contact = from.declared_contact;
+  e.declared_size = from.declared_size;
+  e.declared_sigma = from.declared_sigma;
+  e.declared_moment_nm = from.declared_moment_nm;
+  e.declared_travel_m = from.declared_travel_m;
+  std::ranges::copy(from.declared_nm, e.declared_nm);
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 
@@ -111,6 +123,27 @@ tauext::Load load_of(const tauext_load& from) noexcept {
   std::ranges::copy(from.com, to.com.begin());
   std::ranges::copy(from.inertia, to.inertia.begin());
   to.error_share = from.error_share;
+  return to;
+}
+
+bool sound(const tauext_contact_bounds* from) noexcept {
+  return from && from->size == sizeof *from && (from->axes == TAUEXT_BASE_AXES || from->axes == TAUEXT_FRAME_AXES);
+}
+
+tauext::DeclaredContact contact_of(const tauext_contact_bounds& from) noexcept {
+  tauext::DeclaredContact to;
+  to.frame = from.frame;
+  to.joint = from.joint;
+  std::ranges::copy(from.point, to.point.begin());
+  std::ranges::copy(from.axis, to.axis.begin());
+  to.axes = static_cast<tauext::WrenchAxes>(from.axes);
+  to.half_angle_rad = from.half_angle_rad;
+  to.at_most_n = from.at_most_n;
+  to.at_most_nm = from.at_most_nm;
+  to.at_most_travel_m = from.at_most_travel_m;
+  to.boxed = from.boxed != 0;
+  std::ranges::copy(from.lowest_m, to.lowest_m.begin());
+  std::ranges::copy(from.highest_m, to.highest_m.begin());
   return to;
 }
 
@@ -204,6 +237,7 @@ const char* tauext_status_name(tauext_status status) {
     case TAUEXT_NO_MEMORY: return "no memory";
     case TAUEXT_BAD_STATE: return "bad state";
     case TAUEXT_BAD_LOAD: return "bad load";
+    case TAUEXT_BAD_CONTACT: return "bad contact";
   }
   return "";
 }
@@ -370,6 +404,55 @@ tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame,
                                    tauext_wrench* wrench) {
   if (!point || !sound(monitor, frame, axes, wrench)) return TAUEXT_BAD_ARGUMENT;
   return put(monitor->monitor.force(frame, {point[0], point[1], point[2]}, static_cast<tauext::WrenchAxes>(axes)), wrench);
+}
+
+tauext_status tauext_monitor_expect_contact(tauext_monitor* monitor, const tauext_contact_bounds* contact, double seconds,
+                                            int32_t* which) {
+  if (!monitor || !which || !sound(contact)) return TAUEXT_BAD_ARGUMENT;
+  *which = monitor->monitor.expect_contact(contact_of(*contact), seconds);
+  return *which >= 0 ? TAUEXT_OK : TAUEXT_BAD_CONTACT;
+}
+
+tauext_status tauext_monitor_end_contact(tauext_monitor* monitor, int32_t which) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.end_contact(which) ? TAUEXT_OK : TAUEXT_BAD_CONTACT;
+}
+
+tauext_status tauext_monitor_why_no_contact(const tauext_monitor* monitor, const tauext_contact_bounds* contact,
+                                            double seconds, char* message, size_t message_size) {
+  say("", message, message_size);
+  if (!monitor || !sound(contact)) return TAUEXT_BAD_ARGUMENT;
+  try {
+    say(monitor->monitor.why_no_contact(contact_of(*contact), seconds).c_str(), message, message_size);
+    return TAUEXT_OK;
+  } catch (...) {
+    return TAUEXT_NO_MEMORY;
+  }
+}
+
+tauext_status tauext_monitor_unmonitored(const tauext_monitor* monitor, const tauext_contact_bounds* contact, char* message,
+                                         size_t message_size) {
+  say("", message, message_size);
+  if (!monitor || !sound(contact)) return TAUEXT_BAD_ARGUMENT;
+  try {
+    say(monitor->monitor.unmonitored(contact_of(*contact)).c_str(), message, message_size);
+    return TAUEXT_OK;
+  } catch (...) {
+    return TAUEXT_NO_MEMORY;
+  }
+}
+
+tauext_status tauext_monitor_tool_force(const tauext_monitor* monitor, tauext_axes axes, tauext_tool_force* tool) {
+  if (!monitor || !tool || tool->size != sizeof *tool || (axes != TAUEXT_BASE_AXES && axes != TAUEXT_FRAME_AXES))
+    return TAUEXT_BAD_ARGUMENT;
+  const tauext::ToolForce found = monitor->monitor.tool_force(static_cast<tauext::WrenchAxes>(axes));
+  tool->frame = found.frame;
+  tool->declared = found.declared;
+  tool->motion_n = found.motion_n;
+  tool->rest_n = found.rest_n;
+  tool->constants_n = found.constants_n;
+  tool->wrench.size = sizeof tool->wrench;
+  return put(found.wrench, &tool->wrench);
 }
 
 tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg) {

@@ -17,6 +17,7 @@
 #include "stages/judge_stage.hpp"
 #include "stages/observe_stage.hpp"
 #include "tauext/wrench.hpp"
+#include "touch/declared_contacts.hpp"
 
 namespace tauext {
 namespace {
@@ -77,6 +78,7 @@ struct Monitor::Chain {
   std::optional<ExpectedLoad> expected;  // if loads are enabled
   std::optional<Weighing> weighing;      // if supported
   WrenchModel wrench;
+  DeclaredContacts contacts;
 
   Chain(const Bundle& bundle, NetworkRate rate);
 
@@ -105,7 +107,8 @@ Monitor::Chain::Chain(const Bundle& bundle, NetworkRate rate)
       model(model_digest(bundle)),
       observe(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
       judge(bundle),
-      wrench(bundle) {
+      wrench(bundle),
+      contacts(bundle, wrench) {
   for (int j = 0; j < bundle.joints(); ++j) {
     friction.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
     joint_names.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
@@ -135,6 +138,7 @@ void Monitor::reset() noexcept {
   if (chain_->network) chain_->network->restart();
   chain_->judge.reset();
   if (chain_->expected) chain_->expected->reset();
+  chain_->contacts.reset();
   chain_->refit_motion.stop();
   chain_->end_weighing();
 }
@@ -224,10 +228,9 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = chain_->observe.step(sample);
   if (chain_->network && observed.passage == Passage::entered) chain_->predict(observed);
-  if (observed.passage == Passage::entered) {
-    chain_->refit_motion.push(sample);
-  }
-  const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load());
+  const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load(), &chain_->contacts);
+  const bool learns = observed.passage == Passage::entered && !chain_->contacts.in_effect();
+  if (learns) chain_->refit_motion.push(sample);  // the refit's chain restarts after the gap that a contact leaves
   if (weighing()) chain_->weighing->take(sample, observed, answer);
   return answer;
 }
@@ -287,6 +290,29 @@ void Monitor::Chain::put_load(const Load& load, std::int64_t since_ns) noexcept 
   if (weighs()) weighing->start(weighing->settings().reach_m, observe.load());
 }
 
+int Monitor::expect_contact(const DeclaredContact& contact, double seconds) noexcept {
+  advance();
+  return chain_->contacts.start(contact, seconds);
+}
+bool Monitor::end_contact(int which) noexcept {
+  advance();
+  return chain_->contacts.end(which);
+}
+const DeclaredContact* Monitor::declared_contact(int which) const noexcept { return chain_->contacts.contact(which); }
+ContactFault Monitor::contact_fault(const DeclaredContact& contact, double seconds) const noexcept {
+  return chain_->contacts.fault(contact, seconds);
+}
+std::string Monitor::why_no_contact(const DeclaredContact& contact, double seconds) const {
+  return chain_->contacts.words(chain_->contacts.fault(contact, seconds), contact, seconds);
+}
+std::string Monitor::unmonitored(const DeclaredContact& contact) const { return chain_->contacts.unmonitored(contact); }
+
+ToolForce Monitor::tool_force(WrenchAxes axes) const noexcept {
+  const Chain& c = *chain_;
+  return c.contacts.tool({c.observe.q(), c.observe.dq(), c.of_joints(c.left()), c.of_joints(last().sigma_nm), c.of_joints(last().contact_sigma_nm)},
+                         c.judge.contact_errors(), c.wrench.find(c.load_settings.frame), axes);
+}
+
 const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {
   advance();
   return chain_->judge.step(chain_->observe.no_sample(now_ns), {}, {}, chain_->expected_load());
@@ -322,7 +348,7 @@ std::uint64_t Monitor::restarts() const noexcept { return chain_->observe.progre
 
 // Parts of a saved state, in this order; all trivially copyable.
 std::size_t Monitor::state_bytes() const noexcept {
-  return sizeof(StateHead) + sizeof(ObserveStage::State) + sizeof(JudgeStage::State) +
+  return sizeof(StateHead) + sizeof(ObserveStage::State) + sizeof(JudgeStage::State) + sizeof(DeclaredContacts::State) +
          (chain_->expected ? chain_->expected->state_bytes() : 0) + (chain_->network ? chain_->network->state_bytes() : 0);
 }
 
@@ -336,6 +362,7 @@ bool Monitor::save_state(std::span<std::byte> state) const noexcept {
   };
   put(chain_->observe.state());
   put(chain_->judge.state());
+  put(chain_->contacts.state());
   if (chain_->expected) {
     chain_->expected->save(left);
     left = left.subspan(chain_->expected->state_bytes());
@@ -361,6 +388,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   };
   chain_->observe.restore(take(chain_->observe.state()));
   chain_->judge.restore(take(chain_->judge.state()));
+  chain_->contacts.restore(take(chain_->contacts.state()));
   if (chain_->expected) {
     chain_->expected->restore(left);
     left = left.subspan(chain_->expected->state_bytes());

@@ -121,7 +121,7 @@ void field(File& file, Bundle& b) {
   for (Level* level : {&b.limits.collision, &b.limits.contact}) {
     fields(file, level->sliding_nm, level->near_stiction_nm, level->hold_s);
   }
-  fields(file, b.limits.contact_release_s, b.limits.after_contact_factor, b.limits.near_memory_s);
+  fields(file, b.limits.contact_release_s, b.limits.after_contact_factor, b.limits.near_memory_s, b.limits.declared_spread);
   fields(file, b.drift.time_constant_s, b.drift.size_nm, b.drift.rate_share_per_s, b.drift.freeze_share,
          b.drift.freeze_s, b.drift.freeze_floor_nm);
   fields(file, b.error_scale.features, b.error_scale.limit_weights, b.error_scale.largest, b.error_scale.sigma_weights,

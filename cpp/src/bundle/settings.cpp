@@ -165,6 +165,7 @@ void Limits::validate(int joints, int widths) const {
   expect_time("limits.near_memory_s", near_memory_s);
   expect(within(1, LimitFactors::kHighest)(after_contact_factor), "limits.after_contact_factor", after_contact_factor,
          "1 to " + to_text(LimitFactors::kHighest));
+  expect(within(0, 1e3)(declared_spread), "limits.declared_spread", declared_spread, "0 to 1000");
 }
 
 void DriftSettings::validate(int joints) const {

@@ -71,7 +71,7 @@ void Weighing::take(const Sample& sample, const Observed& observed, const Estima
   stand(estimate.t_ns, estimate.near_stiction);
   entered_ = observed.passage == Passage::entered;
   restarted_ = observed.restarted;
-  healthy_ = estimate.health == Health::ok;
+  healthy_ = estimate.health == Health::ok && estimate.declared == Declared::none;
   pending_ = true;
   t_ns_ = estimate.t_ns;
   if (!entered_) return;

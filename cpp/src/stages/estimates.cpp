@@ -72,8 +72,32 @@ std::vector<float> predict_all(const Bundle& bundle, const Seen& seen, int threa
   return outputs;
 }
 
+// Declares contacts at their times.
+class Declaring {
+ public:
+  Declaring(const Bundle& bundle, std::span<const TimedContact> contacts) : left_(contacts) {
+    if (contacts.empty()) return;
+    model_.emplace(bundle);
+    contacts_.emplace(bundle, *model_);
+  }
+  // Before the sample at this time.
+  DeclaredContacts* at(std::int64_t t_ns) {
+    for (; !left_.empty() && left_.front().from_ns <= t_ns; left_ = left_.subspan(1)) {
+      const TimedContact& one = left_.front();
+      if (contacts_->start(one.contact, one.seconds) < 0)
+        throw Error(contacts_->words(contacts_->fault(one.contact, one.seconds), one.contact, one.seconds));
+    }
+    return contacts_ ? &*contacts_ : nullptr;
+  }
+
+ private:
+  std::span<const TimedContact> left_;
+  std::optional<WrenchModel> model_;
+  std::optional<DeclaredContacts> contacts_;
+};
+
 void judge_block(JudgeStage& stage, const RecordingView& recording, std::size_t begin, const Seen& seen,
-                 std::span<const float> outputs, Estimates& out) {
+                 std::span<const float> outputs, Declaring& contacts, Estimates& out) {
   const auto n = static_cast<std::size_t>(recording.joints);
   Observed o;
   for (std::size_t r = 0, judged = 0; r < seen.rows.size(); ++r) {
@@ -103,7 +127,7 @@ void judge_block(JudgeStage& stage, const RecordingView& recording, std::size_t 
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();
     judged += entered && row.judged;
-    const Estimate& e = stage.step(o, sample, network);
+    const Estimate& e = stage.step(o, sample, network, nullptr, contacts.at(sample.t_ns));
     for (const TorqueColumn& one : kTorqueColumns)
       if (std::vector<double>& column = out.*one.column; !column.empty())
         std::copy_n((e.*one.values).begin(), n, column.begin() + static_cast<std::ptrdiff_t>(k * n));
@@ -120,6 +144,10 @@ void judge_block(JudgeStage& stage, const RecordingView& recording, std::size_t 
     out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
     out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
     out.touch[k] = static_cast<std::uint8_t>(e.touch);
+    out.declared[k] = static_cast<std::uint8_t>(e.declared);
+    out.declared_contact[k] = static_cast<std::int8_t>(e.declared_contact);
+    out.declared_size[k] = e.declared_size;
+    out.declared_sigma[k] = e.declared_sigma;
     stage.advance(sample.q, sample.dq);
     out.entered[k] = entered;
     out.restarted[k] = row.restarted;
@@ -144,7 +172,7 @@ std::vector<float> network_outputs(const Bundle& bundle, const RecordingView& re
 }
 
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs,
-                   std::span<const std::string> torques) {
+                   std::span<const std::string> torques, std::span<const TimedContact> contacts) {
   expect_joints(bundle, recording);
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
@@ -154,14 +182,15 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   for (const TorqueColumn& one : kTorqueColumns)
     if (torques.empty() || std::ranges::find(torques, one.name) != torques.end()) (out.*one.column).resize(N * n);
   out.near_stiction.resize(N * n);
-  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.entered,
+  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.declared, &out.entered,
                       &out.restarted})
     flags->resize(N);
-  for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other}) which->resize(N);
-  out.unfamiliar.resize(N);
+  for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other, &out.declared_contact}) which->resize(N);
+  for (auto* numbers : {&out.unfamiliar, &out.declared_size, &out.declared_sigma}) numbers->resize(N);
   out.causes.resize(N);
   ObserveStage observe(bundle, 1);
   JudgeStage judge(bundle);
+  Declaring declaring(bundle, contacts);
   Seen seen;
   const std::size_t block = bundle.has_network() ? N : kBlock;  // the network's windows reach across blocks
   for (std::size_t begin = 0; begin < N; begin += block) {
@@ -169,9 +198,9 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
     if (!outputs.empty() && (!bundle.has_network() || outputs.size() != seen.judged_ends.size() * n))
       throw Error("the outputs are not of this bundle's network for this recording");
     if (outputs.empty())
-      judge_block(judge, recording, begin, seen, predict_all(bundle, seen, threads), out);
+      judge_block(judge, recording, begin, seen, predict_all(bundle, seen, threads), declaring, out);
     else
-      judge_block(judge, recording, begin, seen, outputs, out);
+      judge_block(judge, recording, begin, seen, outputs, declaring, out);
   }
   return out;
 }

@@ -8,13 +8,14 @@
 
 #include "stages/judge_stage.hpp"
 #include "tauext/bundle.hpp"
+#include "tauext/declared_contact.hpp"
 
 namespace tauext {
 
 // Estimates of a new Monitor for a recording, one row per sample; fields as in Estimate.
 struct Estimates {
   std::vector<double> residual, prior, network, drift, tau_ext, doubt, limit_nm, contact_limit_nm;  // (samples, joints), [N m]
-  std::vector<double> sigma_nm, contact_sigma_nm;    // (samples, joints), [N m]
+  std::vector<double> sigma_nm, contact_sigma_nm, declared_nm;  // (samples, joints), [N m]
   std::vector<double> limit_scale;                   // (samples, joints)
   std::vector<double> unfamiliar;                    // (samples)
   std::vector<std::uint8_t> unseen;                  // (samples): of Unseen
@@ -26,6 +27,9 @@ struct Estimates {
   std::vector<std::uint8_t> detection;               // (samples)
   std::vector<std::uint8_t> alarm, held_alarm;       // (samples): of Alarm, latched and not
   std::vector<std::uint8_t> touch;                   // (samples): of Touch
+  std::vector<std::uint8_t> declared;                // (samples): of Declared
+  std::vector<std::int8_t> declared_contact;         // (samples): -1: none
+  std::vector<double> declared_size, declared_sigma;  // (samples)
   std::vector<std::uint8_t> entered, restarted;      // (samples): the sample entered; the chain restarted at it
 };
 
@@ -35,7 +39,7 @@ struct TorqueColumn {
   std::vector<double> Estimates::*column;
   JointVector Estimate::*values;
 };
-inline constexpr std::array<TorqueColumn, 11> kTorqueColumns{{
+inline constexpr std::array<TorqueColumn, 12> kTorqueColumns{{
     {"residual", &Estimates::residual, &Estimate::residual},
     {"prior", &Estimates::prior, &Estimate::prior},
     {"network", &Estimates::network, &Estimate::network},
@@ -47,14 +51,16 @@ inline constexpr std::array<TorqueColumn, 11> kTorqueColumns{{
     {"limit_scale", &Estimates::limit_scale, &Estimate::limit_scale},
     {"limit_nm", &Estimates::limit_nm, &Estimate::limit_nm},
     {"contact_limit_nm", &Estimates::contact_limit_nm, &Estimate::contact_limit_nm},
+    {"declared_nm", &Estimates::declared_nm, &Estimate::declared_nm},
 }};
 
 // Equal to Monitor::step() for every sample, to the last bit, for any faults: times that go backwards, non-finite
 // numbers, gaps, other rates. `outputs` of network_outputs() replace running the network. torques: names of the torque
-// columns that are filled; empty: all of them, which take most of the memory. Throws Error if the number of joints
-// differs, or that of the outputs, or a name is unknown.
+// columns that are filled; empty: all of them, which take most of the memory. contacts: as by Monitor::expect_contact(), by rising
+// time; their numbers are those of a monitor. Throws Error if the number of joints differs, or that of the outputs, a name is
+// unknown, or a contact is refused.
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads, std::span<const float> outputs = {},
-                   std::span<const std::string> torques = {});
+                   std::span<const std::string> torques = {}, std::span<const TimedContact> contacts = {});
 
 // The network's outputs for each judged sample, (judged, joints); none without a network. Limits, drift tracker and error
 // scale do not change them.

@@ -89,8 +89,7 @@ void JudgeStage::advance(std::span<const double> q, std::span<const double> dq) 
   if (!waits_) return;
   waits_ = false;
   const auto n = static_cast<std::size_t>(estimate_.joints);
-  JointVector left;
-  for (std::size_t j = 0; j < n; ++j) left[j] = estimate_.tau_ext[j] - estimate_.load_nm[j];
+  const JointVector left = unexplained();
   const bool raised = estimate_.alarm != Alarm::none && estimate_.alarm_t_ns == estimate_.t_ns;
   touch_.step({estimate_.t_ns, q, dq, std::span(left).first(n),
                std::span(estimate_.limit_nm).first(n), raised || estimate_.held_alarm != Alarm::none,
@@ -104,13 +103,37 @@ void JudgeStage::blank(bool also_residual) noexcept {
     e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.contact_sigma_nm[j] = e.margin_nm[j] = nan;
     if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
   }
-  forget_load_nm();
+  forget_explained();
   if (also_residual) e.near_stiction = 0;
   e.detection = false;
 }
 
+// No torque is explained by a load or a declared contact.
+void JudgeStage::forget_explained() noexcept {
+  Estimate& e = estimate_;
+  std::fill_n(e.load_nm.begin(), e.joints, 0.0);
+  std::fill_n(e.declared_nm.begin(), e.joints, 0.0);
+  e.declared = Declared::none;
+  e.declared_contact = -1;
+  e.declared_size = e.declared_sigma = e.declared_moment_nm = e.declared_travel_m = 0;
+}
+
+// tau_ext without what declared contacts explain, and without what a load explains either; only the first `joints` entries are
+// set.
+JointVector JudgeStage::undeclared() const noexcept {
+  JointVector left;
+  for (int j = 0; j < estimate_.joints; ++j) left[j] = estimate_.tau_ext[j] - estimate_.declared_nm[j];
+  return left;
+}
+
+JointVector JudgeStage::unexplained() const noexcept {
+  JointVector left = undeclared();
+  for (int j = 0; j < estimate_.joints; ++j) left[j] -= estimate_.load_nm[j];
+  return left;
+}
+
 const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::span<const float> network,
-                                 ExpectedLoad* expected) noexcept {
+                                 ExpectedLoad* expected, DeclaredContacts* contacts) noexcept {
   Estimate& e = estimate_;
   e.t_ns = o.t_ns;
   e.health = o.health;
@@ -133,7 +156,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
     }
     if (drift_.on()) drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
     if (factors_.on()) factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
-    judge(o, sample, network, expected);
+    judge(o, sample, network, expected, contacts);
   } else {  // the alarm stays unchanged
     e.detection = false;
     e.held_alarm = Alarm::none;
@@ -167,10 +190,10 @@ void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
 }
 
 // Checks tau_ext against its limits.
-void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network,
-                       ExpectedLoad* expected) noexcept {
+void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network, ExpectedLoad* expected,
+                       DeclaredContacts* contacts) noexcept {
   Estimate& e = estimate_;
-  forget_load_nm();
+  forget_explained();
   scale_limits(o, sample);
   if (o.judged) {
     for (int j = 0; j < e.joints; ++j) {
@@ -187,44 +210,46 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
-  const bool expects = expected && expected->on();
-  if (expects)
-    hold_alarm(o, sample, raised, *expected);
+  const bool expects = expected && expected->on(), declares = contacts && contacts->any();
+  JointVector higher = raised, spread{};
+  if (declares) contacts->explain_joints(o, sample.q, contact_errors_, e);
+  if (expects) explain_load(o, sample, higher, *expected);
+  const bool pressed = declares && contacts->explain_frame(o, sample.q, contact_errors_, !expects, e, spread);
+  if (expects || declares)
+    e.detection = alarm_.step(o.t_ns, unexplained(), e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm,
+                              e.contact_limit_nm, spread, pressed);
   else
     e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
                               e.contact_limit_nm);
+  if (expects) expected->follow(o.t_ns, undeclared(), e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
   if (o.judged && scale_.on()) {
-    contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
-                         first_joints(e.sigma_nm), o.memory_gap, first_joints(e.contact_sigma_nm));
+    const bool touched = pressed || alarm_.state().held_alarm != Alarm::none || e.detection;
+    contact_errors_.step(o.t_ns, e.near_stiction, touched, first_joints(e.tau_ext), first_joints(e.sigma_nm), o.memory_gap,
+                         first_joints(e.contact_sigma_nm));
   } else {
     std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
     contact_errors_.skip();
   }
   // In motion outside the training data, the error comes from the prior and is not drift.
-  const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthReporting && !drift_held_;
+  const bool means = declares && contacts->in_effect();  // a contact that the task means is no free motion either
+  const bool teaches = o.teaches && !expects && !means && e.unfamiliar < Coverage::kWorthReporting && !drift_held_;
   // With a load, joints in unknown units learn nothing either, like joints near stiction.
   const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
   if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
   if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches, drift_);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
-  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
+  const JointVector left = unexplained();
+  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(left[j]);
   report_alarm();
   waits_ = true;
 }
 
-// Checks the torque that the load does not explain. Limits rise by the load model's usual relative error.
-void JudgeStage::hold_alarm(const Observed& o, const Sample& sample, const JointVector& raised,
-                            ExpectedLoad& expected) noexcept {
+// The part of tau_ext that an expected load explains. Limits rise by the load model's usual relative error.
+void JudgeStage::explain_load(const Observed& o, const Sample& sample, JointVector& raised, ExpectedLoad& expected) noexcept {
   Estimate& e = estimate_;
-  JointVector left{}, higher = raised;
-  expected.explain(sample, o, first_joints(e.tau_ext), first_joints(e.limit_nm), first_joints(e.load_nm),
-                   first_joints(higher));
-  for (int j = 0; j < e.joints; ++j) {
-    left[j] = e.tau_ext[j] - e.load_nm[j];
-    higher[j] += Load::kUsualError * std::fabs(e.load_nm[j]);
-  }
-  e.detection = alarm_.step(o.t_ns, left, e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm, e.contact_limit_nm);
-  expected.follow(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
+  JointVector higher = raised, left = undeclared();
+  expected.explain(sample, o, first_joints(left), first_joints(e.limit_nm), first_joints(e.load_nm), first_joints(higher));
+  for (int j = 0; j < e.joints; ++j) raised[j] = higher[j] + Load::kUsualError * std::fabs(e.load_nm[j]);
 }
 
 }  // namespace tauext

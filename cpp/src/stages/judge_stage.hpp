@@ -17,6 +17,7 @@
 #include "tauext/sample.hpp"
 #include "tauext/settings.hpp"
 #include "tauext/types.hpp"
+#include "touch/declared_contacts.hpp"
 #include "touch/touch_kind.hpp"
 
 namespace tauext {
@@ -32,9 +33,10 @@ class JudgeStage {
   // network: outputs for the window that ends at this sample, in the network's scale. Empty without a network. Read
   // only if the sample is judged.
   // sample: the observed sample; read only if it entered the chain.
-  // expected: the expected load, or null. Its torques are subtracted from tau_ext before the limits are checked.
+  // expected: the expected load, or null; contacts: the declared contacts, or null. Their torques are subtracted from tau_ext
+  // before the limits are checked.
   const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network,
-                       ExpectedLoad* expected = nullptr) noexcept;
+                       ExpectedLoad* expected = nullptr, DeclaredContacts* contacts = nullptr) noexcept;
 
   // Classifies the touch; may run after the estimate was returned. q, dq: of the last sample that entered.
   void advance(std::span<const double> q, std::span<const double> dq) noexcept;
@@ -46,6 +48,7 @@ class JudgeStage {
     report_alarm();
   }
   const AlarmStage& alarm() const noexcept { return alarm_; }
+  const ContactErrors& contact_errors() const noexcept { return contact_errors_; }
   void count_alarms_from(std::uint32_t number) noexcept {
     alarm_.count_from(number);
     report_alarm();
@@ -118,13 +121,16 @@ class JudgeStage {
   void restore(const State& state) noexcept;
 
  private:
-  void judge(const Observed& observed, const Sample& sample, std::span<const float> network, ExpectedLoad* expected) noexcept;
-  void hold_alarm(const Observed& observed, const Sample& sample, const JointVector& raised, ExpectedLoad& expected) noexcept;
+  void judge(const Observed& observed, const Sample& sample, std::span<const float> network, ExpectedLoad* expected,
+             DeclaredContacts* contacts) noexcept;
+  void explain_load(const Observed& observed, const Sample& sample, JointVector& raised, ExpectedLoad& expected) noexcept;
+  JointVector undeclared() const noexcept;
+  JointVector unexplained() const noexcept;
   void scale_limits(const Observed& observed, const Sample& sample) noexcept;
   void report_unfamiliar(const Unfamiliar& unfamiliar) noexcept;
   void blank(bool also_residual) noexcept;
   void report_alarm() noexcept;
-  void forget_load_nm() noexcept { std::fill_n(estimate_.load_nm.begin(), estimate_.joints, 0.0); }
+  void forget_explained() noexcept;
   std::span<double> first_joints(JointVector& values) const noexcept {
     return std::span(values).first(static_cast<std::size_t>(estimate_.joints));
   }

@@ -306,9 +306,7 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
   const double sum = evidence(link, surface, logs_);
   for (std::size_t i = 0; i < points; ++i) weights_[i] = std::exp(logs_[i] - sum);
   const auto at = [&surface](std::size_t i) noexcept { return Vector3{surface.x[i], surface.y[i], surface.z[i]}; };
-  std::array<double, 9> rotation;
-  std::array<double, 3> origin;
-  wrench_.pose(static_cast<int>(link), q_, rotation, origin);
+  const auto [rotation, origin] = wrench_.pose(static_cast<int>(link), q_);
   const Turn out = turn(rotation);
   for (double left = 1; left * probability >= kLeast;) {
     std::size_t densest = 0;

@@ -242,22 +242,31 @@ int WrenchModel::find(std::string_view name) const noexcept {
   return -1;
 }
 
-void WrenchModel::columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
-                          std::span<double> into) const noexcept {
-  see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, into);
+WrenchModel::Pose WrenchModel::columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
+                                       std::span<double> into) const noexcept {
+  const LinkSeen base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, into);
+  const Vector3 at = -1.0 * base.axes.back(base.origin);
+  return {{base.axes.x.x, base.axes.x.y, base.axes.x.z, base.axes.y.x, base.axes.y.y, base.axes.y.z, base.axes.z.x, base.axes.z.y,
+           base.axes.z.z},
+          {at.x, at.y, at.z}};
 }
 
-void WrenchModel::pose(int frame, std::span<const double> q, std::array<double, 9>& rotation,
-                       std::array<double, 3>& origin) const noexcept {
-  std::array<double, 6 * kMaxJoints> columns;
-  const LinkSeen base = see(links_, frames_[static_cast<std::size_t>(frame)], q, {}, WrenchAxes::frame, columns);
-  rotation = {base.axes.x.x, base.axes.x.y, base.axes.x.z, base.axes.y.x, base.axes.y.y,
-              base.axes.y.z, base.axes.z.x, base.axes.z.y, base.axes.z.z};
-  const Vector3 at = -1.0 * base.axes.back(base.origin);
-  origin = {at.x, at.y, at.z};
+WrenchModel::Pose WrenchModel::pose(int frame, std::span<const double> q) const noexcept {
+  std::array<double, 6 * kMaxJoints> all;
+  return columns(frame, q, {}, WrenchAxes::frame, all);
 }
 
 namespace {
+
+// From the size of a force along a direction to its three components.
+void spread_along(const std::array<double, 3>& direction, Wrench& found) noexcept {
+  const double size = found.force[0], variance = found.covariance[0];
+  for (std::size_t i = 0; i < 3; ++i) {
+    found.force[i] = size * direction[i];
+    for (std::size_t k = 0; k < 3; ++k) found.covariance[3 * i + k] = variance * direction[i] * direction[k];
+  }
+  if (found.blind > 0) found.blind_directions[0] = {direction[0], direction[1], direction[2]};
+}
 
 // Variance that a contact adds to a joint's torque, without that of its constant, which covariance() has for all joints.
 double of_contact(const WrenchSettings& settings, std::size_t joint, double tau_ext, double sigma_nm, double contact_sigma_nm) noexcept {
@@ -325,7 +334,8 @@ void WrenchModel::keep_told(std::span<double> values, std::size_t count, bool sq
 
 Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
+                          std::span<const double> contact_sigma_nm, std::span<const double> dq,
+                          const std::array<double, 3>* direction) const noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
   Wrench found;
@@ -350,8 +360,13 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   keep_told(all, unknowns, false);
   keep_told(pushed, 1, false);
   const std::size_t rows = told_.size();
-  if (!solve_wrench(std::span(s).first(rows * rows), std::span(all).first(unknowns * rows), std::span(pushed).first(rows), scale, found))
+  if (direction)  // the only unknown: its size
+    for (std::size_t j = 0; j < rows; ++j)
+      all[j] = (*direction)[0] * all[j] + (*direction)[1] * all[rows + j] + (*direction)[2] * all[2 * rows + j];
+  const std::size_t columns_used = direction ? 1 : unknowns;
+  if (!solve_wrench(std::span(s).first(rows * rows), std::span(all).first(columns_used * rows), std::span(pushed).first(rows), scale, found))
     return found;
+  if (direction) spread_along(*direction, found);
   found.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
   found.consistent = found.freedom > 0 ? chi_square_beyond(found.chi_square, found.freedom) : 1.0;
   if (kind == WrenchKind::force) {
@@ -374,6 +389,12 @@ Wrench WrenchModel::force(int frame, const std::array<double, 3>& point, std::sp
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
                           std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
   return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq);
+}
+
+Wrench WrenchModel::force_along(const std::array<double, 3>& direction, int frame, const std::array<double, 3>& point,
+                                std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
+                                WrenchAxes axes, std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
+  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq, &direction);
 }
 
 double chi_square_beyond(double value, int freedom) noexcept {

@@ -1,0 +1,438 @@
+#include "touch/declared_contacts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <vector>
+
+#include "bundle/linear.hpp"
+#include "tauext/bundle.hpp"
+
+namespace tauext {
+
+const char* name(Declared declared) noexcept {
+  constexpr const char* names[] = {"none", "within", "beyond", "moved"};
+  return declared <= Declared::moved ? names[static_cast<int>(declared)] : "";
+}
+
+namespace {
+
+constexpr double kQuarterTurn = 1.5707963267948966;
+
+// Of unit length; zeros stay zeros.
+Vector3 unit(const std::array<double, 3>& v) noexcept {
+  const Vector3 a = vector3(v);
+  const double size = std::sqrt(dot(a, a));
+  return size > 0 ? 1 / size * a : Vector3{0, 0, 0};
+}
+
+std::array<double, 3> listed(Vector3 v) noexcept { return {v.x, v.y, v.z}; }
+
+ForceCone cone_of(const DeclaredContact& contact) noexcept {
+  const double cosine = contact.half_angle_rad > 0 ? std::cos(contact.half_angle_rad) : 1.0;
+  const double sine = contact.half_angle_rad > 0 ? std::sin(contact.half_angle_rad) : 0.0;
+  return {unit(contact.axis), cosine, sine, std::numeric_limits<double>::infinity()};
+}
+
+bool all_finite(const std::array<double, 3>& values) noexcept {
+  return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
+}
+
+}  // namespace
+
+// Orthonormal basis of joint torques, which grows by vectors that it does not hold yet.
+class TorqueSpan {
+ public:
+  int rank() const noexcept { return rank_; }
+  void add(JointVector torque, std::size_t n) noexcept {
+    double size = 0, left = 0;
+    for (std::size_t j = 0; j < n; ++j) size += torque[j] * torque[j];
+    for (int b = 0; b < rank_; ++b) {
+      const JointVector& one = basis_[static_cast<std::size_t>(b)];
+      double along = 0;
+      for (std::size_t j = 0; j < n; ++j) along += one[j] * torque[j];
+      for (std::size_t j = 0; j < n; ++j) torque[j] -= along * one[j];
+    }
+    for (std::size_t j = 0; j < n; ++j) left += torque[j] * torque[j];
+    if (!(left > kNothing * size)) return;
+    for (std::size_t j = 0; j < n; ++j) basis_[static_cast<std::size_t>(rank_)][j] = torque[j] / std::sqrt(left);
+    ++rank_;
+  }
+
+ private:
+  static constexpr double kNothing = 1e-8;  // squared
+  std::array<JointVector, 12> basis_;
+  int rank_ = 0;
+};
+
+DeclaredContacts::DeclaredContacts(const Bundle& bundle, const WrenchModel& wrench)
+    : wrench_(&wrench), joints_(bundle.joints()), gain_per_s_(bundle.observer.gain_per_s), spread_(bundle.limits.declared_spread) {
+  for (int j = 0; j < joints_; ++j) {
+    told_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
+    monitored_[static_cast<std::size_t>(j)] = bundle.limits.monitors(j);
+  }
+}
+
+ContactFault DeclaredContacts::fault(const DeclaredContact& contact, double seconds) const noexcept {
+  const bool of_joint = contact.joint >= 0 && contact.joint < joints_ && contact.frame < 0;
+  const bool at_frame = contact.frame >= 0 && contact.frame < wrench_->frames() && contact.joint < 0;
+  if (!of_joint && !at_frame) return ContactFault::no_frame;
+  if (at_frame && !wrench_->refused().empty()) return ContactFault::no_wrench;
+  if (!all_finite(contact.point) || !all_finite(contact.axis) || !std::isfinite(contact.at_most_n) || !std::isfinite(contact.at_most_nm) ||
+      !std::isfinite(contact.half_angle_rad) || std::isnan(contact.at_most_travel_m) || std::isnan(seconds) ||
+      (contact.boxed && (!all_finite(contact.lowest_m) || !all_finite(contact.highest_m))))
+    return ContactFault::not_finite;
+  const bool any = contact.axis == std::array<double, 3>{};
+  if (contact.half_angle_rad < 0 || contact.half_angle_rad > kQuarterTurn || (any && contact.half_angle_rad > 0)) return ContactFault::no_cone;
+  if (contact.at_most_n < 0 || contact.at_most_nm < 0 || !(contact.at_most_n + contact.at_most_nm > 0) || (of_joint && contact.at_most_n > 0))
+    return ContactFault::no_size;
+  if (!(contact.at_most_travel_m > 0) || (std::isfinite(contact.at_most_travel_m) && (any || of_joint))) return ContactFault::no_travel;
+  if (contact.boxed && of_joint) return ContactFault::no_box;
+  for (std::size_t i = 0; contact.boxed && i < 3; ++i)
+    if (!(contact.lowest_m[i] < contact.highest_m[i])) return ContactFault::no_box;
+  if (!(seconds > 0)) return ContactFault::no_time;
+  if (of_joint) return ContactFault::none;
+  TorqueSpan explained;
+  int before = 0;
+  for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) before += told_[j] && monitored_[j] && moves(contact.frame, j);
+  add_explained(contact, explained);
+  if (explained.rank() >= before) return ContactFault::explains_everything;
+  if (state_.count < kMostContacts) return ContactFault::none;
+  const bool again = std::ranges::any_of(state_.slots, [&](const Slot& slot) { return slot.on && slot.contact == contact; });
+  return again ? ContactFault::none : ContactFault::too_many;
+}
+
+std::string DeclaredContacts::words(ContactFault fault, const DeclaredContact& contact, double seconds) const {
+  const std::string where = contact.at_frame() && contact.frame < wrench_->frames() ? " at '" + wrench_->frame(contact.frame).name + "'" : "";
+  switch (fault) {
+    case ContactFault::none: return "";
+    case ContactFault::no_frame: return "a declared contact needs one frame of the bundle, or one of its joints";
+    case ContactFault::no_wrench: return "no contact at a frame can be declared: " + wrench_->refused();
+    case ContactFault::not_finite: return "the numbers of a declared contact" + where + " must be finite";
+    case ContactFault::no_cone:
+      return "half_angle = " + to_text(contact.half_angle_rad) + " rad of a declared contact" + where +
+             " must be 0 to pi/2 about an axis; without an axis, any direction is declared and there is no angle";
+    case ContactFault::no_size:
+      return "a declared contact" + where + " of at most " + to_text(contact.at_most_n) + " N and " + to_text(contact.at_most_nm) +
+             " N m must admit a force or a torque above 0; one of a joint has a torque only";
+    case ContactFault::no_travel:
+      return "at_most_travel = " + to_text(contact.at_most_travel_m) + " m of a declared contact" + where + " must be above 0, along an axis at a frame";
+    case ContactFault::no_box:
+      return "the box of a declared contact" + where + " must be of a frame, its lowest corner below its highest in x, y and z";
+    case ContactFault::no_time: return "the time of a declared contact" + where + " = " + to_text(seconds) + " s must be above 0";
+    case ContactFault::explains_everything:
+      return "the contact" + where + " would explain any torque of the joints before it, and nothing would be monitored; declare no moment, "
+             "or a line (half_angle 0)";
+    case ContactFault::too_many: return "at most " + std::to_string(kMostContacts) + " contacts can be declared at the same time; end one first";
+  }
+  return "";
+}
+
+std::string DeclaredContacts::unmonitored(const DeclaredContact& contact) const {
+  if (fault(contact, 1.0) != ContactFault::none) return "";
+  if (!contact.at_frame()) return "";
+  TorqueSpan explained;
+  add_explained(contact, explained);
+  std::string hidden, unknown;
+  const auto add = [](std::string& to, const std::string& one) { to += (to.empty() ? "" : ", ") + one; };
+  for (int j = 0; j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    TorqueSpan touched, both = explained;
+    for (TorqueSpan* one : {&touched, &both}) add_wrenches(j, {}, nullptr, true, true, *one);
+    const std::string& name = wrench_->links()[at].joint_name;
+    if (touched.rank() > 0 && both.rank() == explained.rank()) add(hidden, name);
+    if (monitored_[at] && !told_[at] && moves(contact.frame, at)) add(unknown, name);
+  }
+  std::string text;
+  if (!hidden.empty()) text = "within its bounds, nothing is monitored on the links of " + hidden + " meanwhile";
+  if (!unknown.empty()) text += (text.empty() ? "" : "; ") + std::string("not monitored meanwhile, since not in N m: ") + unknown;
+  return text;
+}
+
+// Whether the joint moves the frame.
+bool DeclaredContacts::moves(int frame, std::size_t joint) const noexcept {
+  for (int at = wrench_->frame(frame).link; at >= 0; at = wrench_->links()[static_cast<std::size_t>(at)].parent)
+    if (static_cast<std::size_t>(at) == joint) return true;
+  return false;
+}
+
+// Torques of unit forces and moments at a frame, in a pose without symmetries, of the joints that can raise an alarm by a force.
+// line: one direction of the force, or null for three.
+void DeclaredContacts::add_wrenches(int frame, const std::array<double, 3>& point, const Vector3* line, bool force, bool moment,
+                                    TorqueSpan& into) const noexcept {
+  const auto n = static_cast<std::size_t>(joints_);
+  JointVector q;
+  for (std::size_t j = 0; j < n; ++j) q[j] = 0.4 + 0.7 * static_cast<double>(j);
+  std::array<double, 6 * kMaxJoints> all;
+  wrench_->columns(frame, std::span(q).first(n), point, WrenchAxes::frame, all);
+  for (std::size_t i = 0; i < 6; ++i) {
+    if (i < 3 ? !force || (line && i > 0) : !moment) continue;
+    JointVector torque;
+    for (std::size_t j = 0; j < n; ++j) {
+      const double value = line && i == 0 ? dot(*line, {all[j], all[n + j], all[2 * n + j]}) : all[i * n + j];
+      torque[j] = told_[j] && monitored_[j] ? value : 0.0;
+    }
+    into.add(torque, n);
+  }
+}
+
+void DeclaredContacts::add_explained(const DeclaredContact& contact, TorqueSpan& into) const noexcept {
+  const ForceCone cone = cone_of(contact);
+  add_wrenches(contact.frame, contact.point, cone.line() ? &cone.axis : nullptr, contact.at_most_n > 0, contact.at_most_nm > 0, into);
+}
+
+int DeclaredContacts::start(const DeclaredContact& contact, double seconds) noexcept {
+  if (fault(contact, seconds) != ContactFault::none) return -1;
+  int which = -1;
+  for (int k = kMostContacts - 1; k >= 0; --k)
+    if (!state_.slots[static_cast<std::size_t>(k)].on) which = k;
+  for (int k = 0; k < kMostContacts; ++k)
+    if (const Slot& slot = state_.slots[static_cast<std::size_t>(k)]; slot.on && slot.contact == contact) which = k;
+  if (which < 0) return -1;
+  Slot& slot = state_.slots[static_cast<std::size_t>(which)];
+  state_.count += !slot.on;
+  slot = {};
+  slot.on = true;
+  slot.contact = contact;
+  slot.cone = cone_of(contact);
+  slot.seconds = seconds;
+  slot.order = ++state_.declared;
+  return which;
+}
+
+bool DeclaredContacts::end(int which) noexcept {
+  if (!contact(which)) return false;
+  state_.slots[static_cast<std::size_t>(which)] = {};
+  --state_.count;
+  if (state_.fitted == which) state_.fitted = -1;
+  return true;
+}
+
+// Whether the contact is in effect: within its time and its box, or not long after.
+bool DeclaredContacts::acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept {
+  const auto lasts_ns = static_cast<std::int64_t>(1e9 * kForgotten / gain_per_s_);
+  if (!slot.timed) {
+    slot.timed = true;
+    const double ns = 1e9 * slot.seconds;
+    slot.end_ns = ns < 9e18 - static_cast<double>(t_ns) ? t_ns + static_cast<std::int64_t>(ns) : std::numeric_limits<std::int64_t>::max();
+  }
+  if (t_ns > slot.end_ns && t_ns - slot.end_ns > lasts_ns) {
+    slot.on = false;
+    return false;
+  }
+  if (!slot.contact.boxed) return true;
+  const auto [rotation, origin] = wrench_->pose(slot.contact.frame, q);
+  bool inside = true;
+  for (std::size_t i = 0; i < 3; ++i) inside = inside && origin[i] >= slot.contact.lowest_m[i] && origin[i] <= slot.contact.highest_m[i];
+  if (inside) {
+    slot.inside_ns = t_ns;
+    slot.was_inside = true;
+  }
+  return inside || (slot.was_inside && elapsed_ns(t_ns, slot.inside_ns) <= static_cast<std::uint64_t>(lasts_ns));
+}
+
+void DeclaredContacts::explain_joints(const Observed& observed, std::span<const double> q, const ContactErrors& errors,
+                                      Estimate& e) noexcept {
+  state_.in_effect = false;
+  state_.count = 0;
+  for (Slot& slot : state_.slots) {
+    slot.acts = slot.on && acts(slot, observed.t_ns, q);
+    state_.count += slot.on;
+    state_.in_effect = state_.in_effect || slot.acts;
+  }
+  if (!state_.in_effect || !observed.judged) return;
+  e.declared = Declared::within;
+  for (int k = 0; k < kMostContacts; ++k) {
+    const Slot& slot = state_.slots[static_cast<std::size_t>(k)];
+    if (!slot.acts || slot.contact.at_frame()) continue;
+    const auto j = static_cast<std::size_t>(slot.contact.joint);
+    const double sign = slot.contact.axis[0], most = slot.contact.at_most_nm, torque = e.tau_ext[j];
+    e.declared_nm[j] = std::clamp(torque, sign > 0 ? 0.0 : -most, sign < 0 ? 0.0 : most);
+    const double size = sign > 0 ? std::max(torque, 0.0) : sign < 0 ? std::max(-torque, 0.0) : std::fabs(torque);
+    const double sigma_nm = e.sigma_nm[j] > 0 ? e.sigma_nm[j] : 0.0;  // unknown without an error scale
+    const double sigma = std::sqrt(sigma_nm * sigma_nm + errors.brought(slot.contact.joint, e.near_stiction >> j & 1, torque));
+    const bool beyond = size - kSure * sigma > most;
+    if (e.declared_contact >= 0 && !beyond) continue;
+    e.declared_contact = k;
+    e.declared_size = size;
+    e.declared_sigma = sigma;
+    if (beyond) e.declared = Declared::beyond;
+  }
+}
+
+bool DeclaredContacts::explain_frame(const Observed& observed, std::span<const double> q, const ContactErrors& errors, bool frames,
+                                     Estimate& e, JointVector& spread_nm) noexcept {
+  int which = -1;  // the one declared last
+  for (int k = 0; k < kMostContacts; ++k) {
+    const Slot& slot = state_.slots[static_cast<std::size_t>(k)];
+    if (frames && slot.acts && slot.contact.at_frame() && (which < 0 || slot.order > state_.slots[static_cast<std::size_t>(which)].order))
+      which = k;
+  }
+  if (state_.fitted != which || observed.restarted) {
+    state_.fitted = -1;
+    state_.pressed = state_.moved = false;
+    state_.travel_m = 0;
+  }
+  if (!state_.in_effect || !observed.judged) return false;
+  const bool pressed = which >= 0 && explain_at(which, observed, q, errors, e);
+  for (int j = 0; j < joints_; ++j)
+    if (e.declared_nm[j] != 0)
+      spread_nm[j] = spread_ * std::sqrt(errors.brought(j, pressed && (e.near_stiction >> j & 1), e.declared_nm[j]));
+  return pressed;
+}
+
+// The wrench at the frame of a contact; returns whether a force acts.
+bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
+                                  Estimate& e) noexcept {
+  const Slot& slot = state_.slots[static_cast<std::size_t>(which)];
+  const DeclaredContact& contact = slot.contact;
+  const auto n = static_cast<std::size_t>(joints_);
+  std::array<double, 6 * kMaxJoints> now;
+  const auto [rotation, origin] = wrench_->columns(contact.frame, q, contact.point, WrenchAxes::base, now);
+  const Turn base = turn(rotation);  // base from frame
+  const bool fresh = state_.fitted != which;
+  const double kept = fresh ? 0.0 : std::exp(-gain_per_s_ * elapsed_s(observed.t_ns, state_.t_ns));
+  state_.t_ns = observed.t_ns;
+  state_.fitted = which;
+  const std::size_t parts = contact.at_most_nm > 0 ? 6 : 3;
+  for (std::size_t i = 0; i < parts; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      double& column = state_.columns[i][j];
+      column = fresh ? now[i * n + j] : column + (1 - kept) * (now[i * n + j] - column);
+    }
+  ForceCone cone = slot.cone;
+  if (contact.axes == WrenchAxes::frame) cone.axis = base.out(cone.axis);
+  const Vector3 shift = base.out(vector3(contact.point));
+  const std::array<double, 3> at{origin[0] + shift.x, origin[1] + shift.y, origin[2] + shift.z};
+
+  WrenchEquations equations;
+  std::array<double, kMaxJoints> rest;
+  for (std::size_t j = 0; j < n; ++j) {
+    rest[j] = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j];
+    const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
+    if (!told_[j] || !(e.sigma_nm[j] > 0)) continue;
+    const double w = 1 / (e.sigma_nm[j] * e.sigma_nm[j] + errors.brought(static_cast<int>(j), e.near_stiction >> j & 1, rest[j]));
+    Symmetric3& ff = equations.force;
+    ff.xx += w * f.x * f.x;
+    ff.yy += w * f.y * f.y;
+    ff.zz += w * f.z * f.z;
+    ff.xy += w * f.x * f.y;
+    ff.xz += w * f.x * f.z;
+    ff.yz += w * f.y * f.z;
+    equations.force_seen = equations.force_seen + w * rest[j] * f;
+    if (parts == 3) continue;
+    const Vector3 m{state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]};
+    Symmetric3& mm = equations.moment;
+    mm.xx += w * m.x * m.x;
+    mm.yy += w * m.y * m.y;
+    mm.zz += w * m.z * m.z;
+    mm.xy += w * m.x * m.y;
+    mm.xz += w * m.x * m.z;
+    mm.yz += w * m.y * m.z;
+    equations.mixed[0] = equations.mixed[0] + w * f.x * m;
+    equations.mixed[1] = equations.mixed[1] + w * f.y * m;
+    equations.mixed[2] = equations.mixed[2] + w * f.z * m;
+    equations.moment_seen = equations.moment_seen + w * rest[j] * m;
+  }
+  constexpr double kNoBound = std::numeric_limits<double>::infinity();
+  const bool pushes = contact.at_most_n > 0;
+  if (!pushes) cone.most_n = 0;
+  ConeFit fit = fit_cone(equations, cone, parts == 6 ? kNoBound : 0.0);
+  const double size = std::sqrt(dot(fit.force, fit.force)), moment = std::sqrt(dot(fit.moment, fit.moment));
+  const bool acts = size > kSure * fit.force_sigma || (parts == 6 && moment > kSure * fit.moment_sigma);
+  const bool force_beyond = pushes && size - kSure * fit.force_sigma > contact.at_most_n;
+  const bool beyond = force_beyond || (parts == 6 && moment - kSure * fit.moment_sigma > contact.at_most_nm);
+  if (!acts) {
+    state_.travel_m = 0;
+    state_.moved = false;
+  } else if (state_.pressed) {
+    state_.travel_m += dot({at[0] - state_.at_m[0], at[1] - state_.at_m[1], at[2] - state_.at_m[2]}, cone.axis);
+    state_.moved = state_.moved || std::fabs(state_.travel_m) > contact.at_most_travel_m;
+  }
+  state_.pressed = acts;
+  state_.at_m = at;
+  if (e.declared != Declared::beyond || beyond) {
+    e.declared_contact = which;
+    e.declared_size = size;
+    e.declared_sigma = fit.force_sigma;
+    e.declared_moment_nm = moment;
+    e.declared_travel_m = state_.travel_m;
+    if (beyond) e.declared = Declared::beyond;
+    if (state_.moved) e.declared = Declared::moved;
+  }
+  if (state_.moved) return acts;
+  if (size > contact.at_most_n || moment > contact.at_most_nm) {
+    cone.most_n = contact.at_most_n;
+    fit = fit_cone(equations, cone, contact.at_most_nm);
+  }
+  for (std::size_t j = 0; j < n; ++j) {
+    const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
+    double explained = dot(f, fit.force);
+    if (parts == 6) explained += dot({state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]}, fit.moment);
+    if (!told_[j] && (f.x != 0 || f.y != 0 || f.z != 0)) explained = rest[j];  // its unit is unknown
+    e.declared_nm[j] += explained;
+  }
+  return acts;
+}
+
+ToolForce DeclaredContacts::tool(const Torques& t, const ContactErrors& errors, int load_frame, WrenchAxes axes) const noexcept {
+  ToolForce tool;
+  const DeclaredContact* declared = contact(state_.fitted);
+  tool.declared = declared;
+  tool.frame = declared ? declared->frame : load_frame;
+  if (tool.frame < 0) return tool;
+  const std::array<double, 3> point = declared ? declared->point : std::array<double, 3>{};
+  const ForceCone cone = declared ? cone_of(*declared) : ForceCone{};
+  const bool line = declared && cone.line() && !(declared->at_most_nm > 0), moment = declared && declared->at_most_nm > 0;
+  const WrenchKind kind = moment ? WrenchKind::wrench : WrenchKind::force;
+  if (line) {
+    Vector3 axis = cone.axis;
+    if (declared->axes != axes) {
+      const Turn base = turn(wrench_->pose(tool.frame, t.q).rotation);
+      axis = axes == WrenchAxes::base ? base.out(axis) : base.back(axis);
+    }
+    tool.wrench = wrench_->force_along(listed(axis), tool.frame, point, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
+  } else if (moment) {
+    tool.wrench = wrench_->wrench(tool.frame, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
+  } else {
+    tool.wrench = wrench_->force(tool.frame, point, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
+  }
+  if (!tool.wrench.known) return tool;
+  // The estimate's weights of the torques, h = S^-1 J^T C u, for the force along itself.
+  const Vector3 u = unit(tool.wrench.force);
+  const auto n = static_cast<std::size_t>(joints_), unknowns = static_cast<std::size_t>(tool.wrench.unknowns);
+  std::array<double, 6> c{};
+  for (std::size_t i = 0; i < unknowns; ++i)
+    c[i] = dot({tool.wrench.covariance[i * unknowns], tool.wrench.covariance[i * unknowns + 1], tool.wrench.covariance[i * unknowns + 2]}, u);
+  const double variance = dot({c[0], c[1], c[2]}, u);
+  std::array<double, 6 * kMaxJoints> columns;
+  std::array<double, kMaxJoints * kMaxJoints> s;
+  std::array<double, kMaxJoints> pushed, h;
+  std::ranges::copy(t.tau_ext.first(n), pushed.begin());
+  wrench_->columns(tool.frame, t.q, moment ? std::array<double, 3>{} : point, axes, columns);
+  wrench_->take_off_rubbing(kind, t.q, t.dq, t.sigma_nm, t.contact_sigma_nm, std::span(pushed).first(n), s);
+  for (std::size_t j = 0; j < n; ++j) {
+    h[j] = 0;
+    for (std::size_t i = 0; i < unknowns; ++i) h[j] += columns[i * n + j] * c[i];
+  }
+  wrench_->keep_told(s, n, true);
+  wrench_->keep_told(h, 1, false);
+  const std::size_t rows = wrench_->told().size();
+  if (!cholesky(std::span(s).first(rows * rows), rows)) return tool;
+  substitute(std::span(s).first(rows * rows), rows, std::span(h).first(rows));
+  double rest = 0, constants = 0;
+  for (std::size_t row = 0; row < rows; ++row) {
+    const std::size_t j = wrench_->told()[row];
+    const double of_torque = errors.brought(static_cast<int>(j), false, t.tau_ext[j]);
+    const double brought = t.contact_sigma_nm[j] * t.contact_sigma_nm[j] - t.sigma_nm[j] * t.sigma_nm[j];
+    rest += h[row] * h[row] * std::max(brought - of_torque, 0.0);
+    constants += h[row] * h[row] * of_torque;
+  }
+  tool.rest_n = std::sqrt(rest);
+  tool.constants_n = std::sqrt(constants);
+  tool.motion_n = std::sqrt(std::max(variance - rest - constants, 0.0));
+  return tool;
+}
+
+}  // namespace tauext

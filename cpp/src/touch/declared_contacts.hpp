@@ -1,0 +1,115 @@
+// The contacts that are declared, and the part of tau_ext that they explain.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string>
+
+#include "alarm/contact_errors.hpp"
+#include "chain/observed.hpp"
+#include "tauext/declared_contact.hpp"
+#include "tauext/estimate.hpp"
+#include "tauext/sample.hpp"
+#include "touch/cone_fit.hpp"
+
+namespace tauext {
+
+struct Bundle;
+class TorqueSpan;
+
+// Explains tau_ext by what the declared contacts admit. At a frame that is the wrench w = (f, m) of
+//
+//   min |M^-1 (tau_ext - F^T w)|,  f within its cone, |f| <= at_most_n, |m| <= at_most_nm,
+//   M_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (of_torque_j tau_j)^2,
+//
+// with the variances of ContactErrors. F is the frame's Jacobian behind the observer's filter: a constant force then explains r
+// exactly while the arm moves. Of a joint, it is the torque within its bounds. The alarm uses the rest, and limits rise by
+// spread_j^2 = kSpread^2 (hidden_j^2 + (of_torque_j explained_j)^2) in squares: what is explained is as wrong as that, and no
+// torque that is left can raise them.
+//
+// A joint before the frame that does not answer in N m is explained completely, since its share of the force is unknown.
+// Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count beside it.
+class DeclaredContacts {
+ public:
+  static constexpr double kSure = 2;       // standard errors from which on a force acts, or is beyond its bound
+  static constexpr double kForgotten = 5;  // in 1/K0: so long a contact stays in effect afterwards, since r still contains it
+
+  // The bundle must be valid.
+  explicit DeclaredContacts(const Bundle& bundle, const WrenchModel& wrench);
+
+  ContactFault fault(const DeclaredContact& contact, double seconds) const noexcept;
+  // A sentence with value, rule and choices; empty without a fault.
+  std::string words(ContactFault fault, const DeclaredContact& contact, double seconds) const;
+  // What is not monitored while the contact is in effect; empty: nothing. A sentence.
+  std::string unmonitored(const DeclaredContact& contact) const;
+  // Starts at the next sample; an equal contact that is declared already starts again. Returns its number; -1: fault().
+  int start(const DeclaredContact& contact, double seconds) noexcept;
+  // At once; false: there is none of this number.
+  bool end(int which) noexcept;
+  void reset() noexcept { state_ = {}; }
+  bool any() const noexcept { return state_.count > 0; }
+  // The contact of this number; null: none.
+  const DeclaredContact* contact(int which) const noexcept {
+    return which >= 0 && which < kMostContacts && state_.slots[static_cast<std::size_t>(which)].on
+               ? &state_.slots[static_cast<std::size_t>(which)].contact
+               : nullptr;
+  }
+
+  // For each sample that entered: first what contacts of joints explain, then what one at a frame explains of the rest. Write
+  // the declared_* fields of the estimate, which must hold tau_ext, load_nm and sigma_nm, and the spread. frames: false while an
+  // expected load explains forces. The second returns whether a force acts at the frame.
+  void explain_joints(const Observed& observed, std::span<const double> q, const ContactErrors& errors, Estimate& estimate) noexcept;
+  bool explain_frame(const Observed& observed, std::span<const double> q, const ContactErrors& errors, bool frames, Estimate& estimate,
+                     JointVector& spread_nm) noexcept;
+  // Whether some contact is in effect at the last sample, so that nothing may be learned from it.
+  bool in_effect() const noexcept { return state_.in_effect; }
+
+  // Torques of a sample, one value per joint.
+  struct Torques {
+    std::span<const double> q, dq, tau_ext, sigma_nm, contact_sigma_nm;
+  };
+  // See Monitor::tool_force(). load_frame: the frame used while no contact at a frame is in effect; -1: none.
+  ToolForce tool(const Torques& torques, const ContactErrors& errors, int load_frame, WrenchAxes axes) const noexcept;
+
+  struct Slot {
+    bool on = false, timed = false, acts = false;  // acts: was in effect at the last sample
+    DeclaredContact contact;
+    ForceCone cone;             // in the axes of the contact
+    double seconds = 0;
+    std::uint64_t order = 0;    // grows with each declaration
+    std::int64_t end_ns = 0;    // of its time
+    std::int64_t inside_ns = 0;  // last sample in its box, for how long it stays in effect
+    bool was_inside = false;
+  };
+  struct State {
+    std::array<Slot, kMostContacts> slots{};
+    int count = 0;
+    std::uint64_t declared = 0;
+    bool in_effect = false;
+    // Of the contact at a frame in effect: the filtered Jacobian, and where the contact began.
+    int fitted = -1;
+    std::int64_t t_ns = 0;
+    std::array<JointVector, 6> columns{};
+    bool pressed = false, moved = false;
+    std::array<double, 3> at_m{};     // last position of the point
+    double travel_m = 0;
+  };
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  bool moves(int frame, std::size_t joint) const noexcept;
+  void add_wrenches(int frame, const std::array<double, 3>& point, const Vector3* line, bool force, bool moment, TorqueSpan& into) const noexcept;
+  void add_explained(const DeclaredContact& contact, TorqueSpan& into) const noexcept;
+  bool acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept;
+  bool explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
+                  Estimate& estimate) noexcept;
+
+  const WrenchModel* wrench_;
+  int joints_;
+  double gain_per_s_, spread_;
+  std::array<bool, kMaxJoints> told_{}, monitored_{};
+  State state_;
+};
+
+}  // namespace tauext

@@ -30,7 +30,8 @@ from tauext.monitor.source import Sample, SourceSettings
 PERIOD_NS = 20_000_000
 ARM = SourceSettings(("shoulder", "elbow"), PERIOD_NS, ("N m", "N m"), "held")
 ROWS = round(10e9 / PERIOD_NS)
-ESTIMATES = {name: np.zeros(1, int) for name in ("causes", "cause_joint", "touch", "unfamiliar")}
+ESTIMATES = {name: np.zeros(1, int) for name in ("causes", "cause_joint", "touch", "unfamiliar", "declared")}
+ESTIMATES |= {"declared_size": np.zeros(1), "declared_contact": np.full(1, -1), "declared_nm": np.zeros((1, 2))}
 ESTIMATES["drift_saturated"] = np.zeros((1, 2), bool)
 ESTIMATES |= {"health": np.ones(1, int), "alarm_joint": np.zeros(1, int), "near_stiction": np.zeros((1, 2), bool)}
 ESTIMATES |= {name: np.ones((1, 2)) for name in ("limit_nm", "contact_limit_nm", "sigma_nm", "margin_nm")}

@@ -345,8 +345,9 @@ def test_acknowledge_waits_for_no_touch(bundle):
 
 def test_lines_that_ask_for_nothing_known_are_answered():
     usage = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, "
-    usage += "`expect seconds=S at_most=KG`, `weigh [report|stop]`, `touched [ALARM]`, `nothing [ALARM]`, "
-    usage += "`learn yes|no`, `sim COMMAND` or `stop`"
+    usage += "`expect seconds=S at_most=KG`, `contact PHASE seconds=S`, `contact none`, "
+    usage += "`contact frame=NAME axis=X,Y,Z half_angle_deg=A at_most_n=N seconds=S`, "
+    usage += "`weigh [report|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
     assert obey("sing", None, "x") == f"error: 'sing' must be {usage}"
     assert obey("profile", None, "x").startswith("error:") and obey("stop now", None, "x").startswith("error:")
 

@@ -270,9 +270,10 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
     rows = len(t_ns)
     said["alarm"][FALLS + 50 : FALLS + 60] = 1
     said["alarm_joint"][:] = 4
-    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual", "uncertainty"):
+    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual", "uncertainty", "declared_nm"):
         said[name] = np.ones((rows, 7))
-    for name, value in (("health", 1), ("causes", 0), ("cause_joint", -1), ("touch", 1)):
+    numbers = (("health", 1), ("causes", 0), ("cause_joint", -1), ("touch", 1), ("declared", 0))
+    for name, value in (*numbers, ("declared_contact", -1), ("declared_size", 0.0)):
         said[name] = np.full(rows, value)
     for name in ("drift_saturated", "near_stiction"):
         said[name] = np.zeros((rows, 7), dtype=bool)

@@ -30,6 +30,7 @@ def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     torques = {column.name: np.ones((rows, 2)) for column in COLUMNS if column.in_messages}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
     names = ("causes", "cause_joint", "detection", "unfamiliar", "touch_t_ns", "touch_over")
+    names += ("declared", "declared_size", "declared_contact")
     numbers = {name: np.zeros(rows, int) for name in names}
     return {
         **torques,

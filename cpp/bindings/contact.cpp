@@ -22,7 +22,7 @@ constexpr double kInfinite = std::numeric_limits<double>::infinity();
 std::string repr(const NamedContact& c) {
   std::string out = "<DeclaredContact " + (c.joint_name.empty() ? "at " + c.frame_name : "of " + c.joint_name);
   if (c.at_most_n > 0) out += ", at most " + to_text(c.at_most_n) + " N";
-  if (c.at_most_nm > 0) out += ", at most " + to_text(c.at_most_nm) + " N m";
+  if (c.at_most_nm > 0) out += ", at most " + to_text(c.at_most_nm) + (c.joint_name.empty() ? " N m" : "");
   return out + ">";
 }
 

@@ -283,6 +283,7 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   out["drift"] = to_numpy(std::move(f.drift), {N, n});
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
   out["load_nm"] = to_numpy(std::move(f.load_nm), {N, n});
+  out["declared_nm"] = to_numpy(std::move(f.declared_nm), {N, n});
   out["sigma_nm"] = to_numpy(std::move(f.sigma_nm), {N, n});
   out["contact_sigma_nm"] = to_numpy(std::move(f.contact_sigma_nm), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});

@@ -35,8 +35,8 @@ import importlib
 
 _WHERE = {
     "_core": (
-        "Alarm Bundle Declared DeclaredContact Estimate FlightRecorder Health Load LoadFound LoadPhase Monitor PlaceModel "
-        "ToolForce Touch TouchPlace TouchPlaces Wrench WrenchAxes WrenchModel __version__ cause_names"
+        "Alarm Bundle Declared DeclaredContact Estimate FlightRecorder Health Load LoadFound LoadPhase Monitor "
+        "PlaceModel ToolForce Touch TouchPlace TouchPlaces Wrench WrenchAxes WrenchModel __version__ cause_names"
     ),
     "bundle.bundle_file": "load_bundle",
     "bundle.estimates": "Estimates",

@@ -20,7 +20,7 @@ struct FlightSettings {
 struct Flight {
   std::int64_t event_row = 0;  // row of the event
   std::vector<std::int64_t> t_ns;                                               // (samples)
-  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, load_nm, sigma_nm,
+  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, load_nm, declared_nm, sigma_nm,
       contact_sigma_nm, limit_nm, contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)

@@ -96,10 +96,11 @@ class WrenchModel {
   Pose columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
                std::span<double> into) const noexcept;
   Pose pose(int frame, std::span<const double> q) const noexcept;
-  // A force along one direction only: `direction` of unit length, along `axes`. Its covariance has rank 1.
-  Wrench force_along(const std::array<double, 3>& direction, int frame, const std::array<double, 3>& point, std::span<const double> q,
-                     std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                     std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept;
+  // The estimate for given columns, (6, joints), along the base's axes: of a force, or of force and moment. direction, of unit
+  // length: a force along it only, with a covariance of rank 1. A moment is left unset where only a force is estimated.
+  Wrench of_columns(WrenchKind kind, std::span<const double> columns, std::span<const double> q, std::span<const double> tau_ext,
+                    std::span<const double> sigma_nm, std::span<const double> contact_sigma_nm, std::span<const double> dq,
+                    const std::array<double, 3>* direction = nullptr) const noexcept;
   // S of a sample, (joints, joints). contact_sigma_nm: empty in free motion.
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept;
@@ -121,8 +122,7 @@ class WrenchModel {
  private:
   Wrench solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-               std::span<const double> contact_sigma_nm, std::span<const double> dq,
-               const std::array<double, 3>* direction = nullptr) const noexcept;
+               std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept;
 
   std::string refused_;
   std::vector<Link> links_;

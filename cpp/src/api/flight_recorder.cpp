@@ -6,7 +6,7 @@
 
 namespace tauext {
 namespace {
-constexpr int kSignals = 13;  // q, dq, tau, residual, prior, network, drift, tau_ext, load, sigma, contact sigma, limit, contact limit
+constexpr int kSignals = 14;  // those that push() lists
 }
 
 FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings)
@@ -41,7 +41,7 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
       to[j] = signal.size() == n ? signal[j] : std::numeric_limits<double>::quiet_NaN();
     to += n;
   }
-  for (const JointVector* signal : {&e.residual, &e.prior, &e.network, &e.drift, &e.tau_ext, &e.load_nm,
+  for (const JointVector* signal : {&e.residual, &e.prior, &e.network, &e.drift, &e.tau_ext, &e.load_nm, &e.declared_nm,
                                     &e.sigma_nm, &e.contact_sigma_nm, &e.limit_nm, &e.contact_limit_nm})
     to = std::copy_n(signal->data(), n, to);
   ring.rows[row] = {sample.t_ns, e.near_stiction, e.causes, static_cast<std::uint8_t>(e.health),
@@ -105,7 +105,7 @@ bool FlightRecorder::take(Flight& flight) {
   std::vector<double>* const signals[kSignals] = {&flight.q,       &flight.dq,      &flight.tau,
                                                   &flight.residual, &flight.prior,   &flight.network,
                                                   &flight.drift,    &flight.tau_ext, &flight.load_nm,
-                                                  &flight.sigma_nm, &flight.contact_sigma_nm,
+                                                  &flight.declared_nm, &flight.sigma_nm, &flight.contact_sigma_nm,
                                                   &flight.limit_nm, &flight.contact_limit_nm};
   for (std::int64_t k = 0; k < rows; ++k) {
     const auto at = static_cast<std::size_t>((oldest + k) % capacity_);

@@ -39,6 +39,28 @@ bool all_finite(const std::array<double, 3>& values) noexcept {
   return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
 }
 
+// From the base's axes to the frame's.
+void turn_into(const Turn& base, Wrench& w) noexcept {
+  const auto m = static_cast<std::size_t>(w.unknowns);
+  w.force = listed(base.back(vector3(w.force)));
+  w.moment = listed(base.back(vector3(w.moment)));
+  for (std::size_t k = 0; k < static_cast<std::size_t>(w.blind); ++k)
+    for (std::size_t part = 0; part < m; part += 3) {
+      auto& d = w.blind_directions[k];
+      const Vector3 v = base.back({d[part], d[part + 1], d[part + 2]});
+      d[part] = v.x, d[part + 1] = v.y, d[part + 2] = v.z;
+    }
+  const auto turned = [&](std::size_t from, std::size_t step) noexcept {  // three numbers of the covariance, step apart
+    double* at = w.covariance.data() + from;
+    const Vector3 v = base.back({at[0], at[step], at[2 * step]});
+    at[0] = v.x, at[step] = v.y, at[2 * step] = v.z;
+  };
+  for (std::size_t row = 0; row < m; ++row)
+    for (std::size_t part = 0; part < m; part += 3) turned(row * m + part, 1);
+  for (std::size_t column = 0; column < m; ++column)
+    for (std::size_t part = 0; part < m; part += 3) turned(part * m + column, m);
+}
+
 }  // namespace
 
 // Orthonormal basis of joint torques, which grows by vectors that it does not hold yet.
@@ -241,19 +263,24 @@ void DeclaredContacts::explain_joints(const Observed& observed, std::span<const 
     state_.count += slot.on;
     state_.in_effect = state_.in_effect || slot.acts;
   }
-  if (!state_.in_effect || !observed.judged) return;
-  e.declared = Declared::within;
+  if (state_.in_effect && observed.judged) take_joints(errors, e);
+}
+
+// What contacts of joints explain beside declared_nm, which holds what one at a frame does.
+void DeclaredContacts::take_joints(const ContactErrors& errors, Estimate& e) const noexcept {
+  if (e.declared == Declared::none) e.declared = Declared::within;
   for (int k = 0; k < kMostContacts; ++k) {
     const Slot& slot = state_.slots[static_cast<std::size_t>(k)];
     if (!slot.acts || slot.contact.at_frame()) continue;
     const auto j = static_cast<std::size_t>(slot.contact.joint);
-    const double sign = slot.contact.axis[0], most = slot.contact.at_most_nm, torque = e.tau_ext[j];
-    e.declared_nm[j] = std::clamp(torque, sign > 0 ? 0.0 : -most, sign < 0 ? 0.0 : most);
+    const double sign = slot.contact.axis[0], most = slot.contact.at_most_nm;
+    const double torque = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j];
+    e.declared_nm[j] += std::clamp(torque, sign > 0 ? 0.0 : -most, sign < 0 ? 0.0 : most);
     const double size = sign > 0 ? std::max(torque, 0.0) : sign < 0 ? std::max(-torque, 0.0) : std::fabs(torque);
     const double sigma_nm = e.sigma_nm[j] > 0 ? e.sigma_nm[j] : 0.0;  // unknown without an error scale
     const double sigma = std::sqrt(sigma_nm * sigma_nm + errors.brought(slot.contact.joint, e.near_stiction >> j & 1, torque));
     const bool beyond = size - kSure * sigma > most;
-    if (e.declared_contact >= 0 && !beyond) continue;
+    if (e.declared_contact >= 0 && !(beyond && e.declared == Declared::within)) continue;
     e.declared_contact = k;
     e.declared_size = size;
     e.declared_sigma = sigma;
@@ -275,7 +302,14 @@ bool DeclaredContacts::explain_frame(const Observed& observed, std::span<const d
     state_.travel_m = 0;
   }
   if (!state_.in_effect || !observed.judged) return false;
-  const bool pressed = which >= 0 && explain_at(which, observed, q, errors, e);
+  bool pressed = false;
+  if (which >= 0) {
+    e.declared = Declared::none;
+    e.declared_contact = -1;
+    std::fill_n(e.declared_nm.begin(), joints_, 0.0);
+    pressed = explain_at(which, observed, q, errors, e);
+    take_joints(errors, e);
+  }
   for (int j = 0; j < joints_; ++j)
     if (e.declared_nm[j] != 0)
       spread_nm[j] = spread_ * std::sqrt(errors.brought(j, pressed && (e.near_stiction >> j & 1), e.declared_nm[j]));
@@ -296,6 +330,10 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
   state_.t_ns = observed.t_ns;
   state_.fitted = which;
   const std::size_t parts = contact.at_most_nm > 0 ? 6 : 3;
+  std::array<bool, kMaxJoints> used{};  // a joint with a contact of its own shows nothing of the force
+  for (std::size_t j = 0; j < n; ++j) used[j] = told_[j] && e.sigma_nm[j] > 0;
+  for (const Slot& other : state_.slots)
+    if (other.acts && !other.contact.at_frame()) used[static_cast<std::size_t>(other.contact.joint)] = false;
   for (std::size_t i = 0; i < parts; ++i)
     for (std::size_t j = 0; j < n; ++j) {
       double& column = state_.columns[i][j];
@@ -309,9 +347,9 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
   WrenchEquations equations;
   std::array<double, kMaxJoints> rest;
   for (std::size_t j = 0; j < n; ++j) {
-    rest[j] = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j];
+    rest[j] = e.tau_ext[j] - e.load_nm[j];
     const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
-    if (!told_[j] || !(e.sigma_nm[j] > 0)) continue;
+    if (!used[j]) continue;
     const double w = 1 / (e.sigma_nm[j] * e.sigma_nm[j] + errors.brought(static_cast<int>(j), e.near_stiction >> j & 1, rest[j]));
     Symmetric3& ff = equations.force;
     ff.xx += w * f.x * f.x;
@@ -352,15 +390,12 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
   }
   state_.pressed = acts;
   state_.at_m = at;
-  if (e.declared != Declared::beyond || beyond) {
-    e.declared_contact = which;
-    e.declared_size = size;
-    e.declared_sigma = fit.force_sigma;
-    e.declared_moment_nm = moment;
-    e.declared_travel_m = state_.travel_m;
-    if (beyond) e.declared = Declared::beyond;
-    if (state_.moved) e.declared = Declared::moved;
-  }
+  e.declared = state_.moved ? Declared::moved : beyond ? Declared::beyond : Declared::within;
+  e.declared_contact = which;
+  e.declared_size = size;
+  e.declared_sigma = fit.force_sigma;
+  e.declared_moment_nm = moment;
+  e.declared_travel_m = state_.travel_m;
   if (state_.moved) return acts;
   if (size > contact.at_most_n || moment > contact.at_most_nm) {
     cone.most_n = contact.at_most_n;
@@ -371,7 +406,7 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
     double explained = dot(f, fit.force);
     if (parts == 6) explained += dot({state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]}, fit.moment);
     if (!told_[j] && (f.x != 0 || f.y != 0 || f.z != 0)) explained = rest[j];  // its unit is unknown
-    e.declared_nm[j] += explained;
+    e.declared_nm[j] = explained;
   }
   return acts;
 }
@@ -386,31 +421,24 @@ ToolForce DeclaredContacts::tool(const Torques& t, const ContactErrors& errors, 
   const ForceCone cone = declared ? cone_of(*declared) : ForceCone{};
   const bool line = declared && cone.line() && !(declared->at_most_nm > 0), moment = declared && declared->at_most_nm > 0;
   const WrenchKind kind = moment ? WrenchKind::wrench : WrenchKind::force;
-  if (line) {
-    Vector3 axis = cone.axis;
-    if (declared->axes != axes) {
-      const Turn base = turn(wrench_->pose(tool.frame, t.q).rotation);
-      axis = axes == WrenchAxes::base ? base.out(axis) : base.back(axis);
-    }
-    tool.wrench = wrench_->force_along(listed(axis), tool.frame, point, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
-  } else if (moment) {
-    tool.wrench = wrench_->wrench(tool.frame, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
-  } else {
-    tool.wrench = wrench_->force(tool.frame, point, t.q, t.tau_ext, t.sigma_nm, axes, t.contact_sigma_nm, t.dq);
-  }
+  // Along the base's axes, and of a declared contact behind the observer's filter, as tau_ext is.
+  const auto n = static_cast<std::size_t>(joints_);
+  std::array<double, 6 * kMaxJoints> columns;
+  const Turn base = turn(wrench_->columns(tool.frame, t.q, point, WrenchAxes::base, columns).rotation);
+  for (std::size_t i = 0; declared && i < (moment ? 6u : 3u); ++i) std::copy_n(state_.columns[i].begin(), n, columns.begin() + static_cast<std::ptrdiff_t>(i * n));
+  const std::array<double, 3> axis = line ? listed(declared->axes == WrenchAxes::frame ? base.out(cone.axis) : cone.axis) : std::array<double, 3>{};
+  tool.wrench = wrench_->of_columns(kind, std::span(columns).first(6 * n), t.q, t.tau_ext, t.sigma_nm, t.contact_sigma_nm, t.dq, line ? &axis : nullptr);
   if (!tool.wrench.known) return tool;
   // The estimate's weights of the torques, h = S^-1 J^T C u, for the force along itself.
   const Vector3 u = unit(tool.wrench.force);
-  const auto n = static_cast<std::size_t>(joints_), unknowns = static_cast<std::size_t>(tool.wrench.unknowns);
+  const auto unknowns = static_cast<std::size_t>(tool.wrench.unknowns);
   std::array<double, 6> c{};
   for (std::size_t i = 0; i < unknowns; ++i)
     c[i] = dot({tool.wrench.covariance[i * unknowns], tool.wrench.covariance[i * unknowns + 1], tool.wrench.covariance[i * unknowns + 2]}, u);
   const double variance = dot({c[0], c[1], c[2]}, u);
-  std::array<double, 6 * kMaxJoints> columns;
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, kMaxJoints> pushed, h;
   std::ranges::copy(t.tau_ext.first(n), pushed.begin());
-  wrench_->columns(tool.frame, t.q, moment ? std::array<double, 3>{} : point, axes, columns);
   wrench_->take_off_rubbing(kind, t.q, t.dq, t.sigma_nm, t.contact_sigma_nm, std::span(pushed).first(n), s);
   for (std::size_t j = 0; j < n; ++j) {
     h[j] = 0;
@@ -432,6 +460,7 @@ ToolForce DeclaredContacts::tool(const Torques& t, const ContactErrors& errors, 
   tool.rest_n = std::sqrt(rest);
   tool.constants_n = std::sqrt(constants);
   tool.motion_n = std::sqrt(std::max(variance - rest - constants, 0.0));
+  if (axes == WrenchAxes::frame) turn_into(base, tool.wrench);
   return tool;
 }
 

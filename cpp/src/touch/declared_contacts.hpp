@@ -28,7 +28,8 @@ class TorqueSpan;
 // torque that is left can raise them.
 //
 // A joint before the frame that does not answer in N m is explained completely, since its share of the force is unknown.
-// Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count beside it.
+// Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count
+// beside it: they explain what it leaves of their joints, which show nothing of its force.
 class DeclaredContacts {
  public:
   static constexpr double kSure = 2;       // standard errors from which on a force acts, or is beyond its bound
@@ -102,6 +103,7 @@ class DeclaredContacts {
   void add_wrenches(int frame, const std::array<double, 3>& point, const Vector3* line, bool force, bool moment, TorqueSpan& into) const noexcept;
   void add_explained(const DeclaredContact& contact, TorqueSpan& into) const noexcept;
   bool acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept;
+  void take_joints(const ContactErrors& errors, Estimate& estimate) const noexcept;
   bool explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
                   Estimate& estimate) noexcept;
 

@@ -332,10 +332,10 @@ void WrenchModel::keep_told(std::span<double> values, std::size_t count, bool sq
     for (std::size_t k = 0; k < rows; ++k) values[i * rows + k] = values[(square ? told_[i] : i) * n + told_[k]];
 }
 
-Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
-                          std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::span<const double> contact_sigma_nm, std::span<const double> dq,
-                          const std::array<double, 3>* direction) const noexcept {
+Wrench WrenchModel::of_columns(WrenchKind kind, std::span<const double> columns, std::span<const double> q,
+                               std::span<const double> tau_ext, std::span<const double> sigma_nm,
+                               std::span<const double> contact_sigma_nm, std::span<const double> dq,
+                               const std::array<double, 3>* direction) const noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
   Wrench found;
@@ -343,9 +343,8 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   found.force = found.moment = {nan, nan, nan};
   found.covariance.fill(nan);
   found.chi_square = found.consistent = nan;
-  bool sound = refused_.empty() && frame >= 0 && frame < frames();
-  sound = sound && known(q, tau_ext, sigma_nm, contact_sigma_nm);
-  for (double value : point) sound = sound && std::isfinite(value);
+  bool sound = refused_.empty() && known(q, tau_ext, sigma_nm, contact_sigma_nm);
+  for (double value : columns) sound = sound && std::isfinite(value);
   for (double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return found;
 
@@ -353,8 +352,8 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   std::ranges::copy(tau_ext.first(n), pushed.begin());
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
+  std::ranges::copy(columns.first(unknowns * n), all.begin());
   take_off_rubbing(kind, q, dq, sigma_nm, contact_sigma_nm, std::span(pushed).first(n), s);
-  const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all).axes;
   const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
   keep_told(s, n, true);
   keep_told(all, unknowns, false);
@@ -369,13 +368,28 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   if (direction) spread_along(*direction, found);
   found.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
   found.consistent = found.freedom > 0 ? chi_square_beyond(found.chi_square, found.freedom) : 1.0;
-  if (kind == WrenchKind::force) {
+  found.known = true;
+  return found;
+}
+
+Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
+                          std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
+                          std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
+  const bool sound = refused_.empty() && frame >= 0 && frame < frames() && known(q, tau_ext, sigma_nm, contact_sigma_nm);
+  std::array<double, 6 * kMaxJoints> all;
+  const std::span columns = std::span(all).first(6 * links_.size());
+  Turn base{};
+  if (sound)
+    base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, columns).axes;
+  else
+    std::ranges::fill(columns, std::numeric_limits<double>::quiet_NaN());
+  Wrench found = of_columns(kind, columns, q, tau_ext, sigma_nm, contact_sigma_nm, dq);
+  if (found.known && kind == WrenchKind::force) {
     Vector3 lever = vector3(point);
     if (axes == WrenchAxes::base) lever = base.back(lever);
     const Vector3 moment = cross(lever, vector3(found.force));
     found.moment = {moment.x, moment.y, moment.z};
   }
-  found.known = true;
   return found;
 }
 
@@ -389,12 +403,6 @@ Wrench WrenchModel::force(int frame, const std::array<double, 3>& point, std::sp
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
                           std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
   return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq);
-}
-
-Wrench WrenchModel::force_along(const std::array<double, 3>& direction, int frame, const std::array<double, 3>& point,
-                                std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                                WrenchAxes axes, std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
-  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq, &direction);
 }
 
 double chi_square_beyond(double value, int freedom) noexcept {

@@ -27,6 +27,8 @@ TOUCHES: tuple[str, ...] = tuple(touch.name for touch in _core.Touch)
 """Kinds of touch, by the core's number."""
 FIRST_KIND = TOUCHES.index("impact")
 """The kinds before it are none and unknown."""
+DECLARED: tuple[str, ...] = tuple(one.name for one in _core.Declared)
+"""States of a declared contact, by the core's number."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,12 @@ COLUMNS = (
     Column("uncertainty", in_messages=True),  # r expected in free motion: prior + network + drift
     Column("tau_ext", in_messages=True),
     Column("load_nm", in_messages=True),  # share of tau_ext taken for a load that is expected
+    Column("declared_nm", in_messages=True),  # share of tau_ext that declared contacts explain
     Column("sigma_nm", in_messages=True),
     Column("contact_sigma_nm", in_messages=True),
     Column("limit_nm", in_messages=True),
     Column("contact_limit_nm", in_messages=True),
-    Column("margin_nm", in_messages=True),  # limit_nm - |tau_ext|
+    Column("margin_nm", in_messages=True),  # limit_nm - |tau_ext|, without what is explained
     Column("near_stiction", bool),
     Column("health", np.int8, False),
     Column("causes", np.uint32, False),
@@ -173,6 +176,15 @@ def lacking(bundle: _core.Bundle) -> frozenset[str]:
     has = {"prior": has_prior, "drift": bundle.drift.time_constant_s > 0}
     has |= dict.fromkeys(("sigma_nm", "contact_sigma_nm"), bundle.error_scale.on)
     return frozenset(name for name, there in has.items() if not there)
+
+
+def unexplained(estimates: Mapping[str, np.ndarray]) -> np.ndarray:
+    """tau_ext less what an expected load and declared contacts explain, which the alarm compares with its limits."""
+    left = estimates["tau_ext"]
+    for name in ("load_nm", "declared_nm"):  # estimates of a bare chain have neither
+        if name in estimates:
+            left = left - estimates[name]
+    return left
 
 
 def number(value: float) -> float | None:

@@ -40,6 +40,7 @@ class Extras:
     record: Path | None
     segment_s: float
     control: Path | None
+    phases: Place | None = None
 
 
 def monitor(
@@ -48,6 +49,7 @@ def monitor(
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
     reactions: PlaceArg | None = None,
     profiles: PlaceArg | None = None,
+    phases: PlaceArg | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
@@ -74,7 +76,9 @@ def monitor(
         options: options of some sources.
         reactions: TOML file of reactions to a collision, contact or fault, and to its end.
         profiles: TOML file of named factors on the limits, switched while the monitor runs.
-        control: socket that accepts the lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
+        phases: TOML file of contacts that the task means: on while announced, in a box, or always; docs/contacts.md.
+        control: socket that accepts lines such as `profile NAME`, `contact PHASE seconds=20`, `acknowledge`, `resume`
+            and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         missing_after_ms: time after the last sample when the next one counts as missing, [ms]. None: two periods, or
             a period and 2 ms if that is longer.
@@ -112,7 +116,7 @@ def monitor(
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
-    extras = Extras(reactions, profiles, kept, record, segment_s, control)
+    extras = Extras(reactions, profiles, kept, record, segment_s, control, phases)
     output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
     watch(bundle, source, given(options), settings, extras, output)
 
@@ -137,6 +141,7 @@ def watch(
     from tauext.cli.text_lines import Outcome
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
+    from tauext.monitor.phases import phases_of
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
@@ -146,6 +151,7 @@ def watch(
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
     source, publishers = open_source(text, options, bundle)
+    phases, unmonitored = phases_of(extras.phases, bundle)
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
     flights = None
@@ -159,7 +165,7 @@ def watch(
     recorder = flights.recorder if flights else None
     with ExitStack() as stack:
         stack.callback(reactions.end)
-        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings)
+        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, phases=phases)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
@@ -170,6 +176,8 @@ def watch(
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
         aside.do(partial(output.start_live, source.name, bundle))
+        for words in unmonitored:
+            loop.note(words)
         began_s = time.monotonic()
         loop.run()
         ran_s = time.monotonic() - began_s

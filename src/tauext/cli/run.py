@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tauext.data.recording import Recording
     from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
+    from tauext.monitor.phases import Phases
     from tauext.monitor.replay import Tally
 
 
@@ -37,6 +38,7 @@ class RunSettings:
     loads: tuple[TimedLoad, ...]
     wrench: str | None
     """Frame at which the force of a touch is reported, too."""
+    phases: Phases | None = None
 
 
 def run(
@@ -52,6 +54,7 @@ def run(
     contacts: bool = False,
     load: str | None = None,
     loads: PlaceArg | None = None,
+    phases: PlaceArg | None = None,
     wrench: str | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
@@ -78,6 +81,7 @@ def run(
         load: constant payload in the bundle's load frame, such as "mass=2.8 com=0,0,0.05"; optional
             inertia=XX,YY,ZZ,XY,XZ,YZ and error=SHARE. Units: kg, m, kg m^2.
         loads: TOML file of payloads with the times at which they change; docs/loads.md.
+        phases: TOML file of contacts that the task means, with their times in the recording; docs/contacts.md.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
@@ -90,6 +94,7 @@ def run(
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     from tauext.monitor.flight_files import FlightSettings
+    from tauext.monitor.phases import phases_of
     from tauext.monitor.touch_place import PlaceFinder
 
     loaded = fitting_bundle(bundle, recordings)
@@ -98,11 +103,14 @@ def run(
         if folder is not None and flights is not None:
             kept = FlightSettings(folder, before_s, after_s, contacts, flights)
         carried = timed_loads(loaded, load, loads)
-        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench)
+        expected, unmonitored = phases_of(phases, loaded)
+        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected)
         PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
         if kept is not None:
             kept.recorder(loaded)
         with open_output(as_json, status_hz, flights, after is not None) as output:
+            for words in unmonitored:
+                print(f"tauext: {words}", file=sys.stderr)
             replay_all(loaded, recordings, settings, output)
 
 
@@ -225,7 +233,9 @@ def replay_one(
     after_s = settings.acknowledge_after_s
     try:
         with writer or nullcontext():
-            for chunk in replay(monitor, recording, pace, recorder, after_s, chunk_s, settings.loads, places):
+            for chunk in replay(
+                monitor, recording, pace, recorder, after_s, chunk_s, settings.loads, places, settings.phases
+            ):
                 tally.add(chunk, monitor)
                 if writer is not None:
                     writer.catch_up()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from tauext._core import Load, LoadFound
-from tauext.bundle.estimates import COLLISION, CONTACT, FIRST_KIND, NONE, WARMING_UP
+from tauext._core import DeclaredContact, Load, LoadFound
+from tauext.bundle.estimates import COLLISION, CONTACT, DECLARED, FIRST_KIND, NONE, OK, WARMING_UP, unexplained
 
 
 def with_article(kind: str) -> str:
@@ -18,6 +19,12 @@ def with_article(kind: str) -> str:
 
 APART_S = 0.5
 """Time within all limits after which a collision counts as another one, as in counts of false alarms."""
+
+
+BEYOND = DECLARED.index("beyond")
+"""From this state on a declared contact is not as declared."""
+DECLARED_NUMBERS = ("declared_size", "declared_sigma", "declared_moment_nm", "declared_travel_m")
+"""Of the estimates, in the order of DeclaredChange."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +103,24 @@ class DriftChange(Change):
 
 
 @dataclass(frozen=True)
+class DeclaredChange(Change):
+    """A declared contact came into effect or ended, or its force went beyond its bounds, at this sample."""
+
+    state: int
+    """Index of DECLARED."""
+    contact: int
+    """Number of the contact, of Monitor.expect_contact(); -1: none."""
+    size: float = np.nan
+    """Its force, [N]; of a joint the torque."""
+    sigma: float = np.nan
+    moment_nm: float = np.nan
+    travel_m: float = np.nan
+    phase: str = ""
+    """Name of the phase that declared it; empty: unknown."""
+    bounds: DeclaredContact | None = None
+
+
+@dataclass(frozen=True)
 class LoadChange(Change):
     """The load of the arm was set just before this sample."""
 
@@ -154,6 +179,7 @@ class ChangeFinder:
         self._found_ns, self._reported_kg, self._reported_error_kg = 0, np.nan, np.nan
         self._touch, self._alarm_ns, self._number = 0, 0, 0
         self._held_ns: int | None = None
+        self._declared, self._declared_contact, self._beyond_ns = 0, -1, -math.inf
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; an alarm at the sample was raised again there."""
@@ -191,6 +217,8 @@ class ChangeFinder:
             self._number = int(estimates["alarm_number"][-1])
         if "load_found_ns" in estimates:
             changes += self._found(first_row, t_ns, estimates)
+        if "declared" in estimates and (self._declared or estimates["declared"].any()):
+            changes += self._declarations(first_row, t_ns, estimates)
         if "touch" in estimates:
             changes += self._touches(first_row, t_ns, estimates, before["alarm"])
         changes += self._drift(first_row, t_ns, estimates["drift_saturated"])
@@ -211,6 +239,25 @@ class ChangeFinder:
                 self._reported_kg, self._reported_error_kg = kg, error_kg
         self._found_ns = int(found_ns[-1])
         return reported
+
+    def _declarations(self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray]) -> list[DeclaredChange]:
+        """States of the declared contact. One that returns beyond its bounds within APART_S is not reported again."""
+        state, which = estimates["declared"], estimates["declared_contact"]
+        differs = (state != shifted(self._declared, state)) | (which != shifted(self._declared_contact, which))
+        found: list[DeclaredChange] = []
+        for k in (differs & (estimates["health"] == OK)).nonzero()[0].tolist():
+            now, contact = int(state[k]), int(which[k])
+            if self._declared >= BEYOND:  # until here
+                self._beyond_ns = float(t_ns[k])
+            beyond = now >= BEYOND
+            returns = beyond and t_ns[k] - self._beyond_ns <= APART_S * 1e9
+            ends = now == 0 and self._declared
+            if not returns and (beyond or ends or contact != self._declared_contact):
+                size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
+                of = self._declared_contact if ends else contact
+                found.append(DeclaredChange(first_row + k, int(t_ns[k]), now, of, size, sigma, moment_nm, travel_m))
+            self._declared, self._declared_contact = now, contact
+        return found
 
     def _touches(
         self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray], alarm_before: np.ndarray
@@ -258,7 +305,7 @@ class ChangeFinder:
         self._held_ns = int(t_ns[at[-1]])
         hidden = []
         for k in at[(t_ns[at] - before_ns > round(APART_S * 1e9)) & (alarm_before[at] == COLLISION)].tolist():
-            share = np.abs(estimates["tau_ext"][k] - estimates["load_nm"][k]) / estimates["limit_nm"][k]
+            share = np.abs(unexplained(estimates)[k]) / estimates["limit_nm"][k]
             hidden.append(HiddenCollision(first_row + k, int(t_ns[k]), int(np.nanargmax(share))))
         return hidden
 

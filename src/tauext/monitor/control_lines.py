@@ -17,6 +17,7 @@ from typing import TextIO
 
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.loads import expected_of_text, load_and_ago_of_text
+from tauext.monitor.phases import announced_of_text
 from tauext.monitor.sink import USUAL_REACH_M, Control
 
 LONGEST = 1000
@@ -31,7 +32,8 @@ CONTROL = "control socket"
 """Origin of a line from the control socket, for the log."""
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
-    "`weigh [report|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
+    "`contact PHASE seconds=S`, `contact none`, `contact frame=NAME axis=X,Y,Z half_angle_deg=A at_most_n=N "
+    "seconds=S`, `weigh [report|stop]`, `touched [ALARM]`, `nothing [ALARM]`, `learn yes|no`, `sim COMMAND` or `stop`"
 )
 
 
@@ -50,6 +52,8 @@ def obey(line: str, control: Control, by: str) -> str:
             control.set_load(load, by, ago_s)
         elif what == "expect" and name.strip():
             control.expect_load(expected_of_text(name), by)
+        elif what == "contact" and name.strip():
+            control.declare(announced_of_text(name), by)
         elif what == "weigh" and name.strip() in ("report", "stop"):
             control.weigh(name.strip(), by)
         elif what == "weigh":

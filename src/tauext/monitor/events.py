@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from tauext._core import cause_names
-from tauext.bundle.estimates import ALARMS, COLLISION, FIRST_KIND, HEALTHS, TOUCHES, number, torque_lists
+from tauext.bundle.estimates import ALARMS, COLLISION, DECLARED, FIRST_KIND, HEALTHS, TOUCHES, number, torque_lists
 from tauext.bundle.units import short
 from tauext.monitor.changes import (
+    BEYOND,
     AlarmChange,
     Change,
+    DeclaredChange,
     DriftChange,
     FoundLoad,
     HealthChange,
@@ -24,6 +26,7 @@ from tauext.monitor.changes import (
 )
 from tauext.monitor.episode import Episode
 from tauext.monitor.loads import load_facts, load_words
+from tauext.monitor.phases import bounds_words
 from tauext.monitor.touch_place import INCONSISTENT, PlaceChange, links_words, newtons, place_facts, place_words, run_of
 
 # --- Changes in words.
@@ -43,6 +46,8 @@ def change_words(change: Change, joints: tuple[str, ...], units: Sequence[str]) 
         return [touch_words(change)]
     if isinstance(change, PlaceChange):
         return [place_words(change, joints)]
+    if isinstance(change, DeclaredChange):
+        return [declared_words(change)]
     if isinstance(change, LoadChange):
         return [load_change_words(change)]
     if isinstance(change, FoundLoad):
@@ -83,6 +88,40 @@ def touch_words(change: TouchChange) -> str:
     kind = TOUCHES[change.touch]
     was = f" (was taken for {TOUCHES[change.was]})" if TOUCHES[change.was] not in ("none", "unknown") else ""
     return f"the {ALARMS[change.alarm]} is {with_article(kind)}, {change.since_s * 1e3:.0f} ms after the alarm{was}"
+
+
+def declared_words(change: DeclaredChange) -> str:
+    """`sanding: 34 N at tool0, of at most 30 N`; `sanding: contact at tool0 of at most 30 N`."""
+    name, bounds = f"{change.phase}: " * bool(change.phase), change.bounds
+    if bounds is None or change.state == 0:
+        return f"{name}no declared contact any more"
+    if change.state < BEYOND:
+        return f"{name}contact {bounds_words(bounds)}"
+    if DECLARED[change.state] == "moved":
+        return (
+            f"{name}{bounds.frame} moved {abs(change.travel_m) * 1e3:.0f} mm along the contact's axis, of at most "
+            f"{bounds.at_most_travel_m * 1e3:.0f} mm; nothing is explained until the force has gone"
+        )
+    if bounds.joint:
+        return f"{name}{change.size:.3g} ± {change.sigma:.1g} at joint {bounds.joint}, of at most {bounds.at_most_nm:g}"
+    moment = f" and {change.moment_nm:.2g} N m" if bounds.at_most_nm else ""
+    most = f"{bounds.at_most_n:g} N" + (f" and {bounds.at_most_nm:g} N m" if bounds.at_most_nm else "")
+    return f"{name}{change.size:.0f} ± {change.sigma:.1g} N{moment} at {bounds.frame}, of at most {most}"
+
+
+def declared_facts(change: DeclaredChange) -> dict[str, Any]:
+    """The state of a declared contact as plain JSON."""
+    facts: dict[str, Any] = {"phase": change.phase or None, "state": DECLARED[change.state]}
+    if (bounds := change.bounds) is not None:
+        facts |= {"frame": bounds.frame or None, "joint": bounds.joint or None}
+        facts |= {"at_most_n": bounds.at_most_n, "at_most_nm": bounds.at_most_nm}
+    sizes = {
+        "size": change.size,
+        "size_error": change.sigma,
+        "moment_nm": change.moment_nm,
+        "travel_m": change.travel_m,
+    }
+    return facts | {key: number(value) for key, value in sizes.items()}
 
 
 def load_change_words(change: LoadChange) -> str:
@@ -191,6 +230,8 @@ def rounded(values: Any) -> list[float | None]:
 
 def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
     """Name of the event, and its content beside row and time."""
+    if isinstance(change, DeclaredChange):
+        return "declared", declared_facts(change)
     if isinstance(change, LoadChange):
         facts = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
         return "load", {**load_facts(change.load), **facts}
@@ -251,6 +292,8 @@ def estimate_facts(of: Callable[[str], Any], causes: Sequence[str]) -> dict[str,
         "alarm": ALARMS[of("alarm")],
         "touch": TOUCHES[of("touch")],
         "detection": bool(of("detection")),
+        "declared": DECLARED[of("declared")],
+        "declared_size": number(of("declared_size")),
         **torque_lists(of),
         "unfamiliar": float(of("unfamiliar")),
         "near_stiction": [bool(near) for near in of("near_stiction")],

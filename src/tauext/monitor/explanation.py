@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext._core import PlaceModel
-from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK
+from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK, unexplained
 from tauext.bundle.units import short
 from tauext.errors import RecordingError
 from tauext.monitor.changes import TouchChange
@@ -111,12 +111,13 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = limits_of(flight, kind)[:, j]
-    left = np.abs(without_load(flight)[:, j])
+    left = np.abs(unexplained(flight)[:, j])
     size, limit, speed = left[row], limits[row], flight["dq"][row, j]
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
     slow_rad_s = source.bundle.near_stiction_rad_s
     unit = source.unit(j)
-    torque = "tau_ext - load" if event.load_nm[j] else "tau_ext"
+    parts = [word for word, nm in (("load", event.load_nm[j]), ("declared", event.declared_nm[j])) if nm]
+    torque = " - ".join(["tau_ext", *parts])
     text = (
         f"|{torque}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
         f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
@@ -143,9 +144,10 @@ def certainty(flight: Flight, source: FlightSource) -> str:
         if source.bundle.error_scale.follows
         else ""
     )
+    left = abs(unexplained(flight)[flight["event_row"], j])
     return (
-        f" It was {abs(event.tau_ext[j] - event.load_nm[j]) / sigma:.2g} times its standard error in free motion of "
-        f"{sigma:.3f} {source.unit(j)} (during the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}){motion}."
+        f" It was {left / sigma:.2g} times its standard error in free motion of {sigma:.3f} {source.unit(j)} (during "
+        f"the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}){motion}."
     )
 
 
@@ -169,7 +171,7 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     if not source.has_error_scale:
         return ""
     signals = (flight[name][row:] for name in ("sigma_nm", "contact_sigma_nm"))
-    q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], without_load(flight)[row:]
+    q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], unexplained(flight)[row:]
     found = strongest_place(PlaceModel(source.bundle), q, dq, tau_ext, *signals)
     change = PlaceChange.of(found, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
     if change is None:
@@ -222,15 +224,9 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
     rest = [j for j in range(len(source.joints)) if j != flight["event"].alarm_joint]
     if kind == "fault" or not rest:
         return ""
-    share = np.abs(without_load(flight)[row]) / limits_of(flight, kind)[row]
+    share = np.abs(unexplained(flight)[row]) / limits_of(flight, kind)[row]
     nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
     return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
-
-
-def without_load(flight: Flight) -> np.ndarray:
-    """tau_ext less the expected load, (samples, joints), which the alarm compares with its limits."""
-    left: np.ndarray = flight["tau_ext"] - flight["load_nm"]
-    return left
 
 
 def limits_of(flight: Flight, kind: str) -> np.ndarray:
@@ -242,7 +238,7 @@ def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | ra
     """List torques and limits: `joint2 1.100 of 2.600 Nm (42%)` for each joint."""
     parts, limits = [], limits_of(flight, kind)
     for j in joints:
-        size, limit = abs(without_load(flight)[row, j]), limits[row, j]
+        size, limit = abs(unexplained(flight)[row, j]), limits[row, j]
         parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} {source.unit(j)} ({size / limit:.0%})")
     return ", ".join(parts)
 

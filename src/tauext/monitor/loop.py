@@ -40,6 +40,7 @@ from tauext.monitor.exchange import (
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored, MonitoredTime
+from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.replay import Chunk, EventStream
@@ -125,6 +126,7 @@ class Loop:
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
         arm: SourceSettings | None = None,
+        phases: Phases | None = None,
     ):
         """Raises ConfigError where the parts do not fit each other.
 
@@ -132,6 +134,7 @@ class Loop:
             bundle: None with an arm: nothing is monitored until exchange() brings one.
             recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
             arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
+            phases: contacts that the task means. Not where the bundle can be exchanged: training would learn from them.
         """
         if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
             raise ConfigError(reason)
@@ -168,7 +171,7 @@ class Loop:
         places = None if bundle is None else PlaceFinder(bundle, settings.wrench)
         if reason := self._why_refused(self.monitor, places):
             raise ConfigError(reason)
-        self._changes = EventStream(self.monitor, places)
+        self._changes = EventStream(self.monitor, places, phases)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
         self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
@@ -210,6 +213,15 @@ class Loop:
         if reason := self._why_not(expected):
             raise ConfigError(reason)
         self._requests.put(lambda: self._expect(expected, by))
+
+    def declare(self, announced: Announced, by: str) -> None:
+        if self._ring is not None:
+            raise ConfigError("contact: an arm that is being commissioned learns from its motion; use `tauext monitor`")
+        named = self._changes.phases.named(announced.name) if announced.name else None
+        contact = announced.contact if named is None else named.contact
+        if contact is not None and (reason := self._real.why_no_contact(contact, announced.seconds)):
+            raise ConfigError(reason)
+        self._requests.put(lambda: self._declare(announced, contact, by))
 
     def _why_not(self, expected: Expected) -> str:
         return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
@@ -328,6 +340,8 @@ class Loop:
         try:
             if self._profiles is not None:
                 self._switch(self._profiles.start, "start")
+            if isinstance(self.monitor, _core.Monitor):
+                self._changes.phases.start(self.monitor)
             for sink in self.sinks:
                 sink.open(self.joints, self)
                 opened.append(sink)
@@ -588,6 +602,17 @@ class Loop:
     def _expect(self, expected: Expected, by: str) -> None:
         self._real.expect_load(expected.seconds, expected.at_most_kg)
         self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
+
+    def _declare(self, announced: Announced, contact: _core.DeclaredContact | None, by: str) -> None:
+        phases, name = self._changes.phases, announced.name
+        if announced.ends or contact is None:
+            ended = phases.end(self._real, name)
+            self.note(f"{ended} declared contact{'s' * (ended != 1)} ended, by {by}")
+            return
+        phases.declare(self._real, name, contact, announced.seconds)
+        for_s = f" for {announced.seconds:g} s" if math.isfinite(announced.seconds) else ""
+        hidden = self._real.unmonitored(contact)
+        self.note(f"a contact {bounds_words(contact)}{for_s} is declared, by {by}{f'; {hidden}' * bool(hidden)}")
 
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)

@@ -48,9 +48,10 @@ class RecordCount:
 class RecordSink:
     """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; never overwrites files.
 
-    `contact` follows the monitor: 1 during an alarm, 0 while healthy without one, else -1 (unknown). Training uses
-    samples with 0, with margins around 1. Torques are in the unit of the source. The loop copies each sample; a thread
-    writes. A new segment begins after a gap, and where the clock of the source starts again.
+    `contact` follows the monitor: 1 during an alarm or a declared contact, 0 while healthy without either, else -1
+    (unknown). Training uses samples with 0, with margins around 1. Torques are in the unit of the source. The loop
+    copies each sample; a thread writes. A new segment begins after a gap, and where the clock of the source starts
+    again.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class RecordSink:
         self._t_ns[k] = sample.t_ns
         for values, kept in zip(signals, self._signals, strict=True):
             kept[k] = values
-        alarm, healthy = estimates["alarm"][0] != NONE, estimates["health"][0] == OK
+        alarm, healthy = estimates["alarm"][0] != NONE or estimates["declared"][0] != 0, estimates["health"][0] == OK
         self._contact[k] = 1 if alarm else 0 if healthy else -1
         self._row = k + 1
 

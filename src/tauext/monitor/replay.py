@@ -13,10 +13,11 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, HiddenCollision, LoadChange
+from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, DeclaredChange, HiddenCollision, LoadChange
 from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
+from tauext.monitor.phases import Phases
 from tauext.monitor.touch_place import PlaceFinder
 
 # --- Replay at wall-clock speed.
@@ -100,9 +101,13 @@ class Chunk:
 class EventStream:
     """A monitor and the changes in its estimates: the stream of events of a replay or the live loop."""
 
-    def __init__(self, monitor: AnyMonitor, places: PlaceFinder | None = None):
-        """places: estimates the touched link and place; None: not estimated."""
-        self.monitor = monitor
+    def __init__(self, monitor: AnyMonitor, places: PlaceFinder | None = None, phases: Phases | None = None):
+        """
+        Args:
+            places: estimates the touched link and place; None: not estimated.
+            phases: whose contacts are declared to the monitor.
+        """
+        self.monitor, self.phases = monitor, phases or Phases()
         self._finder, self._places = ChangeFinder(), places
         self._next_places: PlaceFinder | None = None
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
@@ -153,7 +158,10 @@ class EventStream:
     ) -> list[Change]:
         """Noted changes, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
         changes, self._noted = self._noted, []
-        changes += self._finder.find(row, t_ns, estimates)
+        changes += [
+            self.phases.with_names(one) if isinstance(one, DeclaredChange) else one
+            for one in self._finder.find(row, t_ns, estimates)
+        ]
         if self._next_places is not None and estimates["alarm"][0] == NONE:
             self._places, self._next_places = self._next_places, None
         if self._places is not None and q is not None and dq is not None:
@@ -170,6 +178,7 @@ def replay(
     chunk_s: float = CHUNK_S,
     loads: Sequence[TimedLoad] = (),
     places: PlaceFinder | None = None,
+    phases: Phases | None = None,
 ) -> Iterator[Chunk]:
     """Send every sample in order, as a control loop would; chunks come at the time of their last sample.
 
@@ -186,12 +195,13 @@ def replay(
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
         loads: loads of the arm with their start times, in the order of these times.
         places: estimates the touched link and place; None: not estimated.
+        phases: contacts that are declared, at their times in the recording.
 
     Raises:
-        CoreError: the bundle refuses the load.
+        CoreError: the bundle refuses the load or a contact.
     """
     pace = pace or Pace(None)
-    events = EventStream(monitor, places)
+    events = EventStream(monitor, places, phases)
     t_ns, temperature = samples.t_ns, getattr(samples, "temperature", None)
     if len(t_ns):
         pace.wait_until(int(t_ns[0]))
@@ -199,13 +209,18 @@ def replay(
     wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
     due_ns, begin = None, 0
     waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
+    expected = events.phases.scheduled(int(t_ns[0])) if len(t_ns) else []
     while begin < len(t_ns):
+        while expected and t_ns[begin] >= expected[0][2]:
+            name, contact, _, seconds = expected.pop(0)
+            events.phases.declare(monitor, name, contact, seconds)
         if due_ns is not None and t_ns[begin] >= due_ns:
             events.end_alarm(monitor.acknowledge, begin, int(t_ns[begin]))
             due_ns = None
         while waiting and t_ns[begin] >= waiting[0][0]:
             events.carry(waiting.pop(0)[1], begin, int(t_ns[begin]))
-        ends = [end for end in (due_ns, *(load[0] for load in waiting[:1])) if end is not None]
+        next_ns = (due_ns, *(load[0] for load in waiting[:1]), *(one[2] for one in expected[:1]))
+        ends = [end for end in next_ns if end is not None]
         rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))
         started = time.perf_counter()

@@ -16,6 +16,7 @@ from tauext.monitor.episode import Episode
 from tauext.monitor.events import sample_facts
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
+from tauext.monitor.phases import Announced
 from tauext.monitor.source import Sample, SourceCounts
 from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
 
@@ -199,6 +200,14 @@ class Control(Protocol):
 
         Raises:
             ConfigError: the bundle cannot expect the load; the message gives the reason.
+        """
+        ...
+
+    def declare(self, announced: Announced, by: str) -> None:
+        """Declare a contact that the task means, or end some: Monitor.expect_contact() before the next sample.
+
+        Raises:
+            ConfigError: there is no such phase, or the bundle refuses the contact; the message gives the reason.
         """
         ...
 

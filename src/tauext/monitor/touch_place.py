@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchModel
+from tauext.bundle.estimates import unexplained
 from tauext.errors import ConfigError
 from tauext.monitor.changes import Change, number_at
 
@@ -234,7 +235,8 @@ class PlaceFinder:
         alarm = estimates["alarm"]
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
             return []  # fast path, also during long alarms
-        by_row = strength(estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
+        left = unexplained(estimates)
+        by_row = strength(left, estimates["sigma_nm"])
         places = []
         for k in range(len(t_ns)):
             fell, level = self._follow(int(t_ns[k]), int(alarm[k]), int(estimates["alarm_joint"][k]))
@@ -242,8 +244,7 @@ class PlaceFinder:
                 continue
             if alarm[k] and by_row[k] > self._strength:
                 self._strength = float(by_row[k])
-                tau_ext = estimates["tau_ext"][k] - estimates["load_nm"][k]
-                signals = (q[k], tau_ext, estimates["sigma_nm"][k], estimates["contact_sigma_nm"][k], dq[k])
+                signals = (q[k], left[k], estimates["sigma_nm"][k], estimates["contact_sigma_nm"][k], dq[k])
                 self._sample = tuple(one.tolist() for one in signals)
                 if self._at_frame is not None:
                     self._force = self._at_frame.find(q, dq, estimates, k)

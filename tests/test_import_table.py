@@ -179,7 +179,7 @@ PUBLIC = {
     "bundle": {"types.hpp", "link.hpp", "load.hpp", "settings.hpp", "bundle.hpp"},
     "chain": {"sample.hpp", "tree.hpp", "servo_input.hpp"},
     "alarm": {"estimate.hpp"},
-    "touch": {"wrench.hpp", "touch_place.hpp"},
+    "touch": {"wrench.hpp", "touch_place.hpp", "declared_contact.hpp"},
     "fit": {"refit.hpp"},
     "api": {"monitor.hpp", "flight_recorder.hpp", "tauext.h"},
 }

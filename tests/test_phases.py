@@ -291,3 +291,40 @@ def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):
     assert alarms and alarms[0].row > 4000  # the force was no longer declared
     states = [c.state for one in keeper.verdicts for c in one.changes if isinstance(c, DeclaredChange)]
     assert [DECLARED[state] for state in states] == ["within", "none"]
+
+
+def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
+    from tauext.train.declared_spread import TRIED, needed, put_spread, with_tool_forces
+
+    bundle, free = arm
+    presses = pressed(free, tool, 25.0, 2000, 5000)
+    contacts = [(declared(), 0, np.inf)]
+    assert needed(bundle, presses, contacts)[0] == TRIED[0]
+    # Torque constants that are wrong by more than one standard error need more.
+    off = replace(presses, tau=free.tau + (presses.tau - free.tau) * [1.6, 0.5, 1.6, 0.5, 1.6, 1])
+    more, hours = needed(bundle, off, contacts)
+    assert more > TRIED[0] and 0.5 < hours * 3600 / 3.0 < 1.1
+    own = _core.Bundle.from_bytes(bundle.to_bytes())
+    found = put_spread(own, [(off, contacts)], injected=False)
+    assert own.declared_spread == found.spread == more and "no false collision" in found.sentence()
+    assert own.declared_spread != bundle.declared_spread
+    # A hit that no spread excuses is refused.
+    hit = pressed(free, tool, 25.0, 2000, 5000, hit_nm=60.0)
+    with pytest.raises(ConfigError, match="press: the declared contact leaves torques over the limits"):
+        put_spread(own, [(hit, contacts)], injected=False)
+    # Forces that are added to free motion never lower it.
+    added = put_spread(own, with_tool_forces(own, [lambda: free]), injected=True)
+    assert added.spread >= 3.0 and added.injected
+
+
+def test_hits_are_injected_while_the_tool_presses_too(arm):
+    from tauext.evaluate.injected import Injection
+
+    bundle, free = arm
+    injection = Injection({"six": bundle}, 4, 20)
+    for number in range(12):
+        injection.add("six", free, injection.draw(number, free), 1)
+    found = injection.summary("six").pressed
+    assert found is not None and found.events == 12  # one in each of these short recordings
+    assert 0 < found.latched <= found.events and found.latched_free > 0 and found.false_collisions == 0
+    assert 5 <= found.least_n < found.most_n <= 60

@@ -59,7 +59,7 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
 
 bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
                       std::uint32_t near_stiction, bool trusted, JointVector& limit_nm, JointVector& contact_limit_nm,
-                      const JointVector& spread_nm, bool pressed) noexcept {
+                      const JointVector& spread_nm) noexcept {
   for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;
@@ -104,10 +104,10 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
   if (touched) state_.touch_t_ns = t_ns;
   if (touched || !trusted) state_.contact_seen_ns = t_ns;
   state_.touch_over = trusted && !touched && elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_;
-  state_.touching = touching || pressed;
-  for (int j = 0; state_.touching && j < joints_; ++j)
+  for (int j = 0; touching && j < joints_; ++j)
     if (near_stiction >> j & 1) state_.stuck_t_ns[j] = t_ns;
-  if (state_.touching) state_.pushed |= near_stiction;
+  if (touching) state_.pushed |= near_stiction;
+  state_.touching = touching;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     rise(Alarm::collision, collision_joint, t_ns);
   } else if (state_.alarm == Alarm::none && contact_joint >= 0) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "bundle/linear.hpp"
+#include "prior/prior.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext {
@@ -93,6 +94,7 @@ DeclaredContacts::DeclaredContacts(const Bundle& bundle, const WrenchModel& wren
   for (int j = 0; j < joints_; ++j) {
     told_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
     monitored_[static_cast<std::size_t>(j)] = bundle.limits.monitors(j);
+    friction_nm_[j] = friction_line(bundle.prior, static_cast<std::size_t>(j)).at_rest_nm;
   }
 }
 
@@ -301,7 +303,7 @@ bool DeclaredContacts::explain_frame(const Observed& observed, std::span<const d
     state_.pressed = state_.moved = false;
     state_.travel_m = 0;
   }
-  if (!state_.in_effect || !observed.judged) return false;
+  if (!observed.judged) return false;
   bool pressed = false;
   if (which >= 0) {
     e.declared = Declared::none;
@@ -310,10 +312,39 @@ bool DeclaredContacts::explain_frame(const Observed& observed, std::span<const d
     pressed = explain_at(which, observed, q, errors, e);
     take_joints(errors, e);
   }
-  for (int j = 0; j < joints_; ++j)
-    if (e.declared_nm[j] != 0)
-      spread_nm[j] = spread_ * std::sqrt(errors.brought(j, pressed && (e.near_stiction >> j & 1), e.declared_nm[j]));
+  stand(observed, errors, pressed, e, spread_nm);
   return pressed;
+}
+
+// The standing rest, see the class; and the spread of the limits.
+void DeclaredContacts::stand(const Observed& observed, const ContactErrors& errors, bool pressed, Estimate& e,
+                             JointVector& spread_nm) noexcept {
+  State& s = state_;
+  const double dt = observed.restarted || s.stood_ns == 0 ? 0.0 : elapsed_s(observed.t_ns, s.stood_ns);
+  s.stood_ns = observed.t_ns;
+  const double share = dt > 0 ? 1 - std::exp(-dt / kStandsS) : 0.0;
+  bool frozen = false;
+  for (int j = 0; j < joints_; ++j) {
+    const double rest = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j] - s.standing_nm[j];
+    frozen = frozen || std::fabs(rest) > kFrozen * e.limit_nm[j];  // of the sample before
+  }
+  for (int j = 0; j < joints_; ++j) {
+    const std::uint32_t bit = std::uint32_t{1} << j;
+    const bool rests = e.near_stiction & bit;
+    if (rests) s.rested_ns[j] = observed.t_ns;
+    if (pressed && rests) s.rests |= bit;
+    else if (elapsed_s(observed.t_ns, s.rested_ns[j]) >= Limits::kSlidS) s.rests &= ~bit;
+    const double explained = e.declared_nm[j], change = std::fabs(explained - s.slow_nm[j]);
+    s.slow_nm[j] += share * (explained - s.slow_nm[j]);
+    const double of_torque = std::sqrt(errors.brought(j, false, explained));
+    const double friction = rests && (s.rests & bit) ? friction_nm_[j] : 0.0;
+    const double most = spread_ * of_torque + friction;
+    if (!frozen) s.standing_nm[j] += share * (e.tau_ext[j] - e.load_nm[j] - explained - s.standing_nm[j]);
+    s.standing_nm[j] = std::clamp(s.standing_nm[j], -most, most);
+    e.declared_nm[j] += s.standing_nm[j];
+    const double of_change = spread_ * std::sqrt(errors.brought(j, false, change)), of_friction = std::min(friction, change);
+    spread_nm[j] = std::sqrt(of_torque * of_torque + of_change * of_change + of_friction * of_friction);
+  }
 }
 
 // The wrench at the frame of a contact; returns whether a force acts.

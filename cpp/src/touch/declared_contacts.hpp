@@ -23,9 +23,17 @@ class TorqueSpan;
 //   M_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (of_torque_j tau_j)^2,
 //
 // with the variances of ContactErrors. F is the frame's Jacobian behind the observer's filter: a constant force then explains r
-// exactly while the arm moves. Of a joint, it is the torque within its bounds. The alarm uses the rest, and limits rise by
-// spread_j^2 = kSpread^2 (hidden_j^2 + (of_torque_j explained_j)^2) in squares: what is explained is as wrong as that, and no
-// torque that is left can raise them.
+// exactly while the arm moves. Of a joint, it is the torque within its bounds.
+//
+// What is explained is wrong by a share of it (torque constants, gear friction) and by the friction that resting joints hide. These
+// errors stand as long as force and pose do, while hits come and go. A standing rest b follows the unexplained torque, with the
+// time constant kStandsS, within what these errors admit, and is explained, too:
+//
+//   |b_j| <= k (of_torque_j |explained_j|), and beyond that the joint's friction at rest while it rests since a press.
+//
+// It stops where the unexplained torque exceeds kFrozen of a limit. Limits rise, in squares, by one standard error of the share,
+// and by what b cannot follow while the force changes: k of_torque_j |d_j|, and for a resting joint at most its friction, |d_j|,
+// with d_j = explained_j - its low-pass of kStandsS. k is Limits::declared_spread. No torque that is left raises a limit.
 //
 // A joint before the frame that does not answer in N m is explained completely, since its share of the force is unknown.
 // Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count
@@ -33,6 +41,8 @@ class TorqueSpan;
 class DeclaredContacts {
  public:
   static constexpr double kSure = 2;       // standard errors from which on a force acts, or is beyond its bound
+  static constexpr double kStandsS = 0.7;  // time constant of the standing rest, [s]
+  static constexpr double kFrozen = 0.5;   // of a limit: beyond it the rest may be a hit, and is not taken for a standing one
   static constexpr double kForgotten = 5;  // in 1/K0: so long a contact stays in effect afterwards, since r still contains it
 
   // The bundle must be valid.
@@ -48,7 +58,8 @@ class DeclaredContacts {
   // At once; false: there is none of this number.
   bool end(int which) noexcept;
   void reset() noexcept { state_ = {}; }
-  bool any() const noexcept { return state_.count > 0; }
+  // Whether there is a contact, or a rest of one in joints that have not slid since.
+  bool any() const noexcept { return state_.count > 0 || state_.rests != 0; }
   // The contact of this number; null: none.
   const DeclaredContact* contact(int which) const noexcept {
     return which >= 0 && which < kMostContacts && state_.slots[static_cast<std::size_t>(which)].on
@@ -92,8 +103,14 @@ class DeclaredContacts {
     std::int64_t t_ns = 0;
     std::array<JointVector, 6> columns{};
     bool pressed = false, moved = false;
+    // The standing rest of each joint and the low-pass of what is explained; joints that rest since a press, a bit each, and when
+    // they rested last.
+    JointVector standing_nm{}, slow_nm{};
+    std::uint32_t rests = 0;
+    std::array<std::int64_t, kMaxJoints> rested_ns{};
+    std::int64_t stood_ns = 0;
     std::array<double, 3> at_m{};     // last position of the point
-    double travel_m = 0;
+    double travel_m = 0;                  // since the force began
   };
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
@@ -103,6 +120,7 @@ class DeclaredContacts {
   void add_wrenches(int frame, const std::array<double, 3>& point, const Vector3* line, bool force, bool moment, TorqueSpan& into) const noexcept;
   void add_explained(const DeclaredContact& contact, TorqueSpan& into) const noexcept;
   bool acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept;
+  void stand(const Observed& observed, const ContactErrors& errors, bool pressed, Estimate& estimate, JointVector& spread_nm) noexcept;
   void take_joints(const ContactErrors& errors, Estimate& estimate) const noexcept;
   bool explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
                   Estimate& estimate) noexcept;
@@ -111,6 +129,7 @@ class DeclaredContacts {
   int joints_;
   double gain_per_s_, spread_;
   std::array<bool, kMaxJoints> told_{}, monitored_{};
+  JointVector friction_nm_{};  // at rest
   State state_;
 };
 

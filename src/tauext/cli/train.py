@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
@@ -10,7 +11,7 @@ import tyro
 
 from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, MeshesArg, PlaceArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
-from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
+from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import field_help, read_toml, values_of
@@ -146,6 +147,7 @@ def calibrate(
     options: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
     threads: int = 0,
     refit_error_scale: bool = False,
+    phases: PlaceArg | None = None,
     accept: AcceptArg = (),
 ) -> None:
     """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
@@ -161,12 +163,29 @@ def calibrate(
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
+        phases: TOML file of contacts that the task means (docs/contacts.md). The recordings are then of the task,
+            without collisions. Only the limits during these contacts change.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
     """
+    from tauext.bundle.bundle_file import load_bundle
     from tauext.data.dataset import load_dataset
-    from tauext.train.calibrate import recalibrate
+    from tauext.monitor.phases import phases_of
+    from tauext.train.calibrate import calibrate_contacts, recalibrate
 
     require_threads(threads)
+    if phases is not None:
+        others = {"config": config, "refit_error_scale": refit_error_scale, "accept": accept} | dict(options)
+        for name, value in others.items():
+            require(not value, name, value, "left out with --phases, which changes the limits during contacts only")
+        expect_another(out, bundle, "start from")
+        expected, unmonitored = phases_of(phases, load_bundle(bundle))
+        assert expected is not None  # of a file
+        print_replaced(out)
+        for words in unmonitored:
+            print(f"tauext: {words}", file=sys.stderr)
+        print(calibrate_contacts(bundle, load_dataset(data), out, expected.timed, threads, Terminal()).sentence())
+        print(out)
+        return
     alarm = alarm_settings(config, options)
     expect_another(out, bundle, "start from")
     print_replaced(out)

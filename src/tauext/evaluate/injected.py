@@ -12,24 +12,29 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from tauext import _core
-from tauext.bundle.estimates import Estimates, lacking
+from tauext.bundle.estimates import COLLISION, Estimates, lacking
 from tauext.bundle.match import expect_fit
 from tauext.bundle.units import left_out, of_all
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision, judge_latched
 from tauext.evaluate.noticed_force import noticed_force
-from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin
+from tauext.evaluate.results import Injected, InjectedCurve, Number, PeakBin, Pressed
+from tauext.monitor.changes import APART_S
+from tauext.train.declared_spread import Contacts, pressed
 from tauext.train.hits import Point, points
 
 # --- Run bundles on recordings by the same chain as the monitor's.
 
 
-def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Estimates:
+def estimate_recording(
+    bundle: _core.Bundle, recording: Recording, threads: int = 0, contacts: Contacts = ()
+) -> Estimates:
     """The bundle's estimates of every sample of the recording, as a new monitor would compute them.
 
     Args:
         threads: 0: one a core. The result does not depend on it.
+        contacts: declared contacts with start [ns] and duration [s], by rising start.
 
     Raises:
         BundleError: joints, rate or torque timing of the recording are not the bundle's.
@@ -37,7 +42,14 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     expect_fit(bundle, recording)
     threads = threads or os.cpu_count() or 1
     columns = _core.estimate(
-        bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads, recording.temperature
+        bundle,
+        recording.t_ns,
+        recording.q,
+        recording.dq,
+        recording.tau,
+        threads,
+        recording.temperature,
+        contacts=contacts,
     )
     return Estimates.of(recording.joints, recording.t_ns, columns, {"alarm", *lacking(bundle)})
 
@@ -97,6 +109,7 @@ class Injection:
     """Reason for torques on single joints instead of forces; empty with forces."""
     places: list[Point] = field(init=False)
     seen: dict[str, list[tuple[str, int, float, bool, bool, float | None]]] = field(init=False)
+    pressing: dict[str, list[PressedRecording]] = field(init=False)
 
     def __post_init__(self) -> None:
         bundles = list(self.bundles.values())
@@ -105,6 +118,7 @@ class Injection:
         self.reference, self.refused = bundles[known], refused[known]
         self.places = [] if self.refused else points(self.reference)
         self.seen = {name: [] for name in self.bundles}
+        self.pressing = {name: [] for name in self.bundles}
 
     def draw(self, number: int, recording: Recording) -> list[list[InjectedForce]]:
         """Events of each copy of a recording; number: in the order of all, so that the draw is its own."""
@@ -126,34 +140,71 @@ class Injection:
         ]
 
     def add(self, name: str, recording: Recording, copies: Sequence[Sequence[InjectedForce]], threads: int) -> None:
-        """One bundle's detections of the events."""
-        bundle = self.bundles[name]
+        """One bundle's detections of the events; those of the first copy again while the tool presses."""
+        found = [self._detect(self.bundles[name], recording, events, threads) for events in copies]
+        for events, rows in zip(copies, found, strict=True):
+            self.seen[name] += [
+                (event.shape, event.place, event.peak, *row) for event, row in zip(events, rows, strict=True)
+            ]
+        if copies and not self.refused:
+            self._press(name, recording, copies[0], found[0], threads)
+
+    def _detect(
+        self,
+        bundle: _core.Bundle,
+        recording: Recording,
+        events: Sequence[InjectedForce],
+        threads: int,
+        contacts: Contacts = (),
+    ) -> list[tuple[bool, bool, float | None]]:
+        """Of each event whether it was latched, whether its time was unhealthy, and its delay."""
         nm_per_unit = np.array(self.reference.observer.nm_per_unit or 1.0)
-        for events in copies:
-            tau = recording.tau.copy()
-            for event in events:
-                tau[event.begin : event.begin + len(event.tau_ext)] -= event.tau_ext / nm_per_unit
-            touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
-            estimates = estimate_recording(bundle, touched, threads)
-            for event in events:
-                end = event.begin + len(event.tau_ext)
-                touch = Collision(
-                    id="",
-                    recording=recording.name,
-                    kind=event.shape,
-                    begin=event.begin,
-                    end=end,
-                    start_s=float(recording.time_s[event.begin]),
-                    end_s=float(recording.time_s[end - 1]),
-                    link=-1,
-                    true_peak_nm=np.abs(event.tau_ext).max(axis=0),
-                    sensor_peak_nm=np.zeros(bundle.joints),
-                )
-                found = judge_latched(touch, touched, estimates, bundle.hold_s, None)
-                # The first sample of an event represents the middle of its own period.
-                delay_s = None if found.delay_s is None else found.delay_s + 0.5 / recording.rate_hz
-                row = (event.shape, event.place, event.peak, found.latched, found.unhealthy, delay_s)
-                self.seen[name].append(row)
+        tau = recording.tau.copy()
+        for event in events:
+            tau[event.begin : event.begin + len(event.tau_ext)] -= event.tau_ext / nm_per_unit
+        touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
+        estimates = estimate_recording(bundle, touched, threads, contacts)
+        rows = []
+        for event in events:
+            end = event.begin + len(event.tau_ext)
+            touch = Collision(
+                id="",
+                recording=recording.name,
+                kind=event.shape,
+                begin=event.begin,
+                end=end,
+                start_s=float(recording.time_s[event.begin]),
+                end_s=float(recording.time_s[end - 1]),
+                link=-1,
+                true_peak_nm=np.abs(event.tau_ext).max(axis=0),
+                sensor_peak_nm=np.zeros(bundle.joints),
+            )
+            found = judge_latched(touch, touched, estimates, bundle.hold_s, None)
+            # The first sample of an event represents the middle of its own period.
+            delay_s = None if found.delay_s is None else found.delay_s + 0.5 / recording.rate_hz
+            rows.append((found.latched, found.unhealthy, delay_s))
+        return rows
+
+    def _press(
+        self,
+        name: str,
+        recording: Recording,
+        events: Sequence[InjectedForce],
+        free: Sequence[tuple[bool, bool, float | None]],
+        threads: int,
+    ) -> None:
+        bundle, number = self.bundles[name], len(self.pressing[name])
+        made = pressed(bundle, recording, np.random.default_rng([self.seed, number, 65]))
+        if made is None:
+            return
+        pressing, contact, force_n = made
+        contacts = [(contact, int(recording.t_ns[0]), math.inf)]
+        quiet = estimate_recording(bundle, pressing, threads, contacts)
+        over = recording.time_s[(quiet.held_alarm == COLLISION) & free_samples(recording)]
+        false = int(len(over) > 0) + int((np.diff(over) > APART_S).sum())
+        rows = self._detect(bundle, pressing, events, threads, contacts)
+        hours = float(quiet.healthy.sum() / recording.rate_hz / 3600)
+        self.pressing[name].append(PressedRecording(force_n, hours, false, tuple(rows), tuple(free)))
 
     def summary(self, name: str) -> Injected:
         rows = self.seen[name]
@@ -174,6 +225,7 @@ class Injection:
                 for shape in SHAPES
                 if by[place, shape]
             ),
+            pressed=pressed_summary(self.pressing[name]),
         )
 
     def _names(self) -> list[str]:
@@ -214,6 +266,35 @@ class Injection:
         # Unknown: how much such a joint would show in its own unit.
         levers[:, ~np.array(bundle.in_newtons)] = 0
         return InjectedForce(begin, shape, place, peak, force[:, None] * levers)
+
+
+@dataclass(frozen=True)
+class PressedRecording:
+    """One recording whose tool presses: false collisions without events, and the events, then in free motion."""
+
+    force_n: float
+    hours: float
+    false: int
+    rows: tuple[tuple[bool, bool, float | None], ...]
+    free: tuple[tuple[bool, bool, float | None], ...]
+
+
+def pressed_summary(found: Sequence[PressedRecording]) -> Pressed | None:
+    """Sums over the recordings; None without any."""
+    if not found:
+        return None
+    rows, free = ([row for one in found for row in of(one)] for of in (lambda one: one.rows, lambda one: one.free))
+    return Pressed(
+        least_n=min(one.force_n for one in found),
+        most_n=max(one.force_n for one in found),
+        hours=sum(one.hours for one in found),
+        false_collisions=sum(one.false for one in found),
+        events=len(rows),
+        latched=sum(latched for latched, *_ in rows),
+        latched_free=sum(latched for latched, *_ in free),
+        delay_median_s=median([delay for *_, delay in rows]),
+        delay_free_median_s=median([delay for *_, delay in free]),
+    )
 
 
 def profile(shape: str, rate_hz: float) -> np.ndarray:

@@ -392,6 +392,25 @@ class InjectedCurve:
     bins: tuple[PeakBin, ...]
 
 
+@dataclass(frozen=True)
+class Pressed:
+    """The same forces on links while the tool presses, which is declared."""
+
+    least_n: float
+    most_n: float
+    """Range of the tool's force, one for each recording, [N]."""
+    hours: float
+    """Of pressing without other forces."""
+    false_collisions: int
+    """In that time; those less than 0.5 s apart count as one."""
+    events: int
+    latched: int
+    latched_free: int
+    """Of the same events in free motion."""
+    delay_median_s: Number
+    delay_free_median_s: Number
+
+
 @dataclass(frozen=True, kw_only=True)
 class Injected:
     """Of one bundle."""
@@ -405,6 +424,8 @@ class Injected:
     blind: tuple[str, ...]
     """Places where no joint usually notices a force."""
     curves: tuple[InjectedCurve, ...]
+    pressed: Pressed | None = None
+    """None: the bundle can have no declared contact at its tool."""
 
     @property
     def place(self) -> str:

@@ -13,6 +13,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.results import EvaluatedBundle, Injected, NoticedForce
 from tauext.files.atomic_write import atomic_files
 from tauext.files.places import Place
+from tauext.fit.tail import duration
 from tauext.report.signals import NotAvailable
 from tauext.report.style import (
     CASE_COLOURS,
@@ -269,6 +270,19 @@ def injected_words(injected: Injected) -> str:
         if one.nine_of_ten is not None
         else f"no peak that was tried ({one.shape})"
         for one in injected.at(injected.place)
+    )
+
+
+def pressed_words(injected: Injected) -> str:
+    """What is detected of the same forces while the tool presses; empty without it."""
+    one = injected.pressed
+    if one is None or not one.events:
+        return ""
+    late = f", after {milliseconds(one.delay_median_s)} ms instead of {milliseconds(one.delay_free_median_s)} ms"
+    return (
+        f"While the tool presses with {one.least_n:.0f} to {one.most_n:.0f} N, which is declared, {one.latched} of "
+        f"{one.events} events are detected, in free motion {one.latched_free}{late if one.latched else ''}. Pressing "
+        f"alone raised {one.false_collisions} false collisions in {duration(one.hours)}."
     )
 
 

@@ -43,6 +43,7 @@ from tauext.report.force_figures import (
     injected_table,
     injected_words,
     noticed_table,
+    pressed_words,
     surely,
 )
 from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
@@ -379,6 +380,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         noticed_closing=CLOSING,
         injected=shown.injected,
         injected_words=injected_words(shown.injected) if shown.injected and shown.injected.curves else "",
+        pressed_words=pressed_words(shown.injected) if shown.injected else "",
         injected_closing=ASSUMED,
         injected_table=injected_table(results.bundles, shown),
         alarms=tables.alarms(results),

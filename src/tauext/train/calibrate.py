@@ -31,6 +31,7 @@ from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
 from tauext.progress import SILENT, Reporter, WallTimes
+from tauext.train.declared_spread import Contacts, SpreadFound, put_spread, with_tool_forces
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.held_peaks import KeptPeaks, PeakStore, collect_peaks
 from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits, put_limit_findings
@@ -91,6 +92,11 @@ def recalibrate(
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
+    if not _core.WrenchModel(loaded).refused:
+        with report.progress("inject tool forces"):
+            spread = put_spread(loaded, with_tool_forces(loaded, loaders), injected=True, threads=threads)
+        facts["declared_spread"] = spread.facts()
+        report.say(spread.sentence())
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
         settings["refit_error_scale"] = True
@@ -98,6 +104,42 @@ def recalibrate(
     write_calibrated(loaded, out, facts, started, history, report)
     remove_checkpoint(out)
     return promised
+
+
+def calibrate_contacts(
+    bundle: Place,
+    dataset: Dataset,
+    out: Place,
+    contacts: Callable[[int], Contacts],
+    threads: int = 0,
+    report: Reporter = SILENT,
+) -> SpreadFound:
+    """Write a copy of a bundle whose limits during declared contacts fit recordings of them; other limits stay.
+
+    Args:
+        dataset: its calibration recordings are of the task, with its contacts and without collisions.
+        contacts: those of a recording, by the stamp of its first sample.
+
+    Raises:
+        ConfigError: there are no such recordings, or one holds more than the contacts explain.
+        BundleError: the bundle does not exist, or a recording is not for it.
+    """
+    started = time.monotonic()
+    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
+    if not loaders:
+        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
+    expect_new_file(out)
+    loaded = load_bundle(bundle)
+    history = read_loss_history(loaded, bundle) or []
+    facts = json.loads(loaded.provenance or "{}")
+    motion = ((recording, contacts(int(recording.t_ns[0]))) for recording in fitting(loaded, loaders))
+    with report.progress(f"calibrate {out.stem}"):
+        spread = put_spread(loaded, motion, injected=False, threads=threads)
+    facts["declared_spread"] = spread.facts()
+    settings = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "phases": True}
+    facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
+    write_calibrated(loaded, out, facts, started, history, report)
+    return spread
 
 
 def write_calibrated(

@@ -1,0 +1,169 @@
+"""Limits during declared contacts: by how much what a contact explains may be wrong.
+
+What is explained is wrong by a share of it: `declared_spread` of the bundle is how many standard errors of that share
+are admitted, by a rest that stands and by limits that rise while the force changes.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.estimates import COLLISION
+from tauext.data.recording import Recording
+from tauext.errors import ConfigError
+from tauext.fit.tail import duration, upper_rate
+
+Contacts = Sequence[tuple[_core.DeclaredContact, int, float]]
+"""Contact, start [ns] and duration [s], by rising start."""
+USUAL = 3.0
+"""Spread without a measurement: by errors of their torque constants, 98 of 100 arms of seven joints stay within it."""
+TRIED = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
+"""Spreads that are tried, from the smallest on."""
+MOST_HOURS = 1.0
+"""Free motion to which tool forces are added."""
+PRESS_S, PAUSE_S, RISE_S = 5.0, 1.0, 0.2
+FORCE_N = (5.0, 60.0)
+"""Least and largest force that is added."""
+OF_LARGEST = 0.5
+"""Share of the largest torque of training beyond which no force loads a joint."""
+RUBBING = 0.04
+"""Gear friction under a load, as a share of it: 2 to 6 % (Bittencourt et al. 2010)."""
+HALF_ANGLE_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class SpreadFound:
+    """The spread of a bundle, and the motion behind it."""
+
+    spread: float
+    needed: float
+    """Least spread of TRIED without a false collision."""
+    hours: float
+    """In which a declared force acted."""
+    injected: bool
+    """Whether forces were added to free motion."""
+
+    def facts(self) -> dict:
+        return asdict(self) | {"sentence": self.sentence()}
+
+    def sentence(self) -> str:
+        """What is promised during declared contacts."""
+        if not self.hours:
+            return "no declared force acted in these recordings: limits during declared contacts stay as they are"
+        how = "of tool forces added to free motion" if self.injected else "of declared contacts"
+        return (
+            f"during a declared contact {self.spread:.2g} standard errors of what is explained are admitted: no false "
+            f"collision in {duration(self.hours)} {how}, at most {upper_rate(0, self.hours):.2g} an hour (95%)"
+        )
+
+
+def needed(bundle: _core.Bundle, recording: Recording, contacts: Contacts, threads: int = 0) -> tuple[float, float]:
+    """Least spread of TRIED without a false collision in this recording, infinite if there is none, and the hours.
+
+    Hours count in which a declared force acted.
+    """
+    signals = recording.t_ns, recording.q, recording.dq, recording.tau
+    tried = _core.Bundle.from_bytes(bundle.to_bytes())
+    hours = 0.0
+    for spread in TRIED:
+        tried.declared_spread = spread
+        threads = threads or os.cpu_count() or 1
+        found = _core.estimate(tried, *signals, threads, recording.temperature, contacts=contacts)
+        acts = found["declared_size"] > 2 * found["declared_sigma"]
+        hours = float(acts.sum() / recording.rate_hz / 3600)
+        if not ((found["held_alarm"] == COLLISION) & (found["declared"] > 0)).any():
+            return spread, hours
+    return math.inf, hours
+
+
+def put_spread(
+    bundle: _core.Bundle, motion: Iterable[tuple[Recording, Contacts]], injected: bool, threads: int = 0
+) -> SpreadFound:
+    """Set the bundle's spread so that this motion has no false collision.
+
+    Of declared contacts it may fall below USUAL, of injected forces it may not: their errors are drawn, not measured.
+
+    Raises:
+        ConfigError: none of TRIED is enough.
+    """
+    most, hours = 0.0, 0.0
+    for recording, contacts in motion:
+        of_this, time_h = needed(bundle, recording, contacts, threads)
+        if math.isinf(of_this):
+            raise ConfigError(
+                f"{recording.name}: the declared contact leaves torques over the limits, even with {TRIED[-1]:g} "
+                "standard errors of what it explains: something hits the arm, or the contact is not as declared"
+            )
+        most, hours = max(most, of_this), hours + time_h
+    if hours:
+        bundle.declared_spread = max(USUAL if injected else TRIED[0], most)
+    return SpreadFound(bundle.declared_spread, most, hours, injected)
+
+
+# --- Tool forces added to free motion.
+
+
+def tool_frame(bundle: _core.Bundle) -> str:
+    """The load's frame; without one the last link."""
+    load = bundle.load_settings
+    return load.frame if load.link >= 0 else bundle.links[-1].joint_name
+
+
+def pressed(
+    bundle: _core.Bundle, recording: Recording, rng: np.random.Generator
+) -> tuple[Recording, _core.DeclaredContact, float] | None:
+    """The recording with a tool that presses, off and on, and its declared contact; None: no joint shows a force.
+
+    A stiff arm keeps its path, so the motors take the force up, as in `Injection`. Torque constants are wrong by their
+    standard errors, drawn for this recording, and gear friction grows by RUBBING of the load. The third value is the
+    force, [N].
+    """
+    model = _core.WrenchModel(bundle)
+    if model.refused:
+        return None
+    frame, way = tool_frame(bundle), rng.standard_normal(3)
+    way /= np.linalg.norm(way)
+    lever = np.array([way @ model.columns(frame, q)[:3] for q in recording.q.tolist()])
+    reach = np.abs(lever).max(axis=0)
+    joints = np.array(bundle.in_newtons) & np.isfinite(bundle.largest_torque_nm)
+    strong = np.array(bundle.largest_torque_nm)[joints] / np.maximum(reach[joints], 1e-9)
+    most_n = min(FORCE_N[1], OF_LARGEST * float(np.min(strong, initial=np.inf)))
+    if not (reach[joints] > 1e-3).any():
+        return None
+    force_n = rng.uniform(min(FORCE_N[0], most_n), most_n)
+    share = np.array([bundle.wrench_settings.own_share(j) for j in range(bundle.joints)])
+    of_cycle = np.mod(recording.time_s - rng.uniform(0, PRESS_S), PRESS_S + PAUSE_S)
+    shape = np.clip(np.minimum(of_cycle, PRESS_S - of_cycle) / RISE_S, 0.0, 1.0)
+    torque = force_n * shape[:, None] * lever
+    torque[:, ~np.array(bundle.in_newtons)] = 0
+    measured = (1 + rng.normal(0, share)) * torque - RUBBING * np.abs(torque) * np.tanh(recording.dq / 0.05)
+    tau = recording.tau - measured / np.array(bundle.observer.nm_per_unit or 1.0)
+    bounds = {"frame": frame, "axis": way.tolist(), "axes": _core.WrenchAxes.base, "at_most_n": 1.25 * force_n}
+    monitor = _core.Monitor(bundle)
+    for half_angle_deg in (HALF_ANGLE_DEG, 0.0):
+        contact = _core.DeclaredContact(**bounds, half_angle_deg=half_angle_deg)
+        if not monitor.why_no_contact(contact):
+            touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
+            return touched, contact, force_n
+    return None
+
+
+def with_tool_forces(
+    bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], seed: int = 0
+) -> Iterable[tuple[Recording, Contacts]]:
+    """Up to MOST_HOURS of these recordings, with a tool that presses; each has a force and errors of its own."""
+    hours = 0.0
+    for number, load in enumerate(loaders):
+        if hours >= MOST_HOURS:
+            return
+        recording = load()
+        hours += recording.duration_s / 3600
+        found = pressed(bundle, recording, np.random.default_rng([seed, number, 65]))
+        if found is not None:
+            yield found[0], [(found[1], int(recording.t_ns[0]), math.inf)]

@@ -154,3 +154,17 @@ def planar_tool_bundle() -> _core.Bundle:
     load.frame, load.link, load.translation = "tool", 1, [TOOL_M, 0.0, 0.0]
     bundle.load_settings = load
     return with_error_scale(bundle, 0.0)
+
+
+def planar_arm_bundle() -> _core.Bundle:
+    """The planar arm as a whole bundle without friction, with a tool TOOL_M on from the elbow's axis."""
+    made = pushed(pushes=())
+    bundle = make_bundle("planar", build_setup(planar_arm(), made, ObserverConfig(window_s=0.1)), 0.02, made)
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = [6.0, 3.0], [9.0, 4.0]
+    bundle.contact_sliding_limit_nm, bundle.contact_near_stiction_limit_nm = [2.0, 1.0], [3.0, 1.5]
+    load = bundle.load_settings
+    load.frame, load.link, load.translation = "tool", 1, [TOOL_M, 0.0, 0.0]
+    bundle.load_settings = load
+    first = slice(0, 1000)
+    bundle.set_reference(*(np.ascontiguousarray(a[first]) for a in (made.t_ns, made.q, made.dq, made.tau)))
+    return with_error_scale(bundle, 0.0)

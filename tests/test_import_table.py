@@ -32,6 +32,7 @@ ALSO = {
     "robot/capsules": {"scipy"},
     "data/importers/ros": {"rosbags", "ruamel"},
     "data/importers/ros1_bag": {"rosbags"},
+    "data/ros_messages": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
     "commission/page/connections": {"aiohttp"},

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
-from made_arms import planar_arm, regular_times, settings
-from made_bundles import SEVEN_AXIS, planar_tool_bundle, pushed, watching_bundle, with_error_scale
+from made_arms import regular_times, settings
+from made_bundles import SEVEN_AXIS, planar_arm_bundle, planar_tool_bundle, pushed, watching_bundle, with_error_scale
 from made_results import run_command
 from scipy.spatial import HalfspaceIntersection
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import load_estimates
-from tauext.config import ObserverConfig
 from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError
 from tauext.evaluate.comparison import evaluate
@@ -29,7 +28,6 @@ from tauext.evaluate.noticed_force import (
     worst_force,
 )
 from tauext.evaluate.results import NoticedForce, OverPoses, to_json
-from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.robot.frames import wrench_frames
 from tauext.robot.read import load_tree
 from tauext.train.hits import even_ways, points
@@ -142,19 +140,7 @@ def test_levers_are_pinocchio_s_at_a_frame_of_the_robot_file():
 
 @pytest.fixture(scope="module")
 def arm_bundle() -> _core.Bundle:
-    """The planar arm as a whole bundle, with a tool 0.2 m on from the elbow's axis."""
-    made = pushed(pushes=())
-    setup = build_setup(planar_arm(), made, ObserverConfig(window_s=0.1))
-    bundle = make_bundle("planar", setup, 0.02, made)
-    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = LIMITS, NEAR
-    bundle.contact_sliding_limit_nm, bundle.contact_near_stiction_limit_nm = [2.0, 1.0], [3.0, 1.5]
-    load = bundle.load_settings
-    load.frame, load.link, load.translation = "tool", 1, [0.2, 0.0, 0.0]
-    bundle.load_settings = load
-    bundle = told(bundle)
-    first = slice(0, 1000)
-    bundle.set_reference(*(np.ascontiguousarray(a[first]) for a in (made.t_ns, made.q, made.dq, made.tau)))
-    return bundle
+    return planar_arm_bundle()
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -41,6 +41,7 @@ class Extras:
     segment_s: float
     control: Path | None
     phases: Place | None = None
+    mcap: Path | None = None
 
 
 def monitor(
@@ -64,6 +65,7 @@ def monitor(
     core: int | None = None,
     priority: int | None = None,
     wrench: str | None = None,
+    mcap: LocalArg | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -96,6 +98,8 @@ def monitor(
             scheduling.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
+        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun, PlotJuggler and RViz open.
+            A killed process leaves a file that they can recover. None: none is written.
         as_json: print JSON lines, an object an event.
         status_hz: how often --json also prints the estimates, per second; 0: events only.
     """
@@ -116,7 +120,7 @@ def monitor(
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
-    extras = Extras(reactions, profiles, kept, record, segment_s, control, phases)
+    extras = Extras(reactions, profiles, kept, record, segment_s, control, phases, mcap)
     output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
     watch(bundle, source, given(options), settings, extras, output)
 
@@ -141,6 +145,7 @@ def watch(
     from tauext.cli.text_lines import Outcome
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
+    from tauext.monitor.mcap_sink import McapSink
     from tauext.monitor.phases import phases_of
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
@@ -160,7 +165,10 @@ def watch(
     record = None
     if extras.record is not None:
         record = RecordSink(extras.record, settings_of(bundle), source.name, extras.segment_s, lambda: bundle.name)
-    sinks = [*publishers, *(sink for sink in (flights, record) if sink is not None)]
+    mcap = None
+    if extras.mcap is not None:
+        mcap = McapSink(extras.mcap, bundle, source.name, settings.wrench)
+    sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
     reactions = start_reactions(rules, source, publishers)
     recorder = flights.recorder if flights else None
     with ExitStack() as stack:
@@ -171,8 +179,9 @@ def watch(
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
         shown = OutputSink(output, aside, loop, reactions, flights, remedy)
         loop.sinks.append(shown)
-        if record is not None:
-            record.note = shown.note
+        for sink in (record, mcap):
+            if sink is not None:
+                sink.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
         aside.do(partial(output.start_live, source.name, bundle))
@@ -182,6 +191,8 @@ def watch(
         loop.run()
         ran_s = time.monotonic() - began_s
         shown.print_news()
+        if mcap is not None:
+            shown.note(f"{mcap.path}: {mcap.samples:,} samples")
         if recorder is not None:
             shown.flights.missed = recorder.missed
         shown.flights.repeated = flights.repeated if flights else 0
@@ -200,6 +211,8 @@ def watch(
     if recorded is not None and recorded.lost:
         of = recorded.lost + recorded.samples
         raise ConfigError(f"{recorded.lost} of {of} samples of the recording are lost: {recorded.error}")
+    if mcap is not None and mcap.error:
+        raise ConfigError(f"{mcap.lost} of {mcap.lost + mcap.samples} samples of the MCAP file are lost: {mcap.error}")
     shown.flights.expect_all_written()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,18 +11,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import BundleArg, PlaceArg, RecordingsArg
+from tauext.cli.place_argument import BundleArg, LocalArg, PlaceArg, RecordingsArg
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import added
 from tauext.files.places import Place
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.data.recording import Recording
     from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
+    from tauext.monitor.mcap_log import McapLog
     from tauext.monitor.phases import Phases
     from tauext.monitor.replay import Tally
 
@@ -39,6 +42,8 @@ class RunSettings:
     wrench: str | None
     """Frame at which the force of a touch is reported, too."""
     phases: Phases | None = None
+    mcap: Path | None = None
+    """File for viewers."""
 
 
 def run(
@@ -56,6 +61,7 @@ def run(
     loads: PlaceArg | None = None,
     phases: PlaceArg | None = None,
     wrench: str | None = None,
+    mcap: LocalArg | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -84,6 +90,8 @@ def run(
         phases: TOML file of contacts that the task means, with their times in the recording; docs/contacts.md.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
+        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun, PlotJuggler and RViz open.
+            None: none is written.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: how often --json also prints the estimates, per second of the recording; 0: events only.
     """
@@ -93,18 +101,23 @@ def run(
     require(after is None or 0 < after <= 1e6, "acknowledge_after_s", after, "> 0, at most 1e6; left out: never")
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
+    require(mcap is None or len(recordings) == 1, "mcap", mcap, "left out, or given with one recording")
     from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.phases import phases_of
     from tauext.monitor.touch_place import PlaceFinder
 
     loaded = fitting_bundle(bundle, recordings)
+    if mcap is not None:
+        from tauext.monitor.mcap_log import expect_log
+
+        expect_log(mcap)
     with nullcontext(None) if flights is None else added(flights) as folder:
         kept = None
         if folder is not None and flights is not None:
             kept = FlightSettings(folder, before_s, after_s, contacts, flights)
         carried = timed_loads(loaded, load, loads)
         expected, unmonitored = phases_of(phases, loaded)
-        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected)
+        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected, mcap)
         PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
         if kept is not None:
             kept.recorder(loaded)
@@ -232,11 +245,15 @@ def replay_one(
     pace, places = Pace(settings.speed), PlaceFinder(bundle, settings.wrench)
     after_s = settings.acknowledge_after_s
     try:
-        with writer or nullcontext():
+        with writer or nullcontext(), logged(bundle, recording, settings, output) as log:
             for chunk in replay(
                 monitor, recording, pace, recorder, after_s, chunk_s, settings.loads, places, settings.phases
             ):
                 tally.add(chunk, monitor)
+                if log is not None:
+                    rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
+                    samples = (recording.q[rows], recording.dq[rows], recording.tau[rows])
+                    log.add(chunk.t_ns, *samples, chunk.estimates, chunk.changes)
                 if writer is not None:
                     writer.catch_up()
                 output.chunk(chunk, tally)
@@ -248,3 +265,21 @@ def replay_one(
         total.merge(tally)
         all_flights.merge(flights)
         output.end(tally, flights, complete=tally.samples == recording.samples)
+
+
+@contextmanager
+def logged(bundle: Bundle, recording: Recording, settings: RunSettings, output: Output) -> Iterator[McapLog | None]:
+    """The MCAP file of a replay, closed also after an interruption; None without one."""
+    if settings.mcap is None:
+        yield None
+        return
+    from tauext.monitor.mcap_log import McapLog
+
+    log = McapLog(settings.mcap, bundle, recording.name, settings.wrench)
+    if log.without:
+        output.note(f"{settings.mcap.name}: {log.without}")
+    try:
+        yield log
+    finally:
+        log.close()
+        output.note(f"{settings.mcap}: {log.samples:,} samples")

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +21,7 @@ import pyarrow as pa
 from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
 from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.ros_messages import standard_types
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
 
@@ -423,7 +423,7 @@ def deserializer(channel: Channel) -> Deserialize:
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     kind, definition, ros1 = channel.msgtype, channel.definition, channel.encoding == "ros1"
-    store = _standard_types(ros1)
+    store = standard_types(ros1)
     if definition and (ros1 or kind != JOINT_STATE):
         own = get_typestore(Stores.EMPTY)
         by_idl = "idl" in channel.schema
@@ -438,13 +438,6 @@ def deserializer(channel: Channel) -> Deserialize:
     if kind not in store.fielddefs:
         raise RecordingError(f"topic {channel.topic}: its type {kind} has no definition, in the bag or in ROS itself")
     return (lambda raw: store.deserialize_ros1(raw, kind)) if ros1 else (lambda raw: store.deserialize_cdr(raw, kind))
-
-
-@cache
-def _standard_types(ros1: bool) -> Any:
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 # --- Files: one, or those in the folder of a ROS 2 bag.

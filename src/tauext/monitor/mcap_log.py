@@ -1,0 +1,415 @@
+"""Samples, estimates, forces and events of one arm as an MCAP file, which Foxglove, Rerun, PlotJuggler and RViz show.
+
+All messages are standard types of ROS 2 with their definitions in the file, so a viewer needs no package. Joint values
+are JointStates: every viewer plots them by the joint's name, and its `effort` is what they are, a torque. The arm is a
+URDF with transforms, which all of these viewers draw; Rerun draws no markers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, OK, lacking
+from tauext.data.mcap_writer import McapWriter
+from tauext.data.ros_messages import LAST_NS, Template, cdr, definition, stamp
+from tauext.errors import ConfigError
+from tauext.files.preflight import expect_new_file
+from tauext.files.provenance import VERSION
+from tauext.monitor.changes import AlarmChange, Change, DriftChange, HealthChange, HiddenCollision
+from tauext.monitor.events import change_words, health_words
+from tauext.monitor.replay import StatusClock
+from tauext.monitor.touch_place import PlaceChange
+from tauext.robot.viewer_urdf import viewer_urdf
+
+DRAWN_HZ = 30.0
+"""Rate of what is drawn: transforms, the arrow, and limits, which change slowly."""
+M_PER_N = 0.002
+"""Length of an arrow: 100 N are 20 cm."""
+JOINT_STATE, WRENCH, TF = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped", "tf2_msgs/msg/TFMessage"
+MARKERS, LOG = "visualization_msgs/msg/MarkerArray", "rcl_interfaces/msg/Log"
+STRING, NUMBER = "std_msgs/msg/String", "std_msgs/msg/UInt8"
+INFO, WARN, ERROR = 20, 30, 40  # levels of rcl_interfaces/Log
+TOUCH = "touch"
+"""Frame at the place of the newest touch, its axes parallel to the base's."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A column of the estimates as a topic: a JointState whose effort is the column."""
+
+    topic: str
+    column: str
+    text: str
+    factor: float = 1.0
+    every_sample: bool = False
+    """Whether every sample has a message; False: DRAWN_HZ, and samples with a change."""
+
+
+SHOWN = (
+    Shown("tau_ext", "tau_ext", "external torque, positive where the environment pushes the joint forwards", 1.0, True),
+    Shown("band", "contact_sigma_nm", "two standard errors of tau_ext during and after a contact", 2.0),
+    Shown("limit", "limit_nm", "|tau_ext| above it is a collision"),
+    Shown("contact_limit", "contact_limit_nm", "|tau_ext| above it is a contact"),
+)
+"""A column more is a line more."""
+COLUMNS = tuple(
+    dict.fromkeys([*(one.column for one in SHOWN), *("health", "alarm", "load_nm", "sigma_nm", "contact_sigma_nm")])
+)
+"""Columns of Monitor.run that the file is made of."""
+
+
+def expect_log(path: Path) -> None:
+    """Raise ConfigError unless an MCAP file can be made under this name, which nothing has yet."""
+    if path.suffix != ".mcap":
+        raise ConfigError(f"{path}: the name of an MCAP file ends in .mcap")
+    expect_new_file(path)
+    if path.exists():
+        raise ConfigError(f"{path}: exists already; choose another name, or remove it")
+
+
+class McapLog:
+    """An MCAP file under its final name: what was written before a kill can be read."""
+
+    def __init__(self, path: Path, bundle: _core.Bundle, source: str, frame: str | None = None):
+        """
+        Args:
+            source: name of the source or the recording.
+            frame: frame of the force; None: the load frame, else the last link.
+
+        Raises:
+            ConfigError: there is a file of this name, or none can be written.
+        """
+        expect_log(path)
+        self.samples = 0
+        """Samples in the file."""
+        self._path, self._joints = path, tuple(link.joint_name for link in bundle.links)
+        self._units = tuple(bundle.estimate_units)
+        self._arm = Arm(bundle, frame) if any(link.mass > 0 for link in bundle.links) else None
+        self._clock: StatusClock | None = None
+        self._last_ns = 0
+        self._is_touched = False
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = McapWriter(path, "ros2", f"tauext {VERSION}")
+            self._add_channels(bundle, source)
+        except OSError as error:
+            raise self._refusal(error) from error
+
+    @property
+    def without(self) -> str:
+        """What the file does not hold, and why; empty: it holds everything."""
+        if self._arm is None:
+            return "no arm, transforms and forces: the bundle has no model of the arm"
+        return f"no forces: {self._arm.refused}" if self._arm.refused else ""
+
+    def add(
+        self,
+        t_ns: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        tau: np.ndarray,
+        estimates: Mapping[str, np.ndarray],
+        changes: Sequence[Change],
+    ) -> None:
+        """Add successive samples, and write them.
+
+        Args:
+            t_ns: (rows,), [ns].
+            q, dq, tau: (rows, joints), in the units of the source.
+            estimates: their rows of Monitor.run.
+            changes: at these samples.
+
+        Raises:
+            ConfigError: the disk is full or fails, or a stamp cannot be a time of ROS.
+        """
+        if len(t_ns) and (t_ns.min() < 0 or t_ns.max() > LAST_NS):
+            raise ConfigError(f"{self._path}: stamps must be 0 to {LAST_NS} ns since 1970 in an MCAP file of ROS 2")
+        try:
+            self._add(t_ns, q, dq, tau, estimates, changes)
+            self._writer.flush()
+        except OSError as error:
+            raise self._refusal(error) from error
+        self.samples += len(t_ns)
+
+    def close(self) -> None:
+        """Write the summary of the file; remove a file without samples.
+
+        Raises:
+            ConfigError: the disk is full or fails.
+        """
+        try:
+            self._writer.close()
+            if not self.samples:
+                self._path.unlink(missing_ok=True)
+        except OSError as error:
+            raise self._refusal(error) from error
+
+    def _refusal(self, error: OSError) -> ConfigError:
+        return ConfigError(f"{self._path}: cannot be written ({error.strerror or error})")
+
+    # --- Topics.
+
+    def _add_channels(self, bundle: _core.Bundle, source: str) -> None:
+        channel, arm = self._channel, self._arm
+        units = ", ".join(dict.fromkeys(bundle.torque_units))
+        self._joint_states = channel("/joint_states", JOINT_STATE, f"samples of {source}; effort in {units}")
+        self._sample = Template(JOINT_STATE, 3 * len(self._joints), self._measured)
+        units = ", ".join(dict.fromkeys(self._units))
+        without = lacking(bundle)
+        self._shown = [
+            (one, channel(f"/tauext/{one.topic}", JOINT_STATE, f"effort: {one.text}, in {units}"))
+            for one in SHOWN
+            if one.column not in without
+        ]
+        self._torque = Template(JOINT_STATE, len(self._joints), self._estimated)
+        numbered = [("health", HEALTHS), ("alarm", ALARMS)]
+        self._states = [(name, channel(f"/tauext/{name}", NUMBER, _numbers(words))) for name, words in numbered]
+        self._events = channel("/tauext/events", LOG, f"bundle {bundle.name}")
+        if arm is None:
+            return
+        self._tf, self._tf_static = channel("/tf", TF, "links"), channel("/tf_static", TF, "frames on links")
+        self._description = channel("/robot_description", STRING, "links of the bundle as a URDF")
+        if not arm.refused:
+            acts = f"of the environment on the arm, N and N m about the origin of {arm.frame}, along its axes"
+            self._wrench = channel("/tauext/wrench", WRENCH, f"force and moment {acts}")
+            self._touch = channel(
+                "/tauext/touch", WRENCH, f"force on the arm at its place, frame {TOUCH}, along the base's axes"
+            )
+            self._arrows = channel("/tauext/force", MARKERS, f"forces on the arm as arrows, {M_PER_N:g} m a N")
+
+    def _channel(self, topic: str, kind: str, text: str) -> int:
+        return self._writer.add_channel(topic, kind, definition(kind), {"tauext": text})
+
+    def _measured(self, at: dict[str, int], values: list[float]) -> dict[str, Any]:
+        n = len(self._joints)
+        arrays = {"position": values[:n], "velocity": values[n : 2 * n], "effort": values[2 * n :]}
+        return {"header": {"stamp": at}, "name": self._joints} | arrays
+
+    def _estimated(self, at: dict[str, int], values: list[float]) -> dict[str, Any]:
+        return {"header": {"stamp": at}, "name": self._joints, "effort": values}
+
+    def _put(self, channel: int, kind: str, t_ns: int, fields: Mapping[str, Any]) -> None:
+        """A single message."""
+        self._writer.add(channel, np.array([t_ns]), np.frombuffer(cdr(kind, fields), np.uint8)[None])
+
+    # --- Content.
+
+    def _add(
+        self,
+        t_ns: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        tau: np.ndarray,
+        estimates: Mapping[str, np.ndarray],
+        changes: Sequence[Change],
+    ) -> None:
+        for change in changes:
+            self._event(change)
+        if not len(t_ns):
+            return
+        if self._clock is None:
+            self._begin(int(t_ns[0]))
+        put, drawn = self._writer.add, self._drawn(t_ns, changes)
+        put(self._joint_states, t_ns, self._sample.fill(t_ns, np.concatenate([q, dq, tau], axis=1)))
+        for one, channel in self._shown:
+            rows = slice(None) if one.every_sample else drawn
+            put(channel, t_ns[rows], self._torque.fill(t_ns[rows], rounded(one.factor * estimates[one.column][rows])))
+        for name, channel in self._states:
+            values = estimates[name][drawn].astype(np.uint8)
+            put(channel, t_ns[drawn], np.pad(values[:, None], ((0, 0), (4, 0))) | ENCAPSULATION)
+        if (arm := self._arm) is None:
+            return
+        put(self._tf, t_ns[drawn], arm.transforms(t_ns[drawn], q[drawn]))
+        if arm.refused:
+            return
+        force, moment = (rounded(part) for part in arm.forces(q, dq, estimates))
+        known = np.isfinite(force).all(axis=1)
+        put(self._wrench, t_ns[known], arm.wrench.fill(t_ns[known], np.concatenate([force, moment], axis=1)[known]))
+        shown, hidden = drawn[known[drawn]], drawn[~known[drawn]]
+        put(self._arrows, t_ns[shown], arm.arrow.fill(t_ns[shown], -M_PER_N * force[shown]))
+        put(self._arrows, t_ns[hidden], arm.no_arrow.fill(t_ns[hidden]))
+
+    def _begin(self, t_ns: int) -> None:
+        """What is written once."""
+        self._clock = StatusClock(t_ns, round(1e9 / DRAWN_HZ))
+        if self._arm is not None:
+            self._put(self._description, STRING, t_ns, {"data": self._arm.urdf})
+            self._put(self._tf_static, TF, t_ns, {"transforms": self._arm.fixed(t_ns)})
+
+    def _drawn(self, t_ns: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
+        """Rows at DRAWN_HZ, and those with a change."""
+        if t_ns[0] < self._last_ns or self._clock is None:  # the clock of the source started again
+            self._clock = StatusClock(int(t_ns[0]), round(1e9 / DRAWN_HZ))
+        self._last_ns = int(t_ns[-1])
+        at = np.isin(t_ns, [change.t_ns for change in changes])
+        at[self._clock.rows(t_ns)] = True
+        return np.flatnonzero(at)
+
+    def _event(self, change: Change) -> None:
+        """Words of the event; the force of a touch, and its end."""
+        t_ns = change.t_ns
+        for words in event_lines(change, self._joints, self._units):
+            self._put(
+                self._events,
+                LOG,
+                t_ns,
+                {"stamp": stamp(t_ns), "level": level_of(change), "name": "tauext", "msg": words},
+            )
+        if self._arm is None or self._arm.refused:
+            return
+        if isinstance(change, PlaceChange):
+            self._is_touched = True
+            force = change.best.force
+            self._put(self._tf, TF, t_ns, {"transforms": [self._arm.touched_at(t_ns, change.best.point)]})
+            self._put(self._touch, WRENCH, t_ns, wrench_fields(stamp(t_ns), TOUCH, [*force, 0.0, 0.0, 0.0]))
+            self._put(self._arrows, MARKERS, t_ns, arrow_fields(stamp(t_ns), TOUCH, [-M_PER_N * one for one in force]))
+        elif self._is_touched and isinstance(change, AlarmChange) and change.alarm == NONE:
+            self._is_touched = False
+            self._put(self._arrows, MARKERS, t_ns, arrow_fields(stamp(t_ns), TOUCH))
+
+
+def rounded(values: np.ndarray) -> np.ndarray:
+    """To the precision of single floats, as in files of estimates: zeros at the end of a number take no space."""
+    return values.astype(np.float32).astype(float)
+
+
+ENCAPSULATION = np.array([0, 1, 0, 0, 0], np.uint8)
+"""First bytes of CDR, little-endian; the message is the byte after them."""
+
+
+def _numbers(words: Sequence[str]) -> str:
+    return ", ".join(f"{number} {word}" for number, word in enumerate(words))
+
+
+def event_lines(change: Change, joints: tuple[str, ...], units: Sequence[str]) -> list[str]:
+    """Words of a change, as the text output has them."""
+    if isinstance(change, HealthChange):
+        return [health_words(change, joints)]
+    if isinstance(change, HiddenCollision):
+        return [f"collision at {joints[change.joint]} behind the alarm that stands"]
+    return change_words(change, joints, units)
+
+
+def level_of(change: Change) -> int:
+    """Level of rcl_interfaces/Log."""
+    if isinstance(change, AlarmChange):
+        rose = change.alarm > change.was
+        return INFO if not rose else ERROR if change.alarm == COLLISION else WARN
+    if isinstance(change, HealthChange):
+        return INFO if change.health == OK else ERROR if change.health == FAULT else WARN
+    return WARN if isinstance(change, DriftChange | HiddenCollision) else INFO
+
+
+# --- The arm: its links and frames, and the force at one frame.
+
+
+class Arm:
+    """The links of a bundle as transforms and a URDF, and the force at one of its frames."""
+
+    def __init__(self, bundle: _core.Bundle, frame: str | None = None):
+        """frame: None: the load frame, else the last link."""
+        self._links, self._model = bundle.links, _core.WrenchModel(bundle)
+        self.refused = self._model.refused
+        """Reason for which no force can be estimated; empty: none."""
+        self._frames = self._model.frames
+        names = [one.name for one in self._frames]
+        self.base = "base" if "base" not in names else "tauext_base"
+        self.frame = frame or names[min(len(self._links), len(names) - 1)]
+        """Frame of the force."""
+        self.urdf = viewer_urdf(self._links, bundle.capsules, self._frames, self.base)
+        self._turns = np.array([quaternion(np.reshape(link.rotation, (3, 3))) for link in self._links])
+        self._moved = Template(TF, 7 * len(self._links), self._transforms)
+        self.wrench = Template(WRENCH, 6, lambda at, values: wrench_fields(at, self.frame, values))
+        self.arrow = Template(MARKERS, 3, lambda at, values: arrow_fields(at, self.frame, values))
+        self.no_arrow = Template(MARKERS, 0, lambda at, values: arrow_fields(at, self.frame))
+
+    def forces(
+        self, q: np.ndarray, dq: np.ndarray, estimates: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N] and moment [N m] that the environment exerts on the arm at `frame`, along its axes, (rows, 3) each.
+
+        NaN where they are unknown. The force of a declared contact replaces them here, at its own frame.
+        """
+        rows = (q, estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
+        own = _core.WrenchAxes.frame
+        found = self._model.wrenches(self.frame, *rows, None, own, estimates["contact_sigma_nm"], dq)
+        return found["force"], found["moment"]
+
+    def transforms(self, t_ns: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Messages with the pose of each link in its parent at these positions, (rows, bytes)."""
+        poses = np.empty((len(q), len(self._links), 7))
+        for j, link in enumerate(self._links):
+            turn = np.reshape(link.rotation, (3, 3))
+            slides = link.type == _core.JointType.prismatic
+            shift, half = (q[:, j], 0 * q[:, j]) if slides else (0 * q[:, j], q[:, j] / 2)
+            poses[:, j, :3] = link.translation + shift[:, None] * turn[:, 2]
+            x, y, z, w = self._turns[j]
+            s, c = np.sin(half), np.cos(half)
+            poses[:, j, 3:] = np.stack([x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s], axis=1)
+        return self._moved.fill(t_ns, poses.reshape(len(q), 7 * len(self._links)))
+
+    def fixed(self, t_ns: int) -> list[dict[str, Any]]:
+        """Transforms of the frames that are fixed to links."""
+        at, joints = stamp(t_ns), [link.joint_name for link in self._links]
+        return [
+            transform(at, joints[one.link], one.name, [*one.translation, *quaternion(np.reshape(one.rotation, (3, 3)))])
+            for one in self._frames[len(joints) :]
+        ]
+
+    def touched_at(self, t_ns: int, point: Sequence[float]) -> dict[str, Any]:
+        """Transform of the frame TOUCH; point: in the base's frame, [m]."""
+        return transform(stamp(t_ns), self.base, TOUCH, [*point, 0.0, 0.0, 0.0, 1.0])
+
+    def _transforms(self, at: dict[str, int], values: list[float]) -> dict[str, Any]:
+        names = [link.joint_name for link in self._links]
+        parents = [self.base if link.parent < 0 else names[link.parent] for link in self._links]
+        each = zip(parents, names, range(0, len(values), 7), strict=True)
+        return {"transforms": [transform(at, parent, name, values[k : k + 7]) for parent, name, k in each]}
+
+
+def transform(at: dict[str, int], parent: str, child: str, pose: Sequence[float]) -> dict[str, Any]:
+    """Fields of a geometry_msgs/TransformStamped; pose: x, y, z and the quaternion x, y, z, w."""
+    placed = {"translation": xyz(pose[:3]), "rotation": dict(zip("xyzw", pose[3:], strict=True))}
+    return {"header": {"stamp": at, "frame_id": parent}, "child_frame_id": child, "transform": placed}
+
+
+def wrench_fields(at: dict[str, int], frame: str, values: Sequence[float]) -> dict[str, Any]:
+    """Fields of a WrenchStamped; values: force, then moment."""
+    wrench = {"force": xyz(values[:3]), "torque": xyz(values[3:])}
+    return {"header": {"stamp": at, "frame_id": frame}, "wrench": wrench}
+
+
+def arrow_fields(at: dict[str, int], frame: str, tail: Sequence[float] | None = None) -> dict[str, Any]:
+    """Fields of a MarkerArray with one arrow, whose tip is the frame's origin; tail: its other end; None: no arrow."""
+    marker: dict[str, Any] = {"header": {"stamp": at, "frame_id": frame}, "ns": frame, "frame_locked": True}
+    if tail is None:
+        return {"markers": [marker | {"action": 2}]}
+    red, green, blue = (0.85, 0.15, 0.1) if frame == TOUCH else (0.1, 0.4, 0.85)
+    look = {"scale": xyz([0.015, 0.03, 0.04]), "color": {"r": red, "g": green, "b": blue, "a": 1.0}}
+    return {
+        "markers": [marker | look | {"points": [xyz(tail), xyz([0.0, 0.0, 0.0])], "pose": {"orientation": {"w": 1.0}}}]
+    }
+
+
+def xyz(values: Sequence[float]) -> dict[str, float]:
+    return dict(zip("xyz", values, strict=True))
+
+
+def quaternion(rotation: np.ndarray) -> list[float]:
+    """x, y, z, w of a rotation matrix: the eigenvector of the largest eigenvalue of a symmetric matrix of its entries
+    (Bar-Itzhack, JGCD 23, 2000)."""
+    r = rotation
+    rows = [
+        [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
+        [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
+        [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], 0],
+        [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+    ]
+    found: list[float] = np.linalg.eigh(np.array(rows, float))[1][:, -1].tolist()  # of the lower triangle
+    return found if found[3] >= 0 else [-one for one in found]

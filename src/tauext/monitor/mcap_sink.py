@@ -1,0 +1,97 @@
+"""The MCAP file of a live arm, written by a thread while the loop runs."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.errors import ConfigError
+from tauext.monitor.mcap_log import COLUMNS, McapLog, expect_log
+from tauext.monitor.sink import Control, LoopReport, Verdict
+
+BATCH_S = 0.25
+"""Length of a chunk of the file, in the time of the samples: a killed process loses about twice as much."""
+MOST_WAITING = 40
+"""Most batches in memory, ten seconds; further ones are lost and counted."""
+
+
+class McapSink:
+    """Keeps verdicts and hands them over in batches; a thread writes. A file without a sample is removed."""
+
+    def __init__(self, path: Path, bundle: _core.Bundle, source: str, frame: str | None = None):
+        """See McapLog. Raises ConfigError where there can be no such file; it is made by open()."""
+        expect_log(path)
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread; set it before open()."""
+        self.path, self.lost, self.error = path, 0, ""
+        """lost: samples that are not in the file; error: why."""
+        self._made = (path, bundle, source, frame)
+        self._most = max(1, round(BATCH_S * 1e9 / bundle.observer.sample_period_ns))
+        self._verdicts: list[Verdict] = []
+        self._reported = 0
+        self._waiting: queue.SimpleQueue[list[Verdict] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="mcap", daemon=True)
+
+    @property
+    def samples(self) -> int:
+        """Samples in the file."""
+        return self._log.samples
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        self._log = McapLog(*self._made)
+        if self._log.without:
+            self.note(f"{self.path.name}: {self._log.without}")
+        self._thread.start()
+
+    def verdict(self, verdict: Verdict) -> None:
+        self._verdicts.append(verdict)
+        if len(self._verdicts) >= self._most:
+            self._hand_over()
+
+    def every_second(self, report: LoopReport) -> None:
+        self._hand_over()
+        if self.lost > self._reported:
+            self._reported = self.lost
+            self.note(f"MCAP FILE LOSES SAMPLES: {self.lost:,} so far ({self.error})")
+
+    def close(self) -> None:
+        """Write what is left, and wait for the disk."""
+        self._hand_over(last=True)
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _hand_over(self, last: bool = False) -> None:
+        verdicts, self._verdicts = self._verdicts, []
+        if self._waiting.qsize() >= MOST_WAITING and not last:
+            self._lose(verdicts, "the disk was too slow")
+        elif verdicts:
+            self._waiting.put(verdicts)
+
+    def _work(self) -> None:
+        while (verdicts := self._waiting.get()) is not None:
+            try:
+                self._add(verdicts)
+            except ConfigError as error:
+                self._lose(verdicts, str(error))
+        try:
+            self._log.close()
+        except ConfigError as error:
+            self.error = self.error or str(error)
+
+    def _add(self, verdicts: list[Verdict]) -> None:
+        came = [one for one in verdicts if one.sample is not None]
+        changes = [change for one in verdicts for change in one.changes]
+        samples = [one.sample for one in came if one.sample is not None]
+        t_ns = np.array([one.t_ns for one in came], np.int64)
+        q, dq, tau = (np.array([getattr(one, name) for one in samples]) for name in ("q", "dq", "tau"))
+        estimates = {name: np.concatenate([one.estimates[name] for one in came]) for name in COLUMNS if came}
+        self._log.add(t_ns, q, dq, tau, estimates, changes)
+
+    def _lose(self, verdicts: list[Verdict], why: str) -> None:
+        self.lost += sum(one.sample is not None for one in verdicts)
+        self.error = self.error or why

@@ -1,0 +1,485 @@
+"""MCAP files for viewers, read back by the package `mcap` and by the definitions in the file."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import struct
+import subprocess
+import time
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pinocchio_oracle as oracle
+import pytest
+from made_arms import prismatic_mass
+from made_bundles import planar_arm_bundle, pushed, seven_axis_bundle, watching_bundle
+from made_live import ScriptedSource, samples_of
+from made_results import run_command
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tauext import _core
+from tauext.data import mcap_writer
+from tauext.data.importers.open_raw import open_raw
+from tauext.data.recording_file import save_recording
+from tauext.data.ros_messages import Template, cdr, stamp
+from tauext.errors import ConfigError
+from tauext.monitor.loop import Loop
+from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, quaternion
+from tauext.monitor.mcap_sink import McapSink
+from tauext.monitor.replay import replay
+from tauext.monitor.touch_place import PlaceFinder
+from tauext.robot.viewer_urdf import viewer_urdf
+
+ROWS, PUSH_S, PUSH_N = 1500, (0.8, 1.2), (60.0, 120.0, 0.0)
+ALWAYS = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/tauext/tau_ext": "sensor_msgs/msg/JointState",
+    "/tauext/band": "sensor_msgs/msg/JointState",
+    "/tauext/limit": "sensor_msgs/msg/JointState",
+    "/tauext/contact_limit": "sensor_msgs/msg/JointState",
+    "/tauext/health": "std_msgs/msg/UInt8",
+    "/tauext/alarm": "std_msgs/msg/UInt8",
+    "/tauext/events": "rcl_interfaces/msg/Log",
+}
+WITH_MODEL = {
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/robot_description": "std_msgs/msg/String",
+    "/tauext/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/tauext/touch": "geometry_msgs/msg/WrenchStamped",
+    "/tauext/force": "visualization_msgs/msg/MarkerArray",
+}
+
+
+@pytest.fixture(scope="module")
+def bundle() -> _core.Bundle:
+    return planar_arm_bundle()
+
+
+def moving(bundle: _core.Bundle):
+    """The planar arm in slow motion; for half a second the tool is pushed with PUSH_N."""
+    t, tree, model = np.arange(ROWS) * 1e-3, _core.Tree(bundle.links, bundle.gravity), _core.WrenchModel(bundle)
+    q = np.array([0.4, 0.9]) + 0.2 * np.sin(np.outer(t, [1.0, 1.7]))
+    dq = 0.2 * np.array([1.0, 1.7]) * np.cos(np.outer(t, [1.0, 1.7]))
+    momentum, beta = tree.momentum(q, dq)
+    tau = np.gradient(momentum, 1e-3, axis=0) + beta
+    for k in np.flatnonzero((t >= PUSH_S[0]) & (t < PUSH_S[1])):
+        tau[k] -= np.array(PUSH_N) @ model.columns("tool", q[k].tolist())[:3]
+    return pushed(pushes=(), q=q, dq=dq, tau=tau, t_ns=7_000_000_000 + np.arange(ROWS) * 1_000_000)
+
+
+@pytest.fixture(scope="module")
+def recording(bundle):
+    return moving(bundle)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory, bundle, recording):
+    """A folder with the bundle, the recording, and what `tauext run --mcap` and `--json` made of them."""
+    folder = tmp_path_factory.mktemp("mcap")
+    bundle.save(str(folder / "planar.tauext"))
+    save_recording(recording, folder / "moving.parquet")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def file(place, bundle, recording):
+    path = place / "moving.mcap"
+    write(path, bundle, recording, ROWS / 3000)
+    return path
+
+
+def write(path, bundle, recording, chunk_s: float = 1.0) -> McapLog:
+    """What `tauext run` does."""
+    log = McapLog(path, bundle, recording.name)
+    places = PlaceFinder(bundle)
+    for chunk in replay(_core.Monitor(bundle), recording, None, None, None, chunk_s, (), places):
+        rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
+        log.add(chunk.t_ns, recording.q[rows], recording.dq[rows], recording.tau[rows], chunk.estimates, chunk.changes)
+    log.close()
+    return log
+
+
+def messages_of(path, topic: str) -> list:
+    """(log time, message) of a topic, decoded by the definition in the file alone."""
+    found, store = [], get_typestore(Stores.EMPTY)
+    with path.open("rb") as opened:
+        for schema, channel, one in make_reader(opened, validate_crcs=True).iter_messages(topics=[topic]):
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            if schema.name not in store.fielddefs:
+                store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            found.append((one.log_time, store.deserialize_cdr(one.data, schema.name)))
+    return found
+
+
+def ns_of(at) -> int:
+    return at.sec * 1_000_000_000 + at.nanosec
+
+
+def columns_of(path, topic: str, field: str) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and values of a JointState's array; stamp and log time agree."""
+    found = messages_of(path, topic)
+    assert all(ns_of(one.header.stamp) == t_ns for t_ns, one in found)
+    assert all(one.name == ["shoulder", "elbow"] for _, one in found)
+    return np.array([t_ns for t_ns, _ in found]), np.array([getattr(one, field) for _, one in found])
+
+
+@pytest.fixture(scope="module")
+def said(bundle, recording):
+    return _core.Monitor(bundle).run(recording.t_ns, recording.q, recording.dq, recording.tau)
+
+
+# --- Content.
+
+
+def test_every_topic_has_its_type_and_definition(file):
+    with file.open("rb") as opened:
+        reader = make_reader(opened)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+    kinds = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
+    assert kinds == ALWAYS | WITH_MODEL
+    assert all(one.metadata["tauext"] for one in summary.channels.values())
+    counts = summary.statistics.channel_message_counts
+    read = {one.topic: len(messages_of(file, one.topic)) for one in summary.channels.values()}
+    assert read == {one.topic: counts[number] for number, one in summary.channels.items()} and all(read.values())
+
+
+def test_samples_and_estimates_are_those_of_the_monitor(file, recording, said):
+    for field, signal in (("position", "q"), ("velocity", "dq"), ("effort", "tau")):
+        t_ns, values = columns_of(file, "/joint_states", field)
+        np.testing.assert_array_equal(t_ns, recording.t_ns)
+        np.testing.assert_array_equal(values, getattr(recording, signal))
+    for topic, column, factor in (
+        ("tau_ext", "tau_ext", 1),
+        ("band", "contact_sigma_nm", 2),
+        ("limit", "limit_nm", 1),
+        ("contact_limit", "contact_limit_nm", 1),
+    ):
+        t_ns, values = columns_of(file, f"/tauext/{topic}", "effort")
+        rows = np.searchsorted(recording.t_ns, t_ns)
+        np.testing.assert_array_equal(values, (factor * said[column][rows]).astype(np.float32))
+        seconds = ROWS / 1000
+        assert len(rows) == ROWS if topic == "tau_ext" else seconds * DRAWN_HZ <= len(rows) <= seconds * DRAWN_HZ + 10
+
+
+def test_health_and_alarm_have_a_message_where_they_change(file, recording, said):
+    for name in ("health", "alarm"):
+        found = messages_of(file, f"/tauext/{name}")
+        rows = np.searchsorted(recording.t_ns, [t_ns for t_ns, _ in found])
+        assert [one.data for _, one in found] == said[name][rows].tolist()
+        changed = np.flatnonzero(np.diff(said[name])) + 1
+        assert len(changed) and set(changed.tolist()) <= set(rows.tolist())
+
+
+def test_events_have_the_words_of_the_text_output(file, place, capsys):
+    code, out, _ = run_command(capsys, "run", place / "planar.tauext", place / "moving.parquet")
+    printed = [line.split(" s  ", 1) for line in out.splitlines() if " s  " in line[:20]]
+    found = messages_of(file, "/tauext/events")
+    assert code == 0
+    assert [one.msg for _, one in found] == [words for _, words in printed]
+    assert [f"{(t_ns - 7_000_000_000) * 1e-9:.3f}" for t_ns, _ in found] == [when.strip() for when, _ in printed]
+    levels = {one.msg.split()[0]: one.level for _, one in found}
+    assert (levels["ok"], levels["CONTACT"], levels["COLLISION"], levels["the"]) == (20, 30, 40, 20)
+
+
+def test_transforms_and_urdf_place_the_frames_where_the_model_has_them(file, bundle, recording):
+    """Also those of a seven-axis arm, by Pinocchio's reading of the URDF."""
+    model = _core.WrenchModel(bundle)
+    (_, static), *_ = messages_of(file, "/tf_static")
+    fixed = {one.child_frame_id: one for one in static.transforms}
+    assert list(fixed) == ["tool"]
+    links = [one for _, one in messages_of(file, "/tf") if one.transforms[0].child_frame_id != "touch"]
+    assert len(links) >= ROWS / 1000 * DRAWN_HZ
+    for one in links[::9]:
+        known = {part.child_frame_id: part for part in one.transforms} | fixed
+        row = int(np.searchsorted(recording.t_ns, ns_of(one.transforms[0].header.stamp)))
+        for frame in ("shoulder", "elbow", "tool"):
+            turn, point = model.pose(frame, recording.q[row].tolist())
+            found = in_base(known, frame)
+            np.testing.assert_allclose(found[:3, :3], turn, atol=1e-9)
+            np.testing.assert_allclose(found[:3, 3], point, atol=1e-9)
+    arm = seven_axis_bundle([0.1] * 7, _core.Capsule(6, [0, 0, 0], [0.01, 0.02, 0.1], 0.04))
+    pin, read = oracle.pin, oracle.read_model(Arm(arm).urdf)
+    names, model = [link.joint_name for link in arm.links], _core.WrenchModel(arm)
+    for q in np.random.default_rng(2).uniform(-2, 2, (3, 7)):
+        data = read.createData()
+        pin.framesForwardKinematics(read, data, oracle.configurations(read, q[None], names)[0])
+        for name in names:
+            turn, point = model.pose(name, q.tolist())
+            found = data.oMf[read.getFrameId(name, pin.FrameType.BODY)]
+            np.testing.assert_allclose(found.rotation, turn, atol=1e-7)
+            np.testing.assert_allclose(found.translation, point, atol=1e-7)
+
+
+def in_base(transforms: dict, frame: str) -> np.ndarray:
+    """Pose of a frame, (4, 4), along its parents."""
+    pose = np.eye(4)
+    while frame in transforms:
+        one = transforms[frame].transform
+        x, y, z, w = (getattr(one.rotation, name) for name in "xyzw")
+        step = np.eye(4)
+        step[:3, :3] = oracle.pin.Quaternion(w, x, y, z).toRotationMatrix()
+        step[:3, 3] = [getattr(one.translation, name) for name in "xyz"]
+        pose, frame = step @ pose, transforms[frame].header.frame_id
+    assert frame == "base"
+    return pose
+
+
+def test_the_wrench_explains_the_torques_and_its_arrow_points_along_it(file, bundle, recording, said):
+    model = _core.WrenchModel(bundle)
+    found = {t_ns: one for t_ns, one in messages_of(file, "/tauext/wrench")}
+    row = int(np.nanargmax(said["tau_ext"][:, 0]))
+    assert 800 < row <= 1250
+    at = found[int(recording.t_ns[row])]
+    assert at.header.frame_id == "tool"
+    wrench = [getattr(part, axis) for part in (at.wrench.force, at.wrench.torque) for axis in "xyz"]
+    axes = model.columns("tool", recording.q[row].tolist(), axes=_core.WrenchAxes.frame)
+    np.testing.assert_allclose(np.array(wrench) @ axes, said["tau_ext"][row], rtol=0.02)
+    pushed_on = np.array(PUSH_N) @ model.columns("tool", recording.q[row].tolist())[:3]
+    np.testing.assert_allclose(said["tau_ext"][row], pushed_on, rtol=0.1)  # positive: on the arm
+    shown = [(t, one.markers[0]) for t, one in messages_of(file, "/tauext/force") if one.markers[0].ns == "tool"]
+    assert {marker.action for _, marker in shown} == {0, 2}  # none while the monitor warms up
+    for t_ns, marker in shown:
+        assert (marker.action == 0) == (t_ns in found) and marker.header.frame_id == "tool"
+        if marker.action == 0:
+            tail, tip = ([getattr(point, axis) for axis in "xyz"] for point in marker.points)
+            force = [getattr(found[t_ns].wrench.force, axis) for axis in "xyz"]
+            np.testing.assert_allclose(np.subtract(tip, tail), M_PER_N * np.array(force), rtol=1e-12)
+            assert tip == [0, 0, 0]
+
+
+def test_the_touch_is_where_the_event_has_it(file, place, capsys):
+    _, out, _ = run_command(capsys, "run", place / "planar.tauext", place / "moving.parquet", "--json")
+    events = [line for line in map(json.loads, out.splitlines()) if line["event"] == "place"]
+    found = messages_of(file, "/tauext/touch")
+    assert found and [t_ns for t_ns, _ in found] == [one["t_ns"] for one in events]
+    frames = {
+        t: one.transforms[0] for t, one in messages_of(file, "/tf") if one.transforms[0].child_frame_id == "touch"
+    }
+    for event, (t_ns, one) in zip(events, found, strict=True):
+        best = event["places"][0]
+        assert one.header.frame_id == "touch" and frames[t_ns].header.frame_id == "base"
+        assert [getattr(one.wrench.force, axis) for axis in "xyz"] == best["force_n"]
+        assert [getattr(frames[t_ns].transform.translation, axis) for axis in "xyz"] == best["point_m"]
+
+
+def test_a_bundle_without_a_model_has_no_arm_and_no_force(tmp_path, capsys):
+    watching_bundle(network=False).save(str(tmp_path / "a.tauext"))
+    save_recording(pushed(seconds=1.0, pushes=()), tmp_path / "r.parquet")
+    path = tmp_path / "new" / "r.mcap"
+    code, out, _ = run_command(capsys, "run", tmp_path / "a.tauext", tmp_path / "r.parquet", "--mcap", path)
+    assert code == 0 and "r.mcap: no arm, transforms and forces: the bundle has no model of the arm" in out
+    assert f"{path}: 1,000 samples" in out
+    with path.open("rb") as opened:
+        topics = {one.topic for one in make_reader(opened).get_summary().channels.values()}
+    assert topics == ALWAYS.keys() - {"/tauext/band"}  # nor an error scale
+
+
+def test_a_force_is_at_the_frame_of_the_option(place, capsys):
+    path = place / "at-elbow.mcap"
+    files = (place / "planar.tauext", place / "moving.parquet")
+    assert run_command(capsys, "run", *files, "--mcap", path, "--wrench", "elbow")[0] == 0
+    assert {one.header.frame_id for _, one in messages_of(path, "/tauext/wrench")} == {"elbow"}
+
+
+def test_the_urdf_draws_capsules_or_bars():
+    arm = seven_axis_bundle([0.1] * 7, _core.Capsule(6, [0, 0, 0], [0, 0, 0], 0.04))
+    drawn = viewer_urdf(arm.links, arm.capsules, [], "base")
+    long = sum(np.linalg.norm(link.translation) > 0 for link in arm.links)
+    assert 4 <= long < 7
+    assert drawn.count("<cylinder") == long  # the first one from the base, which has no capsule
+    assert drawn.count("<sphere") == 2 * long + (7 - long) + 1
+    tip = _core.WrenchFrame("tip", 6, translation=[0, 0, 0.1])
+    assert viewer_urdf(arm.links, [], [tip], "base").count("<cylinder") == long + 1
+    slide = viewer_urdf(prismatic_mass(1.0).links, [], [], "base")
+    assert 'type="prismatic"' in slide and oracle.read_model(slide).nq == 1
+
+
+def test_messages_of_a_template_are_those_of_rosbags():
+    make = partial(lambda at, x: {"header": {"stamp": at, "frame_id": "f"}, "name": ["a", "bc"], "effort": x})
+    kind, rng = "sensor_msgs/msg/JointState", np.random.default_rng(1)
+    t_ns, values = np.array([0, 1_999_999_999, 2**31 * 10**9 - 1]), rng.normal(0, 5, (3, 2))
+    for row, raw in enumerate(Template(kind, 2, make).fill(t_ns, values)):
+        assert raw.tobytes() == cdr(kind, make(stamp(int(t_ns[row])), values[row].tolist()))
+
+
+def test_quaternions_turn_as_their_matrices():
+    for q in np.random.default_rng(3).uniform(-3, 3, (20, 3)):
+        turn = oracle.pin.rpy.rpyToMatrix(*q)
+        x, y, z, w = quaternion(turn)
+        np.testing.assert_allclose(oracle.pin.Quaternion(w, x, y, z).toRotationMatrix(), turn, atol=1e-12)
+
+
+# --- Live.
+
+
+def live(path, bundle, script) -> McapSink:
+    sink = McapSink(path, bundle, "script")
+    Loop(bundle, ScriptedSource(script), [sink]).run()
+    return sink
+
+
+def test_a_live_arm_s_file_is_that_of_a_replay(tmp_path, bundle, recording, file):
+    sink = live(tmp_path / "live.mcap", bundle, samples_of(recording))
+    assert (sink.samples, sink.lost, sink.error) == (ROWS, 0, "")
+    for topic in ALWAYS | WITH_MODEL:
+        if topic != "/tauext/events":  # a busy computer may add a late sample
+            assert bytes_of(tmp_path / "live.mcap", topic) == bytes_of(file, topic), topic
+
+
+def bytes_of(path, topic: str) -> list[bytes]:
+    with path.open("rb") as opened:
+        return [one.data for _, _, one in make_reader(opened).iter_messages(topics=[topic])]
+
+
+def test_a_killed_process_leaves_a_file_that_is_read(tmp_path, bundle, recording):
+    """The file as it is after a second, before close()."""
+    path, kept = tmp_path / "killed.mcap", tmp_path / "copy.mcap"
+    sink = McapSink(path, bundle, "script")
+
+    def copy() -> bool:
+        for _ in range(1000):
+            if sink.samples >= 500:
+                break
+            time.sleep(0.002)
+        shutil.copy(path, kept)
+        return True
+
+    everything = samples_of(recording)
+    Loop(bundle, ScriptedSource([*everything[:1000], copy]), [sink]).run()
+    counts = count_streamed(kept)
+    assert 500 <= counts["/joint_states"] <= 1000 and counts["/robot_description"] == 1
+    raw = open_raw(kept, ["/joint_states"])[0]
+    assert rows_of(raw) == counts["/joint_states"] and "not closed" in " ".join(raw.notes)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_file_that_is_cut_off_is_read_to_its_last_whole_chunk(tmp_path, file, share):
+    whole = file.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: int(share * len(whole))])
+    with file.open("rb") as opened:
+        chunks = make_reader(opened).get_summary().chunk_indexes
+    ends = [one.chunk_start_offset + one.chunk_length for one in chunks]
+    read = count_streamed(cut)["/joint_states"]
+    assert read == sum(ROWS // 3 for end in ends if end <= cut.stat().st_size)
+    assert rows_of(open_raw(cut, ["/joint_states"])[0]) >= read
+
+
+def count_streamed(path) -> dict[str, int]:
+    """Messages by topic, of a file whose end may be missing."""
+    counts, topics = {}, {}
+    with path.open("rb") as opened:
+        try:
+            for record in StreamReader(opened).records:
+                if isinstance(record, Message):
+                    topic = topics[record.channel_id]
+                    counts[topic] = counts.get(topic, 0) + 1
+                elif hasattr(record, "topic"):
+                    topics[record.id] = record.topic
+        except (EndOfFile, struct.error):
+            pass
+    return counts
+
+
+def rows_of(raw) -> int:
+    return sum(len(block.columns) for block in raw.blocks())
+
+
+def test_a_disk_that_is_full_for_a_while_loses_samples_and_no_file(tmp_path, bundle, recording, monkeypatch):
+    written, real = [0], os.write
+
+    def half_full(file: int, content) -> int:
+        written[0] += 1
+        if written[0] in (18, 19, 20):
+            if written[0] == 18:
+                return real(file, content[: len(content) // 2])  # the rest does not fit
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(file, content)
+
+    monkeypatch.setattr(mcap_writer, "os", SimpleNamespace(**(vars(os) | {"write": half_full})))
+    sink = live(tmp_path / "full.mcap", bundle, samples_of(recording))
+    assert 0 < sink.lost < ROWS and sink.samples == ROWS - sink.lost and "No space left" in sink.error
+    t_ns, _ = columns_of(tmp_path / "full.mcap", "/joint_states", "position")
+    assert len(t_ns) == sink.samples and set(t_ns.tolist()) <= set(recording.t_ns.tolist())
+
+
+def test_the_monitor_writes_a_file_and_fails_where_samples_are_lost(place, capsys, monkeypatch):
+    command = ("monitor", place / "planar.tauext", "--source", f"replay:{place / 'moving.parquet'}", "--speed", "30")
+    code, out, _ = run_command(capsys, *command, "--mcap", place / "live.mcap")
+    assert code == 0 and f"live.mcap: {ROWS:,} samples" in out
+
+    def full(log, *content) -> None:
+        raise ConfigError("full.mcap: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(McapLog, "add", full)
+    code, out, err = run_command(capsys, *command, "--mcap", place / "full.mcap")
+    assert code == 2 and f"{ROWS} of {ROWS} samples of the MCAP file are lost: full.mcap: cannot be written" in err
+    assert not (place / "full.mcap").exists()  # without a sample
+
+
+# --- Wrong input.
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "words"),
+    [
+        ("there.mcap", (), "there.mcap: exists already; choose another name, or remove it"),
+        ("folder.mcap", (), "folder.mcap: is a folder"),
+        ("log.bag", (), "log.bag: the name of an MCAP file ends in .mcap"),
+        ("planar.tauext/a.mcap", (), "planar.tauext is no folder"),
+        ("a.mcap", ("moving.parquet",), "must be left out, or given with one recording"),
+        ("a.mcap", ("--wrench", "nose"), "'nose' must be one of shoulder, elbow, tool"),
+    ],
+    ids=["exists", "folder", "suffix", "below a file", "two recordings", "frame"],
+)
+def test_a_file_that_cannot_be_made_is_refused_before_the_replay(place, capsys, monkeypatch, name, more, words):
+    monkeypatch.chdir(place)
+    (place / "there.mcap").touch()
+    (place / "folder.mcap").mkdir(exist_ok=True)
+    code, out, err = run_command(capsys, "run", "planar.tauext", "moving.parquet", *more, "--mcap", name)
+    assert (code, out) == (2, "") and words in err and len(err.splitlines()) == 1
+    if not more or more[0] == "--wrench":
+        source = ("--source", "replay:moving.parquet")
+        code, out, err = run_command(capsys, "monitor", "planar.tauext", *source, *more, "--mcap", name)
+        assert (code, out) == (2, "") and words in err
+    assert not (place / "a.mcap").exists()
+
+
+def test_stamps_that_are_no_time_of_ros_are_refused(tmp_path, bundle, recording):
+    early = pushed(
+        pushes=(),
+        t_ns=recording.t_ns[:500] - 8_000_000_000,
+        q=recording.q[:500],
+        dq=recording.dq[:500],
+        tau=recording.tau[:500],
+    )
+    with pytest.raises(ConfigError, match="stamps must be 0 to"):
+        write(tmp_path / "early.mcap", bundle, early)
+
+
+# --- Viewers.
+
+
+@pytest.mark.skipif(shutil.which("rerun") is None, reason="rerun-sdk is not installed")
+def test_rerun_reads_joints_by_name_transforms_and_arm(tmp_path, file):
+    made = tmp_path / "file.rrd"
+    subprocess.run(["rerun", "mcap", "convert", file, "-o", made], check=True, capture_output=True)
+    shown = subprocess.run(["rerun", "rrd", "print", made], check=True, capture_output=True, text=True).stdout
+    for words in (
+        "/tauext/tau_ext/effort - data columns: [Scalars:scalars SeriesLines:names]",
+        "/joint_states/position - data columns: [Scalars:scalars SeriesLines:names]",
+        "/visual_geometries/elbow/visual_0 - data columns: [Ellipsoids3D",
+        "/tf - data columns: [Transform3D",
+        "/tauext/events - data columns: [file function line TextLog",
+    ):
+        assert words in shown

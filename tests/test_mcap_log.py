@@ -32,7 +32,7 @@ from tauext.data.recording_file import save_recording
 from tauext.data.ros_messages import Template, cdr, stamp
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop
-from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, quaternion
+from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
 from tauext.monitor.mcap_sink import McapSink
 from tauext.monitor.replay import replay
 from tauext.monitor.touch_place import PlaceFinder
@@ -97,11 +97,11 @@ def file(place, bundle, recording):
     return path
 
 
-def write(path, bundle, recording, chunk_s: float = 1.0) -> McapLog:
+def write(path, bundle, recording, chunk_s: float = 1.0, acknowledge_after_s: float | None = None) -> McapLog:
     """What `tauext run` does."""
     log = McapLog(path, bundle, recording.name)
     places = PlaceFinder(bundle)
-    for chunk in replay(_core.Monitor(bundle), recording, None, None, None, chunk_s, (), places):
+    for chunk in replay(_core.Monitor(bundle), recording, None, None, acknowledge_after_s, chunk_s, (), places):
         rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
         log.add(chunk.t_ns, recording.q[rows], recording.dq[rows], recording.tau[rows], chunk.estimates, chunk.changes)
     log.close()
@@ -246,15 +246,31 @@ def test_the_wrench_explains_the_torques_and_its_arrow_points_along_it(file, bun
     np.testing.assert_allclose(np.array(wrench) @ axes, said["tau_ext"][row], rtol=0.02)
     pushed_on = np.array(PUSH_N) @ model.columns("tool", recording.q[row].tolist())[:3]
     np.testing.assert_allclose(said["tau_ext"][row], pushed_on, rtol=0.1)  # positive: on the arm
-    shown = [(t, one.markers[0]) for t, one in messages_of(file, "/tauext/force") if one.markers[0].ns == "tool"]
-    assert {marker.action for _, marker in shown} == {0, 2}  # none while the monitor warms up
-    for t_ns, marker in shown:
-        assert (marker.action == 0) == (t_ns in found) and marker.header.frame_id == "tool"
-        if marker.action == 0:
-            tail, tip = ([getattr(point, axis) for axis in "xyz"] for point in marker.points)
-            force = [getattr(found[t_ns].wrench.force, axis) for axis in "xyz"]
-            np.testing.assert_allclose(np.subtract(tip, tail), M_PER_N * np.array(force), rtol=1e-12)
-            assert tip == [0, 0, 0]
+    arrows = messages_of(file, "/tauext/force")
+    assert all([marker.ns for marker in one.markers] == ["tool", "touch"] for _, one in arrows)
+    assert {one.markers[0].action for _, one in arrows} == {0, 2}  # none while the monitor warms up
+    for t_ns, one in arrows:
+        assert (one.markers[0].action == 0) == (t_ns in found)
+        if t_ns in found:
+            expect_arrow(one.markers[0], "tool", [getattr(found[t_ns].wrench.force, axis) for axis in "xyz"])
+
+
+def expect_arrow(marker, frame: str, force: list[float]) -> None:
+    """From the tail, length along its x to the frame's origin."""
+    assert marker.header.frame_id == frame and (marker.type, marker.color.a) == (0, 1.0)
+    tail = np.array([getattr(marker.pose.position, axis) for axis in "xyz"])
+    turn = oracle.pin.Quaternion(*(getattr(marker.pose.orientation, name) for name in "wxyz")).toRotationMatrix()
+    np.testing.assert_allclose(-tail, M_PER_N * np.array(force), rtol=1e-9)
+    if np.linalg.norm(force) > 0.05:  # shorter ones have the least length
+        np.testing.assert_allclose(tail + marker.scale.x * turn[:, 0], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("force", [[1, 2, 3], [50, 0, 0], [-50, 0, 0], [-50, 1e-9, 0]], ids=str)
+def test_an_arrow_ends_at_its_frame_whatever_its_direction(force):
+    tail, turn, length = np.split(arrows_of(np.array([force], float))[0], [3, 7])
+    x, y, z, w = turn
+    ahead = oracle.pin.Quaternion(w, x, y, z).toRotationMatrix()[:, 0]
+    np.testing.assert_allclose(tail + length * ahead, 0, atol=1e-8)
 
 
 def test_the_touch_is_where_the_event_has_it(file, place, capsys):
@@ -270,6 +286,19 @@ def test_the_touch_is_where_the_event_has_it(file, place, capsys):
         assert one.header.frame_id == "touch" and frames[t_ns].header.frame_id == "base"
         assert [getattr(one.wrench.force, axis) for axis in "xyz"] == best["force_n"]
         assert [getattr(frames[t_ns].transform.translation, axis) for axis in "xyz"] == best["point_m"]
+    shown = [(t_ns, one.markers[1]) for t_ns, one in messages_of(file, "/tauext/force")]
+    for t_ns, marker in shown:
+        last = [event for event in events if event["t_ns"] <= t_ns]
+        assert (marker.action == 0) == bool(last)  # the alarm stands to the end
+        if last:
+            expect_arrow(marker, "touch", last[-1]["places"][0]["force_n"])
+
+
+def test_the_arrow_of_a_touch_ends_with_its_alarm(tmp_path, bundle, recording):
+    path = tmp_path / "ended.mcap"
+    write(path, bundle, recording, 0.3, acknowledge_after_s=0.2)
+    actions = [one.markers[1].action for _, one in messages_of(path, "/tauext/force")]
+    assert actions[0] == actions[-1] == 2 and 0 in actions
 
 
 def test_a_bundle_without_a_model_has_no_arm_and_no_force(tmp_path, capsys):

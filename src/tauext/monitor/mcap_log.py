@@ -7,8 +7,10 @@ URDF with transforms, which all of these viewers draw; Rerun draws no markers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,11 @@ M_PER_N = 0.002
 JOINT_STATE, WRENCH, TF = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped", "tf2_msgs/msg/TFMessage"
 MARKERS, LOG = "visualization_msgs/msg/MarkerArray", "rcl_interfaces/msg/Log"
 STRING, NUMBER = "std_msgs/msg/String", "std_msgs/msg/UInt8"
+DELETE = 2  # action of a marker
+ARROW_NUMBERS = 8
+LEAST_M = 1e-4
+"""Shortest arrow: viewers refuse a length of 0."""
+NO_FORCE = np.full(3, np.nan)
 INFO, WARN, ERROR = 20, 30, 40  # levels of rcl_interfaces/Log
 TOUCH = "touch"
 """Frame at the place of the newest touch, its axes parallel to the base's."""
@@ -93,7 +100,8 @@ class McapLog:
         self._arm = Arm(bundle, frame) if any(link.mass > 0 for link in bundle.links) else None
         self._clock: StatusClock | None = None
         self._last_ns = 0
-        self._is_touched = False
+        self._touched = NO_FORCE
+        """Force of the touch that stands, along the base's axes."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = McapWriter(path, "ros2", f"tauext {VERSION}")
@@ -211,6 +219,7 @@ class McapLog:
     ) -> None:
         for change in changes:
             self._event(change)
+        touched = self._touches(t_ns, changes)
         if not len(t_ns):
             return
         if self._clock is None:
@@ -231,9 +240,8 @@ class McapLog:
         force, moment = (rounded(part) for part in arm.forces(q, dq, estimates))
         known = np.isfinite(force).all(axis=1)
         put(self._wrench, t_ns[known], arm.wrench.fill(t_ns[known], np.concatenate([force, moment], axis=1)[known]))
-        shown, hidden = drawn[known[drawn]], drawn[~known[drawn]]
-        put(self._arrows, t_ns[shown], arm.arrow.fill(t_ns[shown], -M_PER_N * force[shown]))
-        put(self._arrows, t_ns[hidden], arm.no_arrow.fill(t_ns[hidden]))
+        for rows, messages in arm.arrows(t_ns[drawn], force[drawn], touched[drawn]):
+            put(self._arrows, t_ns[drawn[rows]], messages)
 
     def _begin(self, t_ns: int) -> None:
         """What is written once."""
@@ -252,7 +260,7 @@ class McapLog:
         return np.flatnonzero(at)
 
     def _event(self, change: Change) -> None:
-        """Words of the event; the force of a touch, and its end."""
+        """Words of the event, and the force of a touch."""
         t_ns = change.t_ns
         for words in event_lines(change, self._joints, self._units):
             self._put(
@@ -264,14 +272,22 @@ class McapLog:
         if self._arm is None or self._arm.refused:
             return
         if isinstance(change, PlaceChange):
-            self._is_touched = True
-            force = change.best.force
             self._put(self._tf, TF, t_ns, {"transforms": [self._arm.touched_at(t_ns, change.best.point)]})
-            self._put(self._touch, WRENCH, t_ns, wrench_fields(stamp(t_ns), TOUCH, [*force, 0.0, 0.0, 0.0]))
-            self._put(self._arrows, MARKERS, t_ns, arrow_fields(stamp(t_ns), TOUCH, [-M_PER_N * one for one in force]))
-        elif self._is_touched and isinstance(change, AlarmChange) and change.alarm == NONE:
-            self._is_touched = False
-            self._put(self._arrows, MARKERS, t_ns, arrow_fields(stamp(t_ns), TOUCH))
+            wrench = [*change.best.force, 0.0, 0.0, 0.0]
+            self._put(self._touch, WRENCH, t_ns, wrench_fields(stamp(t_ns), TOUCH, wrench))
+
+    def _touches(self, t_ns: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
+        """Force of the touch that stands at these samples, (rows, 3); NaN without one."""
+        held = np.full((len(t_ns), 3), self._touched)
+        for change in changes:
+            if isinstance(change, PlaceChange):
+                self._touched = np.array(change.best.force)
+            elif isinstance(change, AlarmChange) and change.alarm == NONE:
+                self._touched = NO_FORCE
+            else:
+                continue
+            held[t_ns >= change.t_ns] = self._touched
+        return held
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
@@ -326,8 +342,10 @@ class Arm:
         self._turns = np.array([quaternion(np.reshape(link.rotation, (3, 3))) for link in self._links])
         self._moved = Template(TF, 7 * len(self._links), self._transforms)
         self.wrench = Template(WRENCH, 6, lambda at, values: wrench_fields(at, self.frame, values))
-        self.arrow = Template(MARKERS, 3, lambda at, values: arrow_fields(at, self.frame, values))
-        self.no_arrow = Template(MARKERS, 0, lambda at, values: arrow_fields(at, self.frame))
+        self._arrows = {
+            shown: Template(MARKERS, ARROW_NUMBERS * sum(shown), partial(self._arrow_fields, shown))
+            for shown in product((False, True), (False, True))
+        }
 
     def forces(
         self, q: np.ndarray, dq: np.ndarray, estimates: Mapping[str, np.ndarray]
@@ -340,6 +358,29 @@ class Arm:
         own = _core.WrenchAxes.frame
         found = self._model.wrenches(self.frame, *rows, None, own, estimates["contact_sigma_nm"], dq)
         return found["force"], found["moment"]
+
+    def arrows(
+        self, t_ns: np.ndarray, force: np.ndarray, touched: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Messages with the arrows that are known, and their rows; each message has all that stands.
+
+        Args:
+            force: at `frame`, along its axes, (rows, 3), [N].
+            touched: at the frame TOUCH.
+        """
+        known = [np.isfinite(one).all(axis=1) for one in (force, touched)]
+        for shown, template in self._arrows.items():
+            rows = np.flatnonzero((known[0] == shown[0]) & (known[1] == shown[1]))
+            each = [arrows_of(one[rows]) for one, is_shown in zip((force, touched), shown, strict=True) if is_shown]
+            yield rows, template.fill(t_ns[rows], np.concatenate(each, axis=1) if each else None)
+
+    def _arrow_fields(self, shown: tuple[bool, bool], at: dict[str, int], values: list[float]) -> dict[str, Any]:
+        """Both markers; one that is not shown is deleted."""
+        markers, left = [], iter(values)
+        for frame, is_shown in zip((self.frame, TOUCH), shown, strict=True):
+            numbers = [next(left) for _ in range(ARROW_NUMBERS)] if is_shown else None
+            markers.append(arrow_fields(at, frame, numbers))
+        return {"markers": markers}
 
     def transforms(self, t_ns: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Messages with the pose of each link in its parent at these positions, (rows, bytes)."""
@@ -385,16 +426,25 @@ def wrench_fields(at: dict[str, int], frame: str, values: Sequence[float]) -> di
     return {"header": {"stamp": at, "frame_id": frame}, "wrench": wrench}
 
 
-def arrow_fields(at: dict[str, int], frame: str, tail: Sequence[float] | None = None) -> dict[str, Any]:
-    """Fields of a MarkerArray with one arrow, whose tip is the frame's origin; tail: its other end; None: no arrow."""
+def arrows_of(force: np.ndarray) -> np.ndarray:
+    """Arrows with their tips at the origin: tail, turn from x to the force as a quaternion, length, (rows, 8)."""
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    x, y, z = (force / np.maximum(size, 1e-12)).T
+    turn = np.stack([np.zeros_like(x), -z, y, 1 + x], axis=1)
+    turn[x < -1 + 1e-9] = [0.0, 0.0, 1.0, 0.0]
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    return np.concatenate([-M_PER_N * force, turn, np.maximum(M_PER_N * size, LEAST_M)], axis=1)
+
+
+def arrow_fields(at: dict[str, int], frame: str, numbers: Sequence[float] | None) -> dict[str, Any]:
+    """Fields of a marker; numbers: of arrows_of(); None: no arrow."""
     marker: dict[str, Any] = {"header": {"stamp": at, "frame_id": frame}, "ns": frame, "frame_locked": True}
-    if tail is None:
-        return {"markers": [marker | {"action": 2}]}
+    if numbers is None:
+        return marker | {"action": DELETE}
     red, green, blue = (0.85, 0.15, 0.1) if frame == TOUCH else (0.1, 0.4, 0.85)
-    look = {"scale": xyz([0.015, 0.03, 0.04]), "color": {"r": red, "g": green, "b": blue, "a": 1.0}}
-    return {
-        "markers": [marker | look | {"points": [xyz(tail), xyz([0.0, 0.0, 0.0])], "pose": {"orientation": {"w": 1.0}}}]
-    }
+    pose = {"position": xyz(numbers[:3]), "orientation": dict(zip("xyzw", numbers[3:7], strict=True))}
+    scale = {"x": numbers[7], "y": 0.012, "z": 0.025}
+    return marker | {"pose": pose, "scale": scale, "color": {"r": red, "g": green, "b": blue, "a": 1.0}}
 
 
 def xyz(values: Sequence[float]) -> dict[str, float]:

@@ -27,7 +27,7 @@ def viewer_urdf(links: Sequence[Link], capsules: Sequence[Capsule], frames: Sequ
     Args:
         base: name of the link that nothing moves.
     """
-    root = ElementTree.Element("robot", name="tauext")
+    root = ElementTree.Element("robot", name="arm")
     material = ElementTree.SubElement(root, "material", name="link")
     ElementTree.SubElement(material, "color", rgba=COLOUR)
     shapes: list[list[Capsule]] = [[] for _ in range(len(links) + 1)]
@@ -75,7 +75,7 @@ def _visual(link: ElementTree.Element, point: np.ndarray, rotation: np.ndarray) 
 
 
 def _origin(element: ElementTree.Element, point: np.ndarray, rotation: np.ndarray) -> None:
-    xyz, rpy = (" ".join(f"{value:.9g}" for value in part) for part in (point, roll_pitch_yaw(rotation)))
+    xyz, rpy = (" ".join(f"{value + 0.0:.9g}" for value in part) for part in (point, roll_pitch_yaw(rotation)))
     ElementTree.SubElement(element, "origin", xyz=xyz, rpy=rpy)
 
 

@@ -429,8 +429,8 @@ def test_a_disk_that_is_full_for_a_while_loses_samples_and_no_file(tmp_path, bun
 
     def half_full(file: int, content) -> int:
         written[0] += 1
-        if written[0] in (18, 19, 20):
-            if written[0] == 18:
+        if written[0] in (17, 18):
+            if written[0] == 17:
                 return real(file, content[: len(content) // 2])  # the rest does not fit
             raise OSError(errno.ENOSPC, "No space left on device")
         return real(file, content)

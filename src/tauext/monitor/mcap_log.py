@@ -371,6 +371,8 @@ class Arm:
         known = [np.isfinite(one).all(axis=1) for one in (force, touched)]
         for shown, template in self._arrows.items():
             rows = np.flatnonzero((known[0] == shown[0]) & (known[1] == shown[1]))
+            if not len(rows):
+                continue
             each = [arrows_of(one[rows]) for one, is_shown in zip((force, touched), shown, strict=True) if is_shown]
             yield rows, template.fill(t_ns[rows], np.concatenate(each, axis=1) if each else None)
 

@@ -14,9 +14,9 @@ from tauext.errors import ConfigError
 from tauext.monitor.mcap_log import COLUMNS, McapLog, expect_log
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
-BATCH_S = 0.25
+BATCH_S = 0.5
 """Length of a chunk of the file, in the time of the samples: a killed process loses about twice as much."""
-MOST_WAITING = 40
+MOST_WAITING = 20
 """Most batches in memory, ten seconds; further ones are lost and counted."""
 
 

@@ -42,11 +42,14 @@ ROWS, PUSH_S, PUSH_N = 1500, (0.8, 1.2), (60.0, 120.0, 0.0)
 ALWAYS = {
     "/joint_states": "sensor_msgs/msg/JointState",
     "/tauext/tau_ext": "sensor_msgs/msg/JointState",
+    "/tauext/declared": "sensor_msgs/msg/JointState",
+    "/tauext/declared_size": "sensor_msgs/msg/JointState",
     "/tauext/band": "sensor_msgs/msg/JointState",
     "/tauext/limit": "sensor_msgs/msg/JointState",
     "/tauext/contact_limit": "sensor_msgs/msg/JointState",
     "/tauext/health": "std_msgs/msg/UInt8",
     "/tauext/alarm": "std_msgs/msg/UInt8",
+    "/tauext/declared_state": "std_msgs/msg/UInt8",
     "/tauext/events": "rcl_interfaces/msg/Log",
 }
 WITH_MODEL = {
@@ -97,15 +100,18 @@ def file(place, bundle, recording):
     return path
 
 
-def write(path, bundle, recording, chunk_s: float = 1.0, acknowledge_after_s: float | None = None) -> McapLog:
+def write(
+    path, bundle, recording, chunk_s: float = 1.0, acknowledge_after_s: float | None = None, contact=None
+) -> None:
     """What `tauext run` does."""
-    log = McapLog(path, bundle, recording.name)
+    log, monitor = McapLog(path, bundle, recording.name), _core.Monitor(bundle)
+    if contact is not None:
+        monitor.expect_contact(contact, PUSH_S[1])
     places = PlaceFinder(bundle)
-    for chunk in replay(_core.Monitor(bundle), recording, None, None, acknowledge_after_s, chunk_s, (), places):
+    for chunk in replay(monitor, recording, None, None, acknowledge_after_s, chunk_s, (), places):
         rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
         log.add(chunk.t_ns, recording.q[rows], recording.dq[rows], recording.tau[rows], chunk.estimates, chunk.changes)
     log.close()
-    return log
 
 
 def messages_of(path, topic: str) -> list:
@@ -150,7 +156,8 @@ def test_every_topic_has_its_type_and_definition(file):
     assert all(one.metadata["tauext"] for one in summary.channels.values())
     counts = summary.statistics.channel_message_counts
     read = {one.topic: len(messages_of(file, one.topic)) for one in summary.channels.values()}
-    assert read == {one.topic: counts[number] for number, one in summary.channels.items()} and all(read.values())
+    assert read == {one.topic: counts.get(number, 0) for number, one in summary.channels.items()}
+    assert [topic for topic, count in read.items() if not count] == ["/tauext/declared_size"]  # no contact is declared
 
 
 def test_samples_and_estimates_are_those_of_the_monitor(file, recording, said):
@@ -301,6 +308,28 @@ def test_the_arrow_of_a_touch_ends_with_its_alarm(tmp_path, bundle, recording):
     assert actions[0] == actions[-1] == 2 and 0 in actions
 
 
+def test_what_a_declared_contact_explains_is_in_the_file(tmp_path, bundle, recording):
+    """The push is within the declared line; its size is that of the push."""
+    path = tmp_path / "declared.mcap"
+    contact = _core.DeclaredContact(frame="tool", axis=PUSH_N, axes=_core.WrenchAxes.base, at_most_n=150.0)
+    write(path, bundle, recording, contact=contact)
+    alarms = [one.data for _, one in messages_of(path, "/tauext/alarm")]
+    assert set(alarms) == {0}
+    sizes = dict(messages_of(path, "/tauext/declared_size"))
+    assert all(one.name == ["size", "band", "moment"] for one in sizes.values())
+    known, after = (np.array(list(sizes)) - 7_000_000_000)[[0, -1]] * 1e-9
+    assert known == 0.5 and PUSH_S[1] < after < ROWS / 1000  # from the first torque on, and while r contains it
+    size, band, moment = sizes[7_000_000_000 + 990_000_000].effort
+    assert size == pytest.approx(np.linalg.norm(PUSH_N), abs=2 * band) and 0 < band < 30 and moment == 0
+    t_ns, explained = columns_of(path, "/tauext/declared", "effort")
+    assert set(sizes) <= set(t_ns.tolist())
+    _, tau_ext = columns_of(path, "/tauext/tau_ext", "effort")
+    np.testing.assert_allclose(explained[t_ns == 7_990_000_000], tau_ext[recording.t_ns == 7_990_000_000], rtol=0.02)
+    states = dict(messages_of(path, "/tauext/declared_state"))
+    assert {one.data for one in states.values()} == {0, 1}
+    assert all((one.data == 1) == (t_ns in sizes) for t_ns, one in states.items())
+
+
 def test_a_bundle_without_a_model_has_no_arm_and_no_force(tmp_path, capsys):
     watching_bundle(network=False).save(str(tmp_path / "a.tauext"))
     save_recording(pushed(seconds=1.0, pushes=()), tmp_path / "r.parquet")
@@ -425,15 +454,15 @@ def rows_of(raw) -> int:
 
 
 def test_a_disk_that_is_full_for_a_while_loses_samples_and_no_file(tmp_path, bundle, recording, monkeypatch):
-    written, real = [0], os.write
+    chunks, real = [0], os.write
 
     def half_full(file: int, content) -> int:
-        written[0] += 1
-        if written[0] in (17, 18):
-            if written[0] == 17:
-                return real(file, content[: len(content) // 2])  # the rest does not fit
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return real(file, content)
+        chunks[0] += content[0] == mcap_writer.CHUNK
+        if chunks[0] != 2:
+            return real(file, content)
+        if content[0] == mcap_writer.CHUNK:
+            return real(file, content[: len(content) // 2])  # the rest does not fit
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(mcap_writer, "os", SimpleNamespace(**(vars(os) | {"write": half_full})))
     sink = live(tmp_path / "full.mcap", bundle, samples_of(recording))

@@ -98,7 +98,7 @@ def monitor(
             scheduling.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
-        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun, PlotJuggler and RViz open.
+        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open.
             A killed process leaves a file that they can recover. None: none is written.
         as_json: print JSON lines, an object an event.
         status_hz: how often --json also prints the estimates, per second; 0: events only.

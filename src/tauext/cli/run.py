@@ -90,7 +90,7 @@ def run(
         phases: TOML file of contacts that the task means, with their times in the recording; docs/contacts.md.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
-        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun, PlotJuggler and RViz open.
+        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open.
             None: none is written.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: how often --json also prints the estimates, per second of the recording; 0: events only.

@@ -1,4 +1,4 @@
-"""Samples, estimates, forces and events of one arm as an MCAP file, which Foxglove, Rerun, PlotJuggler and RViz show.
+"""Samples, estimates, forces and events of one arm as an MCAP file, which Foxglove, Rerun and PlotJuggler show.
 
 All messages are standard types of ROS 2 with their definitions in the file, so a viewer needs no package. Joint values
 are JointStates: every viewer plots them by the joint's name, and its `effort` is what they are, a torque. The arm is a
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -46,6 +46,10 @@ TOUCH = "touch"
 """Frame at the place of the newest touch, its axes parallel to the base's."""
 
 
+Rate = Literal["samples", "declared", "drawn"]
+"""Samples with a message: all; those of `drawn`, and with a declared contact in effect; at DRAWN_HZ and at events."""
+
+
 @dataclass(frozen=True)
 class Shown:
     """A column of the estimates as a topic: a JointState whose effort is the column."""
@@ -54,19 +58,28 @@ class Shown:
     column: str
     text: str
     factor: float = 1.0
-    every_sample: bool = False
-    """Whether every sample has a message; False: DRAWN_HZ, and samples with a change."""
+    rate: Rate = "drawn"
 
 
 SHOWN = (
-    Shown("tau_ext", "tau_ext", "external torque, positive where the environment pushes the joint forwards", 1.0, True),
+    Shown("tau_ext", "tau_ext", "torque, positive where the environment pushes the joint forwards", rate="samples"),
+    Shown("declared", "declared_nm", "part of tau_ext that declared contacts explain", rate="declared"),
     Shown("band", "contact_sigma_nm", "two standard errors of tau_ext during and after a contact", 2.0),
-    Shown("limit", "limit_nm", "|tau_ext| above it is a collision"),
-    Shown("contact_limit", "contact_limit_nm", "|tau_ext| above it is a contact"),
+    Shown("limit", "limit_nm", "|tau_ext| that nothing explains above it is a collision"),
+    Shown("contact_limit", "contact_limit_nm", "|tau_ext| that nothing explains above it is a contact"),
 )
 """A column more is a line more."""
-COLUMNS = tuple(
-    dict.fromkeys([*(one.column for one in SHOWN), *("health", "alarm", "load_nm", "sigma_nm", "contact_sigma_nm")])
+STATES = {
+    "health": ("health", HEALTHS),
+    "alarm": ("alarm", ALARMS),
+    "declared_state": ("declared", tuple(one.name for one in _core.Declared)),
+}
+"""Topics of columns that are numbers, with a word for each number."""
+SIZES = {"size": ("declared_size", 1.0), "band": ("declared_sigma", 2.0), "moment": ("declared_moment_nm", 1.0)}
+"""The declared contact in effect: series, column and factor."""
+COLUMNS = (
+    *dict.fromkeys([one.column for one in SHOWN] + [column for column, _ in [*SIZES.values(), *STATES.values()]]),
+    *("declared_contact", "load_nm", "sigma_nm"),
 )
 """Columns of Monitor.run that the file is made of."""
 
@@ -176,8 +189,14 @@ class McapLog:
             if one.column not in without
         ]
         self._torque = Template(JOINT_STATE, len(self._joints), self._estimated)
-        numbered = [("health", HEALTHS), ("alarm", ALARMS)]
-        self._states = [(name, channel(f"/tauext/{name}", NUMBER, _numbers(words))) for name, words in numbered]
+        self._states = [
+            (column, channel(f"/tauext/{topic}", NUMBER, _numbers(words))) for topic, (column, words) in STATES.items()
+        ]
+        text = "declared contact in effect: force [N], or torque of its joint, and two standard errors; moment [N m]"
+        self._declared = channel("/tauext/declared_size", JOINT_STATE, text)
+        self._sizes = Template(
+            JOINT_STATE, len(SIZES), lambda at, values: {"header": {"stamp": at}, "name": SIZES, "effort": values}
+        )
         self._events = channel("/tauext/events", LOG, f"bundle {bundle.name}")
         if arm is None:
             return
@@ -226,12 +245,17 @@ class McapLog:
             self._begin(int(t_ns[0]))
         put, drawn = self._writer.add, self._drawn(t_ns, changes)
         put(self._joint_states, t_ns, self._sample.fill(t_ns, np.concatenate([q, dq, tau], axis=1)))
+        in_effect = estimates["declared_contact"] >= 0
+        rates = {"samples": np.arange(len(t_ns)), "drawn": drawn}
+        rates["declared"] = np.union1d(drawn, np.flatnonzero(in_effect))
         for one, channel in self._shown:
-            rows = slice(None) if one.every_sample else drawn
+            rows = rates[one.rate]
             put(channel, t_ns[rows], self._torque.fill(t_ns[rows], rounded(one.factor * estimates[one.column][rows])))
-        for name, channel in self._states:
-            values = estimates[name][drawn].astype(np.uint8)
+        for column, channel in self._states:
+            values = estimates[column][drawn].astype(np.uint8)
             put(channel, t_ns[drawn], np.pad(values[:, None], ((0, 0), (4, 0))) | ENCAPSULATION)
+        sizes = np.stack([factor * estimates[column][in_effect] for column, factor in SIZES.values()], axis=1)
+        put(self._declared, t_ns[in_effect], self._sizes.fill(t_ns[in_effect], rounded(sizes)))
         if (arm := self._arm) is None:
             return
         put(self._tf, t_ns[drawn], arm.transforms(t_ns[drawn], q[drawn]))
@@ -352,7 +376,8 @@ class Arm:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Force [N] and moment [N m] that the environment exerts on the arm at `frame`, along its axes, (rows, 3) each.
 
-        NaN where they are unknown. The force of a declared contact replaces them here, at its own frame.
+        NaN where they are unknown. The force of a declared contact, as Monitor.tool_force() has it, belongs here, at
+        its own frame, once the core returns it for many samples; today `/tauext/declared_size` has its size.
         """
         rows = (q, estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         own = _core.WrenchAxes.frame

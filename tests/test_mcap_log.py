@@ -34,6 +34,7 @@ from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop
 from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
 from tauext.monitor.mcap_sink import McapSink
+from tauext.monitor.phases import Phase, Phases
 from tauext.monitor.replay import replay
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.robot.viewer_urdf import viewer_urdf
@@ -105,10 +106,9 @@ def write(
 ) -> None:
     """What `tauext run` does."""
     log, monitor = McapLog(path, bundle, recording.name), _core.Monitor(bundle)
-    if contact is not None:
-        monitor.expect_contact(contact, PUSH_S[1])
+    phases = None if contact is None else Phases({"pressing": Phase("pressing", contact, during=((0.0, PUSH_S[1]),))})
     places = PlaceFinder(bundle)
-    for chunk in replay(monitor, recording, None, None, acknowledge_after_s, chunk_s, (), places):
+    for chunk in replay(monitor, recording, None, None, acknowledge_after_s, chunk_s, (), places, phases):
         rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
         log.add(chunk.t_ns, recording.q[rows], recording.dq[rows], recording.tau[rows], chunk.estimates, chunk.changes)
     log.close()
@@ -254,7 +254,7 @@ def test_the_wrench_explains_the_torques_and_its_arrow_points_along_it(file, bun
     pushed_on = np.array(PUSH_N) @ model.columns("tool", recording.q[row].tolist())[:3]
     np.testing.assert_allclose(said["tau_ext"][row], pushed_on, rtol=0.1)  # positive: on the arm
     arrows = messages_of(file, "/tauext/force")
-    assert all([marker.ns for marker in one.markers] == ["tool", "touch"] for _, one in arrows)
+    assert all([marker.ns for marker in one.markers] == ["force", "touch"] for _, one in arrows)
     assert {one.markers[0].action for _, one in arrows} == {0, 2}  # none while the monitor warms up
     for t_ns, one in arrows:
         assert (one.markers[0].action == 0) == (t_ns in found)
@@ -274,7 +274,7 @@ def expect_arrow(marker, frame: str, force: list[float]) -> None:
 
 @pytest.mark.parametrize("force", [[1, 2, 3], [50, 0, 0], [-50, 0, 0], [-50, 1e-9, 0]], ids=str)
 def test_an_arrow_ends_at_its_frame_whatever_its_direction(force):
-    tail, turn, length = np.split(arrows_of(np.array([force], float))[0], [3, 7])
+    tail, turn, length = np.split(arrows_of(np.array([force], float), np.zeros(3))[0], [3, 7])
     x, y, z, w = turn
     ahead = oracle.pin.Quaternion(w, x, y, z).toRotationMatrix()[:, 0]
     np.testing.assert_allclose(tail + length * ahead, 0, atol=1e-8)
@@ -308,26 +308,44 @@ def test_the_arrow_of_a_touch_ends_with_its_alarm(tmp_path, bundle, recording):
     assert actions[0] == actions[-1] == 2 and 0 in actions
 
 
-def test_what_a_declared_contact_explains_is_in_the_file(tmp_path, bundle, recording):
-    """The push is within the declared line; its size is that of the push."""
-    path = tmp_path / "declared.mcap"
-    contact = _core.DeclaredContact(frame="tool", axis=PUSH_N, axes=_core.WrenchAxes.base, at_most_n=150.0)
+@pytest.mark.parametrize("axes", ["base", "frame"])
+def test_what_a_declared_contact_explains_is_in_the_file(tmp_path, bundle, recording, axes):
+    """The push is along the declared line, at a point beside the tool's origin; tool_force() is the reference."""
+    path, row = tmp_path / "declared.mcap", 990
+    turn = _core.WrenchModel(bundle).pose("tool", recording.q[row].tolist())[0]
+    axis = np.array(PUSH_N) if axes == "base" else np.array(PUSH_N) @ turn
+    bounds = {"axes": getattr(_core.WrenchAxes, axes), "axis": axis.tolist(), "at_most_n": 150.0}
+    contact = _core.DeclaredContact(frame="tool", point=(0.0, 0.0, 0.02), **bounds)
     write(path, bundle, recording, contact=contact)
-    alarms = [one.data for _, one in messages_of(path, "/tauext/alarm")]
-    assert set(alarms) == {0}
+    assert {one.data for _, one in messages_of(path, "/tauext/alarm")} == {0}
     sizes = dict(messages_of(path, "/tauext/declared_size"))
     assert all(one.name == ["size", "band", "moment"] for one in sizes.values())
     known, after = (np.array(list(sizes)) - 7_000_000_000)[[0, -1]] * 1e-9
     assert known == 0.5 and PUSH_S[1] < after < ROWS / 1000  # from the first torque on, and while r contains it
-    size, band, moment = sizes[7_000_000_000 + 990_000_000].effort
-    assert size == pytest.approx(np.linalg.norm(PUSH_N), abs=2 * band) and 0 < band < 30 and moment == 0
+    at = int(recording.t_ns[row])
+    size, band, moment = sizes[at].effort
+    assert size == pytest.approx(np.linalg.norm(PUSH_N), rel=0.1) and 0 < band < 30 and moment == 0
     t_ns, explained = columns_of(path, "/tauext/declared", "effort")
     assert set(sizes) <= set(t_ns.tolist())
     _, tau_ext = columns_of(path, "/tauext/tau_ext", "effort")
-    np.testing.assert_allclose(explained[t_ns == 7_990_000_000], tau_ext[recording.t_ns == 7_990_000_000], rtol=0.02)
+    np.testing.assert_allclose(explained[t_ns == at][0], tau_ext[row], atol=0.5)
     states = dict(messages_of(path, "/tauext/declared_state"))
     assert {one.data for one in states.values()} == {0, 1}
-    assert all((one.data == 1) == (t_ns in sizes) for t_ns, one in states.items())
+    assert all((one.data == 1) == (when in sizes) for when, one in states.items())
+    assert any(
+        one.msg == "pressing: contact at tool of at most 150 N" for _, one in messages_of(path, "/tauext/events")
+    )
+    monitor = _core.Monitor(bundle)
+    monitor.expect_contact(contact, PUSH_S[1])
+    monitor.run(*(signal[: row + 1] for signal in (recording.t_ns, recording.q, recording.dq, recording.tau)))
+    wanted = monitor.tool_force(_core.WrenchAxes.frame).wrench
+    wrench = dict(messages_of(path, "/tauext/wrench"))[at]
+    assert wrench.header.frame_id == wanted.frame == "tool"
+    force, torque = ([getattr(part, way) for way in "xyz"] for part in (wrench.wrench.force, wrench.wrench.torque))
+    np.testing.assert_allclose(force, wanted.force, atol=0.5)
+    np.testing.assert_allclose(torque, np.cross([0.0, 0.0, 0.02], force), atol=1e-5)
+    arrow = next(one.markers[0] for when, one in messages_of(path, "/tauext/force") if when >= at - 40_000_000)
+    assert arrow.pose.position.z == pytest.approx(0.02, abs=1e-6)  # it ends at the point
 
 
 def test_a_bundle_without_a_model_has_no_arm_and_no_force(tmp_path, capsys):

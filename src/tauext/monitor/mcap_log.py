@@ -17,13 +17,21 @@ from typing import Any, Literal
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, HEALTHS, NONE, OK, lacking
+from tauext.bundle.estimates import ALARMS, COLLISION, DECLARED, FAULT, HEALTHS, NONE, OK, lacking
 from tauext.data.mcap_writer import McapWriter
 from tauext.data.ros_messages import LAST_NS, Template, cdr, definition, stamp
 from tauext.errors import ConfigError
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION
-from tauext.monitor.changes import AlarmChange, Change, DriftChange, HealthChange, HiddenCollision
+from tauext.monitor.changes import (
+    BEYOND,
+    AlarmChange,
+    Change,
+    DeclaredChange,
+    DriftChange,
+    HealthChange,
+    HiddenCollision,
+)
 from tauext.monitor.events import change_words, health_words
 from tauext.monitor.replay import StatusClock
 from tauext.monitor.touch_place import PlaceChange
@@ -72,7 +80,7 @@ SHOWN = (
 STATES = {
     "health": ("health", HEALTHS),
     "alarm": ("alarm", ALARMS),
-    "declared_state": ("declared", tuple(one.name for one in _core.Declared)),
+    "declared_state": ("declared", DECLARED),
 }
 """Topics of columns that are numbers, with a word for each number."""
 SIZES = {"size": ("declared_size", 1.0), "band": ("declared_sigma", 2.0), "moment": ("declared_moment_nm", 1.0)}
@@ -82,6 +90,8 @@ COLUMNS = (
     *("declared_contact", "load_nm", "sigma_nm"),
 )
 """Columns of Monitor.run that the file is made of."""
+OF_FORCE = ("tau_ext", "load_nm", "sigma_nm", "contact_sigma_nm", "declared_size")
+"""Those that a force is made of."""
 
 
 def expect_log(path: Path) -> None:
@@ -113,6 +123,8 @@ class McapLog:
         self._arm = Arm(bundle, frame) if any(link.mass > 0 for link in bundle.links) else None
         self._clock: StatusClock | None = None
         self._last_ns = 0
+        self._contacts: dict[int, ForceAt] = {}
+        """The force of each declared contact, by the monitor's number."""
         self._touched = NO_FORCE
         """Force of the touch that stands, along the base's axes."""
         try:
@@ -203,7 +215,7 @@ class McapLog:
         self._tf, self._tf_static = channel("/tf", TF, "links"), channel("/tf_static", TF, "frames on links")
         self._description = channel("/robot_description", STRING, "links of the bundle as a URDF")
         if not arm.refused:
-            acts = f"of the environment on the arm, N and N m about the origin of {arm.frame}, along its axes"
+            acts = "of the environment on the arm, N and N m about the origin of its frame, along the frame's axes"
             self._wrench = channel("/tauext/wrench", WRENCH, f"force and moment {acts}")
             self._touch = channel(
                 "/tauext/touch", WRENCH, f"force on the arm at its place, frame {TOUCH}, along the base's axes"
@@ -261,11 +273,16 @@ class McapLog:
         put(self._tf, t_ns[drawn], arm.transforms(t_ns[drawn], q[drawn]))
         if arm.refused:
             return
-        force, moment = (rounded(part) for part in arm.forces(q, dq, estimates))
-        known = np.isfinite(force).all(axis=1)
-        put(self._wrench, t_ns[known], arm.wrench.fill(t_ns[known], np.concatenate([force, moment], axis=1)[known]))
-        for rows, messages in arm.arrows(t_ns[drawn], force[drawn], touched[drawn]):
-            put(self._arrows, t_ns[drawn[rows]], messages)
+        which, is_drawn = estimates["declared_contact"], np.isin(np.arange(len(t_ns)), drawn)
+        for number in np.unique(which).tolist():
+            at, rows = self._contacts.get(number, arm.force), np.flatnonzero(which == number)
+            found = at.find(q[rows], dq[rows], {name: estimates[name][rows] for name in OF_FORCE})
+            force, moment = (rounded(part) for part in found)
+            known, shown = np.isfinite(force).all(axis=1), is_drawn[rows]
+            wrenches = np.concatenate([force, moment], axis=1)[known]
+            put(self._wrench, t_ns[rows[known]], at.wrench.fill(t_ns[rows[known]], wrenches))
+            for some, messages in at.arrows(t_ns[rows[shown]], force[shown], touched[rows[shown]]):
+                put(self._arrows, t_ns[rows[shown][some]], messages)
 
     def _begin(self, t_ns: int) -> None:
         """What is written once."""
@@ -295,6 +312,10 @@ class McapLog:
             )
         if self._arm is None or self._arm.refused:
             return
+        if isinstance(change, DeclaredChange) and (bounds := change.bounds) is not None:
+            known = self._contacts.get(change.contact)
+            if known is None or known.contact != bounds:  # numbers are used again
+                self._contacts[change.contact] = self._arm.force_of(bounds)
         if isinstance(change, PlaceChange):
             self._put(self._tf, TF, t_ns, {"transforms": [self._arm.touched_at(t_ns, change.best.point)]})
             wrench = [*change.best.force, 0.0, 0.0, 0.0]
@@ -343,6 +364,8 @@ def level_of(change: Change) -> int:
         return INFO if not rose else ERROR if change.alarm == COLLISION else WARN
     if isinstance(change, HealthChange):
         return INFO if change.health == OK else ERROR if change.health == FAULT else WARN
+    if isinstance(change, DeclaredChange):
+        return WARN if change.state >= BEYOND else INFO
     return WARN if isinstance(change, DriftChange | HiddenCollision) else INFO
 
 
@@ -350,7 +373,7 @@ def level_of(change: Change) -> int:
 
 
 class Arm:
-    """The links of a bundle as transforms and a URDF, and the force at one of its frames."""
+    """The links of a bundle as transforms and a URDF, and the forces at its frames."""
 
     def __init__(self, bundle: _core.Bundle, frame: str | None = None):
         """frame: None: the load frame, else the last link."""
@@ -360,54 +383,15 @@ class Arm:
         self._frames = self._model.frames
         names = [one.name for one in self._frames]
         self.base = "base" if "base" not in names else "tauext_base"
-        self.frame = frame or names[min(len(self._links), len(names) - 1)]
-        """Frame of the force."""
+        self.force = ForceAt(self._model, frame or names[min(len(self._links), len(names) - 1)])
+        """The force where no declared contact is in effect."""
         self.urdf = viewer_urdf(self._links, bundle.capsules, self._frames, self.base)
         self._turns = np.array([quaternion(np.reshape(link.rotation, (3, 3))) for link in self._links])
         self._moved = Template(TF, 7 * len(self._links), self._transforms)
-        self.wrench = Template(WRENCH, 6, lambda at, values: wrench_fields(at, self.frame, values))
-        self._arrows = {
-            shown: Template(MARKERS, ARROW_NUMBERS * sum(shown), partial(self._arrow_fields, shown))
-            for shown in product((False, True), (False, True))
-        }
 
-    def forces(
-        self, q: np.ndarray, dq: np.ndarray, estimates: Mapping[str, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Force [N] and moment [N m] that the environment exerts on the arm at `frame`, along its axes, (rows, 3) each.
-
-        NaN where they are unknown. The force of a declared contact, as Monitor.tool_force() has it, belongs here, at
-        its own frame, once the core returns it for many samples; today `/tauext/declared_size` has its size.
-        """
-        rows = (q, estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
-        own = _core.WrenchAxes.frame
-        found = self._model.wrenches(self.frame, *rows, None, own, estimates["contact_sigma_nm"], dq)
-        return found["force"], found["moment"]
-
-    def arrows(
-        self, t_ns: np.ndarray, force: np.ndarray, touched: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Messages with the arrows that are known, and their rows; each message has all that stands.
-
-        Args:
-            force: at `frame`, along its axes, (rows, 3), [N].
-            touched: at the frame TOUCH.
-        """
-        known = [np.isfinite(one).all(axis=1) for one in (force, touched)]
-        for shown, template in self._arrows.items():
-            rows = np.flatnonzero((known[0] == shown[0]) & (known[1] == shown[1]))
-            if not len(rows):
-                continue
-            each = [arrows_of(one[rows]) for one, is_shown in zip((force, touched), shown, strict=True) if is_shown]
-            yield rows, template.fill(t_ns[rows], np.concatenate(each, axis=1) if each else None)
-
-    def _arrow_fields(self, shown: tuple[bool, bool], at: dict[str, int], values: list[float]) -> dict[str, Any]:
-        """Both markers; one that is not shown is deleted."""
-        markers, left = [], iter(values)
-        for frame, is_shown in zip((self.frame, TOUCH), shown, strict=True):
-            numbers = [next(left) for _ in range(ARROW_NUMBERS)] if is_shown else None
-            markers.append(arrow_fields(at, frame, numbers))
-        return {"markers": markers}
+    def force_of(self, contact: _core.DeclaredContact) -> ForceAt:
+        """The force of a declared contact; of one of a joint the usual one."""
+        return ForceAt(self._model, contact.frame, contact) if contact.frame else self.force
 
     def transforms(self, t_ns: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Messages with the pose of each link in its parent at these positions, (rows, bytes)."""
@@ -441,6 +425,68 @@ class Arm:
         return {"transforms": [transform(at, parent, name, values[k : k + 7]) for parent, name, k in each]}
 
 
+class ForceAt:
+    """The force that acts on the arm at a frame, and its messages."""
+
+    def __init__(self, model: _core.WrenchModel, frame: str, contact: _core.DeclaredContact | None = None):
+        """contact: a declared contact at this frame, whose force is the one that acts; None: force and moment."""
+        self.frame, self.contact = frame, contact
+        self._model = model
+        self._point = np.zeros(3) if contact is None else np.array(contact.point)
+        self.wrench = Template(WRENCH, 6, lambda at, values: wrench_fields(at, frame, values))
+        self._arrows = {
+            shown: Template(MARKERS, ARROW_NUMBERS * sum(shown), partial(self._arrow_fields, shown))
+            for shown in product((False, True), (False, True))
+        }
+
+    def find(self, q: np.ndarray, dq: np.ndarray, estimates: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N], and moment [N m] about the frame's origin, along the frame's axes, (rows, 3) each; NaN: unknown.
+
+        Of a declared contact the force along its line, else at its point; with a moment only if one is declared.
+        """
+        contact = self.contact
+        if contact is not None and not contact.at_most_nm and contact.half_angle_deg == 0 and any(contact.axis):
+            axis = np.array(contact.axis) / np.linalg.norm(contact.axis)
+            ways = np.tile(axis, (len(q), 1))
+            if contact.axes == _core.WrenchAxes.base:
+                turns = np.array([self._model.pose(self.frame, one.tolist())[0] for one in q])
+                ways = np.einsum("kij,i->kj", turns, axis)
+            force = estimates["declared_size"][:, None] * ways
+            return force, np.cross(self._point, force)
+        alone = contact is not None and not contact.at_most_nm
+        rows = (q, estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
+        point, own = self._point.tolist() if alone else None, _core.WrenchAxes.frame
+        found = self._model.wrenches(self.frame, *rows, point, own, estimates["contact_sigma_nm"], dq)
+        return found["force"], found["moment"]
+
+    def arrows(
+        self, t_ns: np.ndarray, force: np.ndarray, touched: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Messages with the arrows that are known, and their rows; each message has all that stand.
+
+        Args:
+            force: along the frame's axes, (rows, 3), [N].
+            touched: at the frame TOUCH.
+        """
+        known = [np.isfinite(one).all(axis=1) for one in (force, touched)]
+        tips = (self._point, np.zeros(3))
+        for shown, template in self._arrows.items():
+            rows = np.flatnonzero((known[0] == shown[0]) & (known[1] == shown[1]))
+            if not len(rows):
+                continue
+            each = zip((force, touched), tips, shown, strict=True)
+            numbers = [arrows_of(one[rows], tip) for one, tip, is_shown in each if is_shown]
+            yield rows, template.fill(t_ns[rows], np.concatenate(numbers, axis=1) if numbers else None)
+
+    def _arrow_fields(self, shown: tuple[bool, bool], at: dict[str, int], values: list[float]) -> dict[str, Any]:
+        """Both markers; one that is not shown is deleted."""
+        markers, left = [], iter(values)
+        for frame, is_shown in zip((self.frame, TOUCH), shown, strict=True):
+            numbers = [next(left) for _ in range(ARROW_NUMBERS)] if is_shown else None
+            markers.append(arrow_fields(at, frame, numbers))
+        return {"markers": markers}
+
+
 def transform(at: dict[str, int], parent: str, child: str, pose: Sequence[float]) -> dict[str, Any]:
     """Fields of a geometry_msgs/TransformStamped; pose: x, y, z and the quaternion x, y, z, w."""
     placed = {"translation": xyz(pose[:3]), "rotation": dict(zip("xyzw", pose[3:], strict=True))}
@@ -453,19 +499,20 @@ def wrench_fields(at: dict[str, int], frame: str, values: Sequence[float]) -> di
     return {"header": {"stamp": at, "frame_id": frame}, "wrench": wrench}
 
 
-def arrows_of(force: np.ndarray) -> np.ndarray:
-    """Arrows with their tips at the origin: tail, turn from x to the force as a quaternion, length, (rows, 8)."""
+def arrows_of(force: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Arrows with their tips at a point: tail, turn from x to the force as a quaternion, length, (rows, 8)."""
     size = np.linalg.norm(force, axis=1, keepdims=True)
     x, y, z = (force / np.maximum(size, 1e-12)).T
     turn = np.stack([np.zeros_like(x), -z, y, 1 + x], axis=1)
     turn[x < -1 + 1e-9] = [0.0, 0.0, 1.0, 0.0]
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    return np.concatenate([-M_PER_N * force, turn, np.maximum(M_PER_N * size, LEAST_M)], axis=1)
+    return np.concatenate([tip - M_PER_N * force, turn, np.maximum(M_PER_N * size, LEAST_M)], axis=1)
 
 
 def arrow_fields(at: dict[str, int], frame: str, numbers: Sequence[float] | None) -> dict[str, Any]:
     """Fields of a marker; numbers: of arrows_of(); None: no arrow."""
-    marker: dict[str, Any] = {"header": {"stamp": at, "frame_id": frame}, "ns": frame, "frame_locked": True}
+    name = TOUCH if frame == TOUCH else "force"
+    marker: dict[str, Any] = {"header": {"stamp": at, "frame_id": frame}, "ns": name, "frame_locked": True}
     if numbers is None:
         return marker | {"action": DELETE}
     red, green, blue = (0.85, 0.15, 0.1) if frame == TOUCH else (0.1, 0.4, 0.85)

@@ -84,10 +84,14 @@ class Template:
         raw = cdr(kind, make(stamp(mark_ns), drawn.tolist()))
         self._raw = np.frombuffer(raw, np.uint8)
         self._stamps = _places(raw, struct.pack("<iI", *stamp(mark_ns).values()))
-        self._numbers = []
-        for one in drawn.tolist():
+        self._runs: list[list[int]] = []
+        """Numbers that are neighbours in the bytes, too: where they begin, the first one, the one after the last."""
+        for k, one in enumerate(drawn.tolist()):
             (at,) = _places(raw, struct.pack("<d", one))
-            self._numbers.append(at)
+            if self._runs and at == self._runs[-1][0] + 8 * (k - self._runs[-1][1]):
+                self._runs[-1][2] = k + 1
+            else:
+                self._runs.append([at, k, k + 1])
 
     def fill(self, t_ns: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarray:
         """Messages, (rows, bytes) uint8.
@@ -103,8 +107,8 @@ class Template:
             rows[:, at : at + 8] = stamps.view(np.uint8)
         if numbers is not None:
             filled = np.ascontiguousarray(numbers, "<f8").view(np.uint8)
-            for k, at in enumerate(self._numbers):
-                rows[:, at : at + 8] = filled[:, 8 * k : 8 * k + 8]
+            for at, first, end in self._runs:
+                rows[:, at : at + 8 * (end - first)] = filled[:, 8 * first : 8 * end]
         return rows
 
 

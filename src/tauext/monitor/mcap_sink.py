@@ -76,7 +76,7 @@ class McapSink:
         while (verdicts := self._waiting.get()) is not None:
             try:
                 self._add(verdicts)
-            except ConfigError as error:
+            except Exception as error:  # continue with the next batch
                 self._lose(verdicts, str(error))
         try:
             self._log.close()

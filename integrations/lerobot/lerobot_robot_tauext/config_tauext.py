@@ -1,23 +1,20 @@
 """Settings of the wrapping robot."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import draccus
 from lerobot.robots import RobotConfig
+
+from lerobot_robot_tauext.config_wrapping import WrappingConfig
 
 REACTIONS = ("none", "hold", "stop")
 
 
 @RobotConfig.register_subclass("tauext")
 @dataclass(kw_only=True)
-class TauextConfig(RobotConfig):
+class TauextConfig(WrappingConfig):
     """`--robot.type=tauext --robot.robot='{type: so101_follower, ...}' --robot.bundle=FILE --robot.arm=arm.toml`."""
 
-    robot: dict[str, Any] = field(default_factory=dict)
-    """The wrapped arm: its LeRobot type and options, or its RobotConfig. A dictionary, since LeRobot's parser recurses
-    without end into a robot type that contains a robot."""
     bundle: Path
     """Bundle written by `tauext train`. Its rate must equal the loop's (`--dataset.fps`)."""
     arm: Path
@@ -33,23 +30,7 @@ class TauextConfig(RobotConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.robot:
-            raise ValueError("robot is missing: name the arm with --robot.robot='{type: so101_follower, port: ...}'")
         if self.on_collision not in REACTIONS:
             raise ValueError(f"on_collision = {self.on_collision!r} must be one of {', '.join(REACTIONS)}")
         if not self.resume_within > 0:
             raise ValueError(f"resume_within = {self.resume_within} must be > 0")
-
-    @property
-    def wrapped(self) -> RobotConfig:
-        """The wrapped arm's configuration.
-
-        Raises:
-            ValueError: LeRobot has no such type, or the type has no such option.
-        """
-        if isinstance(self.robot, RobotConfig):
-            return self.robot
-        try:
-            return draccus.decode(RobotConfig, dict(self.robot))
-        except draccus.utils.DecodingError as error:
-            raise ValueError(f"robot = {self.robot}: is not a LeRobot robot: {error}") from error

@@ -5,25 +5,23 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from functools import cached_property
 from typing import Any
 from weakref import WeakSet
 
 import numpy as np
-from lerobot.robots import Robot, make_robot_from_config
 from tauext_lerobot.frames import FrameLabeller, element_names
 
 import tauext
-from lerobot_robot_tauext.block_read import SIGNALS, BlockRead
 from lerobot_robot_tauext.config_tauext import TauextConfig
+from lerobot_robot_tauext.wrapping import Wrapping
 from tauext.data.description import load_arm
 
 logger = logging.getLogger(__name__)
 Action = dict[str, float]
 
 
-class Tauext(Robot):
+class Tauext(Wrapping):
     """The wrapped robot's observation and actions, with additional floats that LeRobot records:
 
     `<joint>.tau_ext` in the bundle's estimate units; `contact` and `collision` (1, 0, or -1: unknown, tau_ext is 0);
@@ -37,21 +35,14 @@ class Tauext(Robot):
     def __init__(self, config: TauextConfig):
         super().__init__(config)
         self.config = config
-        wrapped = config.wrapped
-        self.robot = make_robot_from_config(wrapped)
         self._bundle = tauext.load_bundle(config.bundle)
         arm = load_arm(config.arm)
-        goals = [key for key in self.robot.action_features if key.endswith(".pos")]
-        clips = getattr(wrapped, "max_relative_target", None) is not None
+        goals = self.goal_names
+        clips = getattr(config.wrapped, "max_relative_target", None) is not None
         self._goal_names = {key: f"{key.removesuffix('.pos')}.goal" for key in goals}
         self._records_goal = config.on_collision != "none" or clips
-        held = {key for key, kind in self.robot.observation_features.items() if kind is float}
-        self._read = tuple(
-            signal
-            for signal in SIGNALS
-            if signal in arm.signals and not any(key.endswith(f".{signal}") for key in held)
-        )
-        self._block = BlockRead(self._bus(), self._read) if self._read else None
+        held = self.floats
+        self.read_also(arm)
         self._elements = element_names(arm.names)
         names = [f"observation.state[{key}]" for key in (*held, *self._own_features) if key not in self._elements]
         names += [f"goal[{key}]" for key in goals]
@@ -64,19 +55,10 @@ class Tauext(Robot):
         self._sent: dict[str, float] = {}
         """Goals of the last action: the goals sent if these are recorded, else those of the dataset."""
 
-    def _bus(self) -> Any:
-        bus = getattr(self.robot, "bus", None)
-        if bus is None or not hasattr(bus, "model_ctrl_table"):
-            raise ValueError(
-                f"{self.config.arm} names {', '.join(self._read)}, but {self.robot.name} does not observe these and "
-                "has no serial bus to read them from; a bundle with torque from the goal does not need them"
-            )
-        return bus
-
     @cached_property
     def _own_features(self) -> dict[str, type]:
         joints = [key.removesuffix(".pos") for key in self._goal_names]
-        own = [f"{joint}.{signal}" for signal in self._read for joint in joints]
+        own = [f"{joint}.{signal}" for signal in self.signals for joint in joints]
         if self._records_goal:
             own += list(self._goal_names.values())
         return dict.fromkeys([*own, *self._elements], float)
@@ -86,26 +68,6 @@ class Tauext(Robot):
         """The wrapped robot's features, then additional floats, which LeRobot puts into observation.state."""
         return {**self.robot.observation_features, **self._own_features}
 
-    @property
-    def action_features(self) -> dict[str, Any]:
-        """Those of the wrapped robot."""
-        return self.robot.action_features
-
-    @property
-    def cameras(self) -> dict[str, Any]:
-        """Those of the wrapped robot."""
-        return getattr(self.robot, "cameras", {})
-
-    @property
-    def is_connected(self) -> bool:
-        """See the wrapped robot."""
-        return self.robot.is_connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """See the wrapped robot."""
-        return self.robot.is_calibrated
-
     def connect(self, calibrate: bool = True) -> None:
         """Connect the wrapped robot and restart the monitor."""
         self.robot.connect(calibrate)
@@ -114,18 +76,7 @@ class Tauext(Robot):
         self._stopped, self._sent = False, {}
         if self.config.episodes_begin_anew:
             call_at_episodes(self)
-        one = self._block is None or self._block.in_one_transaction
-        logger.info(
-            "tauext: %s, %g Hz%s", self._bundle.name, self._fps, "" if one else "; more than one bus request a tick"
-        )
-
-    def calibrate(self) -> None:
-        """See the wrapped robot."""
-        self.robot.calibrate()
-
-    def configure(self) -> None:
-        """See the wrapped robot."""
-        self.robot.configure()
+        logger.info("tauext: %s, %g Hz%s", self._bundle.name, self._fps, self.requests)
 
     def disconnect(self) -> None:
         """Disconnect the wrapped robot, which may disable its torque: option disable_torque_on_disconnect."""
@@ -145,11 +96,7 @@ class Tauext(Robot):
         """
         if self._stopped:
             raise CollisionStop("the arm collided and is stopped; check it, then connect again")
-        with self._block.reading() if self._block is not None else nullcontext():
-            observation = dict(self.robot.get_observation())
-        if self._block is not None:
-            for signal, values in self._block.values.items():
-                observation |= {f"{motor}.{signal}": value for motor, value in values.items()}
+        observation = self.observed()
         first = self._labeller.frame == 0 and not self._records_goal  # the dataset has no earlier action
         sent = {} if first else self._sent
         goals: dict[str, Any] = {key: sent.get(key, observation[key]) for key in self._goal_names}

@@ -21,7 +21,8 @@ from tauext.errors import ConfigError
 Added = TypeVar("Added")
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
-FOLDERS = {"fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(("feetech", "dynamixel", "damiao", "label"), "lerobot")
+OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
+FOLDERS = {"fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(OF_LEROBOT, "lerobot")
 """Folders of integrations/, by the command or source that their packages add. No registry has these packages yet: their
 names there may be those of strangers."""
 

@@ -1,4 +1,4 @@
-"""What tauext finds by this package's entry points: servo buses as sources, and the command `label`."""
+"""What tauext finds by this package's entry points: servo buses as sources, and the commands `label` and `guard`."""
 
 from __future__ import annotations
 
@@ -51,3 +51,6 @@ FEETECH = serial_bus("feetech")
 DYNAMIXEL = serial_bus("dynamixel")
 DAMIAO = SourceKind(open_damiao, "CAN", (BUS,))
 LABEL = Command("add contact and collision labels to a LeRobot dataset", "tauext_lerobot.label:label")
+GUARD = Command(
+    "make a guard of a servo arm against stalls, from ten minutes of its motion", "tauext_lerobot.make_guard:guard"
+)

@@ -15,11 +15,12 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.data.description import Arm, load_arm
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
+from tauext.files.copies import local_file
 from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables, text
 
-BUNDLE, ARM, SETTINGS = "arm.tauext", "arm.toml", "guard.toml"
-"""Files of a guard's folder."""
+BUNDLE, ARM, SETTINGS, CALIBRATION = "arm.tauext", "arm.toml", "guard.toml", "calibration.json"
+"""Files of a guard's folder; the last is a copy of LeRobot's, where arm.toml needs one."""
 HOLD_S = 0.3
 """Time of a stall before it is reported. Transients of free motion end sooner; motors burn in seconds."""
 STILL_RAD = math.radians(1.0)
@@ -259,4 +260,6 @@ def load_guard(folder: Place) -> tuple[_core.Bundle, Arm, GuardSettings]:
         for name, content in table["joints"].items()
     }
     grip = Grip(**read_table(path, "[grip]", table["grip"], GRIP_KEYS)) if table["grip"] else None
-    return load_bundle(folder / BUNDLE), load_arm(folder / ARM), GuardSettings(joints, grip, table["hold_s"])
+    motors = local_file(folder / CALIBRATION) if (folder / CALIBRATION).is_file() else None
+    arm = load_arm(folder / ARM, motors)
+    return load_bundle(folder / BUNDLE), arm, GuardSettings(joints, grip, table["hold_s"])

@@ -15,6 +15,7 @@ from tauext.cli.progress import Terminal
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import new_folder
 from tauext.files.copies import local_file, local_folder, staged
+from tauext.files.places import place_of
 from tauext.progress import SILENT
 
 if TYPE_CHECKING:
@@ -68,29 +69,27 @@ def guard(
     """
     from tauext.config import TrainConfig
     from tauext.data.dataset import load_dataset
-    from tauext.data.description import load_arm
     from tauext.data.importing import import_dataset
     from tauext.data.servo_types import load_lerobot_calibration
     from tauext.train.stage import train_bundle
-    from tauext_lerobot.guard import ARM, BUNDLE, SETTINGS
+    from tauext_lerobot.guard import ARM, BUNDLE, CALIBRATION, SETTINGS
 
     sources = [local_folder(one) for one in source]
     if at_most_nm is not None and not 0 < at_most_nm < 1e6:
         raise ConfigError(f"at_most_nm = {at_most_nm} must be > 0")
     if arm is not None and calibration is not None:
         raise ConfigError("--calibration goes without --arm; name the file in arm.toml ([robot] calibration)")
-    if arm is not None:
-        load_arm(arm)
-    if calibration is not None:
-        load_lerobot_calibration(local_file(calibration))
+    given = None if arm is None else local_file(arm)
+    motors = local_file(calibration) if given is None else named_calibration(given)
+    if motors is not None:
+        load_lerobot_calibration(motors)
     with staged(out, fresh=True) as place, new_folder(place) as folder:
-        if calibration is not None:
-            shutil.copyfile(local_file(calibration), folder / "calibration.json")
-        text = local_file(arm).read_text() if arm is not None else described(sources, calibration is not None)
+        if motors is not None:
+            shutil.copyfile(motors, folder / CALIBRATION)
+        text = described(sources, calibration is not None) if given is None else given.read_text()
         (folder / ARM).write_text(text)
-        if arm is not None:
-            copy_calibration(local_file(arm), folder)
-        import_dataset(sources, folder / ARM, folder / "data", "tauext", SILENT.say)
+        # Files that arm.toml names are relative to its own place.
+        import_dataset(sources, given or folder / ARM, folder / "data", "tauext", SILENT.say)
         dataset = load_dataset(folder / "data")
         training = dataset.training()
         minutes = sum(recording.duration_s for recording in training) / 60
@@ -118,14 +117,12 @@ class Bars(Terminal):
         pass
 
 
-def copy_calibration(arm: Path, folder: Path) -> None:
-    """Copy the calibration file that arm.toml names into the guard's folder, under the same relative name."""
-    from tauext.files.toml_file import read_toml
+def named_calibration(arm: Path) -> Path | None:
+    """The calibration file that arm.toml names. Raises ConfigError where arm.toml breaks a rule."""
+    from tauext.data.description import load_arm
 
-    named = read_toml(arm).get("robot", {}).get("calibration", "")
-    if named and not named.startswith(("/", "~")):
-        (folder / named).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(arm.parent / named, folder / named)
+    named = load_arm(arm).robot.calibration
+    return local_file(place_of(named, arm.parent)) if named else None
 
 
 def gripper_of(joints: Sequence[str], named: str | None) -> str:

@@ -224,6 +224,26 @@ def test_the_command_makes_a_folder_that_guards(made, monkeypatch, capsys):
     assert "is not empty" in capsys.readouterr().err and (folder / "guard/guard.toml").read_text() == before
 
 
+def test_files_that_a_given_arm_toml_names_are_found_from_its_place_and_kept(made, tmp_path, monkeypatch):
+    def trained(dataset, out, **_):
+        out.write_bytes((made[0] / "guard/arm.tauext").read_bytes())
+        return tauext.load_bundle(out)
+
+    monkeypatch.setattr("tauext.train.stage.train_bundle", trained)
+    monkeypatch.setattr(make_guard, "LEAST_MINUTES", 0.0)
+    write_dataset(tmp_path / "free", range(2), 90)
+    (tmp_path / "arm").mkdir()
+    text = (made[0] / "guard/arm.toml").read_text().replace("[robot]", '[robot]\ncalibration = "../motors.json"')
+    (tmp_path / "arm/arm.toml").write_text(text)
+    motors = {name.replace("wrist", "gripper"): one for name, one in arms.calibration().items()}
+    (tmp_path / "motors.json").write_text(json.dumps(motors))
+    paths = f"--source {tmp_path / 'free'} --arm {tmp_path / 'arm/arm.toml'} --out {tmp_path / 'guard'}"
+    assert main(f"guard {paths} --gripper none".split()) == 0
+    (tmp_path / "motors.json").unlink()
+    _, arm, settings = load_guard(tmp_path / "guard")
+    assert [motor.name for motor in arm.motors] == list(MOTORS) and settings.grip is None
+
+
 @pytest.mark.parametrize(
     ("held", "moving", "stall", "grip"),
     [

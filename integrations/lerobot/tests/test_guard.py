@@ -49,10 +49,10 @@ def write_dataset(folder, seeds, frames, wall=False):
 def made(tmp_path_factory):
     """A folder with the dataset `free` and what `tauext guard` makes of it, and the lines that the command prints."""
     folder = tmp_path_factory.mktemp("made")
-    write_dataset(folder / "free", range(2), 1200)
+    write_dataset(folder / "free", range(2), 900)
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
-        patch.setattr(make_guard, "LEAST_MINUTES", 1.0)
+        patch.setattr(make_guard, "LEAST_MINUTES", 0.5)
         patch.setattr("tauext.check.before_training.examine", lambda recordings, robot: SimpleNamespace(findings=[]))
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         status = main(f"guard --source {folder / 'free'} --out {folder / 'guard'}".split())

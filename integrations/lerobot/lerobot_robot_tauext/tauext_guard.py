@@ -46,18 +46,18 @@ class TauextGuard(Wrapping):
         self._input, self._guard = _core.ServoInput(bundle.servo), Guard(bundle, settings)
         self._period_ns = bundle.observer.sample_period_ns
         keys = {joint: f"{bare_name(name)}.pos" for joint, name in zip(arm.robot.joints, arm.names, strict=True)}
-        gripper = keys[settings.grip.joint] if settings.grip is not None else ""
-        self._refuse(config, list(keys.values()), gripper)
-        self._limits = Limits(keys, gripper, config.open_at)
+        self._gripper = keys[settings.grip.joint] if settings.grip is not None else ""
+        self._refuse(config, list(keys.values()))
+        self._limits = Limits(keys, self._gripper, config.open_at)
         self._forget()
 
-    def _refuse(self, config: TauextGuardConfig, keys: list[str], gripper: str) -> None:
+    def _refuse(self, config: TauextGuardConfig, keys: list[str]) -> None:
         """Raises ValueError where a reaction cannot be carried out."""
         reactions = {"on_stall": config.on_stall, "on_grip": config.on_grip}
         for name, reaction in reactions.items():
             if missing := [key for key in keys if key not in self._goals] if reaction != "report" else []:
                 raise ValueError(f"{name} = {reaction}: {self.robot.name} accepts no goal {', '.join(missing)}")
-            if not gripper and (reaction == "open" or (name == "on_grip" and reaction != "report")):
+            if not self._gripper and (reaction == "open" or (name == "on_grip" and reaction != "report")):
                 raise ValueError(
                     f"{name} = {reaction} needs a gripper, and {config.guard}/guard.toml declares none ([grip])"
                 )
@@ -104,18 +104,22 @@ class TauextGuard(Wrapping):
             return []
 
     def _react(self, events: list[GuardEvent]) -> None:
-        writes = False
+        """Log the events, and send what their reactions change of the last goals."""
+        goals: dict[str, float] = {}
         for event in events:
             reaction = {"stall": self.config.on_stall, "grip": self.config.on_grip}.get(event.kind, "")
             logger.warning("tauext guard: %s%s", event, f"; {reaction}" if reaction else "")
-            if reaction in ("limit", "open"):
-                share = self._guard.usual(event.joint) / event.torque if event.torque > 0 else 0.0
-                self._limits.begin(event.joint, share, self._sent, self._positions, reaction == "open")
-                writes = True
-        if not writes:
+            if reaction not in ("limit", "open"):
+                continue
+            share = self._guard.usual(event.joint) / event.torque if event.torque > 0 else 0.0
+            self._limits.begin(event.joint, share, self._sent, self._positions, reaction == "open")
+            if reaction == "open" and self._gripper in self._positions:
+                goals[self._gripper] = self._positions[self._gripper]
+            goals |= self._sent
+        if not goals:
             return
         try:  # now, since a policy may take long to give the next action
-            self._send(self._limits.passed(self._positions | self._sent, self._positions))
+            self._send(self._limits.passed(goals, self._positions))
         except Exception as error:
             logger.error("tauext guard: the limited goal was not sent (%s); it is sent with the next action", error)
 

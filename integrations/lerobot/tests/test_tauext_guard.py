@@ -144,6 +144,7 @@ def test_a_grip_beyond_the_declared_one_is_limited_or_opened(folder, clock, reac
     object.__setattr__(robot._guard.settings, "grip", Grip("shoulder", 0.3))
     weak = type(robot._guard)(robot._guard._bundle, robot._guard.settings)
     monkeypatch.setattr(robot, "_guard", weak)
+    monkeypatch.setattr(robot, "_gripper", NAMES[0])
     monkeypatch.setattr(robot._limits, "_gripper", NAMES[0])
     rows = play(robot, clock)
     seen, action, sent = rows[-1]

@@ -45,6 +45,7 @@ class TauextGuard(Wrapping):
         self._frames = ServoFrames(bundle, arm, self._names, "the robot")
         self._input, self._guard = _core.ServoInput(bundle.servo), Guard(bundle, settings)
         self._period_ns = bundle.observer.sample_period_ns
+        self._rate_rule = f"the loop must run at {1e9 / self._period_ns:g} Hz, or at two to four times that"
         keys = {joint: f"{bare_name(name)}.pos" for joint, name in zip(arm.robot.joints, arm.names, strict=True)}
         self._gripper = keys[settings.grip.joint] if settings.grip is not None else ""
         self._refuse(config, list(keys.values()))
@@ -108,7 +109,8 @@ class TauextGuard(Wrapping):
         goals: dict[str, float] = {}
         for event in events:
             reaction = {"stall": self.config.on_stall, "grip": self.config.on_grip}.get(event.kind, "")
-            logger.warning("tauext guard: %s%s", event, f"; {reaction}" if reaction else "")
+            added = reaction or (self._rate_rule if "wrong rate" in event.causes else "")
+            logger.warning("tauext guard: %s%s", event, f"; {added}" if added else "")
             if reaction not in ("limit", "open"):
                 continue
             share = self._guard.usual(event.joint) / event.torque if event.torque > 0 else 0.0

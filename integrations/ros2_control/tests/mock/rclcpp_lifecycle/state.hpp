@@ -1,0 +1,8 @@
+// Mock of rclcpp_lifecycle.
+#pragma once
+
+namespace rclcpp_lifecycle {
+
+class State {};
+
+}  // namespace rclcpp_lifecycle

@@ -269,9 +269,13 @@ def test_a_newer_bundle_replaces_one_that_waits_and_one_that_fails_stops_nothing
         told.append(answer)
         raise ValueError("of the caller")
 
+    followed: list[tuple[str, _core.Monitor]] = []
+
     class Failing(Keeper):
         def follow(self, bundle, monitor):
-            raise RuntimeError("a sink's")
+            followed.append((bundle.name, monitor))
+            if len(followed) > 1:
+                raise RuntimeError("a sink's")
 
     samples = samples_of(pushed(seconds=6, pushes=()))
     swap = Swap(good)
@@ -289,6 +293,7 @@ def test_a_newer_bundle_replaces_one_that_waits_and_one_that_fails_stops_nothing
     assert "is a folder" in told[2]
     assert sum("ValueError: of the caller" in note for note in notes) == 4
     assert failing not in loop.sinks and any("Failing is left out" in note for note in notes)
+    assert followed == [("old", swap.old), ("good", loop.monitor)]
 
 
 def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_path):

@@ -142,16 +142,15 @@ def number(value: float | None) -> str:
 # --- Force and moment at frames of the arm: per frame a WrenchStamped and its covariance.
 
 
-LABEL = "force.x force.y force.z torque.x torque.y torque.z"
-"""Labels of the rows and columns of a covariance."""
-SIDE = 6
+LABELS = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
+"""Of the rows and columns of a covariance; that of a force alone has the first three."""
 
 
 class Wrenches:
     """Topics `wrench/NAME` and `wrench/NAME/covariance` of the frames in the settings.
 
     A wrench is what the environment exerts on the arm, at the frame's origin and along the frame's axes. The header's
-    frame_id is the frame, so tf can transform it. Rows and columns of the covariance are in the order of LABEL.
+    frame_id is the frame, so tf can transform it. Rows and columns of the covariance are in the order of LABELS.
     """
 
     def __init__(self, frames: Sequence[str], bundle: _core.Bundle | None):
@@ -187,14 +186,7 @@ class Wrenches:
 
     def open(self, node: Node) -> None:
         """Create the writers."""
-
-        def writer(name: str, of: type) -> Any:
-            return node.writer(node.settings.full_name(name), of, "reliable", "volatile", 8)
-
-        self._writers = {
-            frame: (writer(f"wrench/{topic}", WrenchStamped), writer(f"wrench/{topic}/covariance", Float64MultiArray))
-            for topic, frame in self._frames.items()
-        }
+        self._writers = {frame: wrench_writers(node, f"wrench/{topic}") for topic, frame in self._frames.items()}
 
     def close(self) -> None:
         """Remove the writers."""
@@ -210,8 +202,18 @@ class Wrenches:
             own = _core.WrenchAxes.frame
             found = self._model.wrenches(frame, *rows, None, own, estimates["contact_sigma_nm"], sample.dq[None])
             if np.isfinite(found["force"]).all():
-                send(wrenches, wrench_message(frame, stamp_ns, found["force"][0], found["moment"][0]))
+                of_frame = (found[key][0].tolist() for key in ("force", "moment"))
+                send(wrenches, wrench_message(frame, stamp_ns, *of_frame))
                 send(covariances, covariance_message(found["covariance"][0]))
+
+
+def wrench_writers(node: Node, name: str) -> tuple[Any, Any]:
+    """Writers of a wrench and of its covariance."""
+
+    def writer(topic: str, of: type) -> Any:
+        return node.writer(node.settings.full_name(topic), of, "reliable", "volatile", 8)
+
+    return writer(name, WrenchStamped), writer(f"{name}/covariance", Float64MultiArray)
 
 
 def topic_name(frame: str) -> str:
@@ -220,16 +222,57 @@ def topic_name(frame: str) -> str:
     return f"_{name}" if name[:1].isdigit() else name
 
 
-def wrench_message(frame: str, stamp_ns: int, force: np.ndarray, moment: np.ndarray) -> WrenchStamped:
+def wrench_message(frame: str, stamp_ns: int, force: Sequence[float], moment: Sequence[float]) -> WrenchStamped:
     """Force [N] and moment [N m] along the frame's axes."""
-    wrench = Wrench(Vector3(*force.tolist()), Vector3(*moment.tolist()))
-    return WrenchStamped(Header(Time.of_ns(stamp_ns), frame), wrench)
+    return WrenchStamped(Header(Time.of_ns(stamp_ns), frame), Wrench(Vector3(*force), Vector3(*moment)))
 
 
 def covariance_message(covariance: np.ndarray) -> Float64MultiArray:
-    """(6, 6), row by row."""
-    layout = MultiArrayLayout([MultiArrayDimension(LABEL, SIDE, SIDE * SIDE), MultiArrayDimension(LABEL, SIDE, SIDE)])
+    """(6, 6), or (3, 3) of a force alone, row by row."""
+    side = len(covariance)
+    label = " ".join(LABELS[:side])
+    layout = MultiArrayLayout([MultiArrayDimension(label, side, side * side), MultiArrayDimension(label, side, side)])
     return Float64MultiArray(layout, covariance.ravel().tolist())
+
+
+class ToolForce:
+    """Topics `tool_force` and `tool_force/covariance`: Monitor.tool_force() along its frame's axes, while it is known.
+
+    The frame is that of the declared contact in effect, else the load frame; frame_id names it. A topic without
+    subscribers costs nothing.
+    """
+
+    def __init__(self) -> None:
+        self._monitor: _core.Monitor | None = None
+        self._writers: tuple[Any, Any] | None = None
+
+    def follow(self, monitor: _core.Monitor) -> None:
+        """The forces are this monitor's."""
+        self._monitor = monitor
+
+    def open(self, node: Node) -> None:
+        """Create the writers."""
+        self._writers = wrench_writers(node, "tool_force")
+
+    def close(self) -> None:
+        """Remove the writers."""
+        self._writers = None
+
+    def publish(self, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
+        """Send the force at the monitor's last sample."""
+        if self._monitor is None or self._writers is None:
+            return
+        forces, covariances = self._writers
+        wanted = [writer for writer in self._writers if writer.get_matched_subscriptions()]
+        if not wanted:
+            return
+        at = self._monitor.tool_force(_core.WrenchAxes.frame).wrench
+        if not at.known:
+            return
+        if forces in wanted:
+            send(forces, wrench_message(at.frame, stamp_ns, at.force, at.moment))
+        if covariances in wanted:
+            send(covariances, covariance_message(at.covariance))
 
 
 # --- Requests of other nodes: what a message asks the loop to do.
@@ -286,6 +329,7 @@ class Ros2Publisher:
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, transient local: late subscribers receive the last one. `event`: String, JSON, for reactions with
     publish = true. `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance, while it is known.
+    `tool_force`: the same of the declared contact in effect, else of the load frame.
     `diagnostics`: DiagnosticArray. Subscribed: REQUESTS.
 
     A slow subscriber never blocks the loop; it misses messages older than the topic's depth. `unsent` counts messages
@@ -295,6 +339,7 @@ class Ros2Publisher:
     def __init__(self, node: Node, conditions: Conditions, source: Ros2Source, wrenches: Wrenches):
         """source: provides the stamps of the torques."""
         self._node, self._conditions, self._source, self._wrenches = node, conditions, source, wrenches
+        self._tool = ToolForce()
         self.unsent = 0
         self._verdict: Verdict | None = None
         self._report: LoopReport | None = None
@@ -315,6 +360,7 @@ class Ros2Publisher:
         }
         self._events = node.writer(settings.full_name("event"), String, "reliable", "volatile", 16)
         self._wrenches.open(node)
+        self._tool.open(node)
         self._diagnostics = node.writer(
             settings.full_name(settings.diagnostics), DiagnosticArray, "reliable", "volatile", 8
         )
@@ -331,7 +377,8 @@ class Ros2Publisher:
         self._listening.start()
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
-        """Another bundle monitors: it is the one that estimates forces now."""
+        """The forces are those of this bundle and monitor from now on."""
+        self._tool.follow(monitor)
         if reason := self._wrenches.follow(bundle):
             self._conditions.report("wrench", f"wrench_frames {reason}", time.monotonic_ns())
 
@@ -344,6 +391,7 @@ class Ros2Publisher:
             self._message.effort = verdict.estimates["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
             self._wrenches.publish(verdict, stamp_ns, self._send)
+            self._tool.publish(stamp_ns, self._send)
         if verdict.changes:
             self._send_alarm(int(verdict.estimates["alarm"][0]))
             self._due = True
@@ -368,6 +416,7 @@ class Ros2Publisher:
         self._listening = self._closing = self._torque = self._events = self._diagnostics = None
         self._alarms, self._requests = {}, {}
         self._wrenches.close()
+        self._tool.close()
         self._node.leave()
 
     def _send_alarm(self, alarm: int) -> None:

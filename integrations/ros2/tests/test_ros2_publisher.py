@@ -348,7 +348,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
-    assert len(node.reader_gid_seq) == 5 and len(node.writer_gid_seq) == 5
+    assert len(node.reader_gid_seq) == 5 and len(node.writer_gid_seq) == 7
     assert publisher._torque.guid.bytes.ljust(size, b"\0") in [bytes(one.data) for one in node.writer_gid_seq]
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]

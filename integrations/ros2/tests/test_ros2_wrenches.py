@@ -121,3 +121,43 @@ def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
     empty.links = links
     with pytest.raises(ConfigError, match="no force can be estimated, the bundle has no model"):
         start("elbow", of=empty)
+
+
+class Loaded:
+    """A bundle whose tool is at the load frame, and its monitor with a sample."""
+
+    def __init__(self, bundle):
+        self.bundle = _core.Bundle.from_bytes(bundle.to_bytes())
+        load = self.bundle.load_settings
+        load.frame, load.link, load.translation = "tool0", 1, [0.2, 0.0, 0.0]
+        self.bundle.load_settings = load
+        self.monitor = _core.Monitor(self.bundle)
+        self.t_ns = 0
+
+    def runs(self, samples=1500, tau=(0.0, 0.0)):
+        """At rest, but for the last count of the encoders."""
+        for k in range(samples):
+            self.t_ns += self.bundle.observer.sample_period_ns
+            q = np.array(Q) + 1e-6 * (k % 2)
+            self.monitor.step(self.t_ns, q, np.zeros(2), np.array(tau))
+
+
+def test_the_tool_force_is_that_of_the_monitor_at_the_load_frame_then_at_the_declared_contact(talking, bundle):
+    source, publisher, reading = talking
+    arm = Loaded(bundle)
+    publisher.follow(arm.bundle, arm.monitor)
+    forces, covariances = reading("tool_force", WrenchStamped), reading("tool_force/covariance", Float64MultiArray)
+    source.last_stamp_ns = 10**18
+    publisher.verdict(verdict())  # while it warms up
+    arm.runs()
+    for frame, declared in (("tool0", None), ("elbow", _core.DeclaredContact(frame="elbow", at_most_n=20.0))):
+        if declared is not None:
+            arm.monitor.expect_contact(declared)
+            arm.runs(10)
+        publisher.verdict(verdict())
+        told, errors = next_of(forces), next_of(covariances)
+        wanted = arm.monitor.tool_force(_core.WrenchAxes.frame).wrench
+        assert wanted.known and np.abs(wanted.force).max() > 1
+        assert (told.header.frame_id, told.header.stamp.ns) == (frame, 10**18)
+        assert (numbers(told.wrench.force), numbers(told.wrench.torque)) == (wanted.force, wanted.moment)
+        assert errors.data == wanted.covariance.ravel().tolist() and errors.layout.dim[1].size == len(wanted.covariance)

@@ -345,6 +345,7 @@ class Loop:
             for sink in self.sinks:
                 sink.open(self.joints, self)
                 opened.append(sink)
+            self._sinks_follow()
             if self._ring is not None:  # before a core and a priority are taken, which threads inherit
                 threading.Thread(target=self._exchange_each, name="exchange", daemon=True).start()
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
@@ -506,9 +507,7 @@ class Loop:
         self._model, self._mark_ns = successor.model, None
         old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
         self._episodes.bundle = successor.bundle.name
-        self._each_sink(
-            lambda sink: sink.follow(successor.bundle, successor.monitor) if isinstance(sink, Follows) else None
-        )
+        self._sinks_follow()
         took_us = (time.monotonic_ns() - started) * 1e-3
         last_ns, replayed = (self._last.t_ns if self._last else None), successor.row - first
         facts = (self.samples, last_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
@@ -556,6 +555,11 @@ class Loop:
             except Exception as error:
                 self.sinks.remove(sink)
                 self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
+
+    def _sinks_follow(self) -> None:
+        """Pass on the bundle that monitors from here on."""
+        if (bundle := self._bundle) is not None:
+            self._each_sink(lambda sink: sink.follow(bundle, self._real) if isinstance(sink, Follows) else None)
 
     def _note(self, text: str) -> None:
         self.note(text)

@@ -137,10 +137,13 @@ class Sink(Protocol):
 
 @runtime_checkable
 class Follows(Protocol):
-    """A sink that has something of the bundle, and must follow when another bundle takes its place."""
+    """A sink that uses the bundle or its monitor, and must follow when others take their place."""
 
     def follow(self, bundle: Bundle, monitor: Monitor) -> None:
-        """Called in the loop's thread between two samples, before the first verdict of this monitor."""
+        """Called in the loop's thread between two samples, before the first verdict of each monitor.
+
+        Within verdict() the monitor holds the sample of that verdict.
+        """
         ...
 
 

@@ -21,8 +21,8 @@ using controller_interface::return_type;
 namespace {
 
 // The standard names of a force-torque sensor, then those of this one.
-constexpr std::array<const char*, 7> kNames = {"force.x",  "force.y",  "force.z", "torque.x",
-                                               "torque.y", "torque.z", "health"};
+constexpr std::array<const char*, 9> kNames = {"force.x",  "force.y",  "force.z", "torque.x", "torque.y",
+                                               "torque.z", "error",    "health",  "alarm"};
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 constexpr std::array<const char*, 3> kRead = {hardware_interface::HW_IF_POSITION, hardware_interface::HW_IF_VELOCITY,
                                               hardware_interface::HW_IF_EFFORT};
@@ -35,6 +35,13 @@ std::string listed(const std::vector<std::string>& names) {
   return text;
 }
 
+template <std::size_t n>
+std::array<double, n> unknown() {
+  std::array<double, n> values;
+  values.fill(kUnknown);
+  return values;
+}
+
 }  // namespace
 
 CallbackReturn ToolForceSensor::on_init() {
@@ -42,6 +49,8 @@ CallbackReturn ToolForceSensor::on_init() {
     auto_declare<std::string>("bundle", "");
     auto_declare<std::string>("frame", "");
     auto_declare<std::vector<double>>("point", {});
+    auto_declare<double>("at_most_n", 0);
+    auto_declare<double>("at_most_nm", 0);
     auto_declare<std::vector<std::string>>("joints", {});
   } catch (const std::exception& wrong) {  // a parameter of another type
     RCLCPP_ERROR(get_node()->get_logger(), "%s", wrong.what());
@@ -61,6 +70,8 @@ CallbackReturn ToolForceSensor::on_configure(const rclcpp_lifecycle::State&) {
   for (int j = 0; j < monitor_->joints(); ++j)
     RCLCPP_INFO(get_node()->get_logger(), "%s/effort must be in %s", joints_[static_cast<std::size_t>(j)].c_str(),
                 monitor_->torque_unit(j).c_str());
+  if (contact_ && !monitor_->unmonitored(*contact_).empty())
+    RCLCPP_INFO(get_node()->get_logger(), "%s", monitor_->unmonitored(*contact_).c_str());
   return CallbackReturn::SUCCESS;
 }
 
@@ -87,6 +98,18 @@ void ToolForceSensor::load() {
     throw tauext::Error("parameter point: must be three numbers, [m] along the frame's axes, or empty");
   point_.reset();
   if (!point.empty()) point_ = {point[0], point[1], point[2]};
+
+  contact_.reset();
+  tauext::DeclaredContact contact;
+  contact.frame = frame_;
+  if (point_) contact.point = *point_;
+  contact.at_most_n = node->get_parameter("at_most_n").as_double();
+  contact.at_most_nm = node->get_parameter("at_most_nm").as_double();
+  if (contact.at_most_n != 0 || contact.at_most_nm != 0) {
+    const std::string reason = monitor_->why_no_contact(contact, tauext::kAlways_s);
+    if (!reason.empty()) throw tauext::Error("parameters at_most_n, at_most_nm: " + reason);
+    contact_ = contact;
+  }
 
   const auto n = static_cast<std::size_t>(monitor_->joints());
   joints_ = node->get_parameter("joints").as_string_array();
@@ -119,7 +142,7 @@ std::vector<hardware_interface::StateInterface::SharedPtr> ToolForceSensor::on_e
   exported_.clear();
   for (const char* name : kNames)
     exported_.push_back(std::make_shared<hardware_interface::StateInterface>(get_node()->get_name(), name));
-  write({kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown});
+  write(unknown<kExported>());
   return exported_;
 }
 
@@ -138,11 +161,12 @@ CallbackReturn ToolForceSensor::on_activate(const rclcpp_lifecycle::State&) {
     return CallbackReturn::ERROR;
   }
   monitor_->reset();  // nothing is known of the time in between
+  if (contact_) monitor_->expect_contact(*contact_, tauext::kAlways_s);
   return CallbackReturn::SUCCESS;
 }
 
 CallbackReturn ToolForceSensor::on_deactivate(const rclcpp_lifecycle::State&) {
-  write({kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown, kUnknown});
+  write(unknown<kExported>());
   return CallbackReturn::SUCCESS;
 }
 
@@ -155,8 +179,10 @@ return_type ToolForceSensor::update_and_write_commands(const rclcpp::Time& time,
   const tauext::Estimate& estimate = read_joints() ? monitor_->estimate({t_ns, q_, dq_, tau_}) : monitor_->no_sample(t_ns);
   constexpr auto axes = tauext::WrenchAxes::frame;
   const tauext::Wrench w = point_ ? monitor_->force(frame_, *point_, axes) : monitor_->wrench(frame_, axes);
-  write({w.force[0], w.force[1], w.force[2], w.moment[0], w.moment[1], w.moment[2],  // NaN while unknown
-         static_cast<double>(estimate.health)});
+  const auto step = static_cast<std::size_t>(w.unknowns + 1);  // along the diagonal
+  const double error_n = std::sqrt(w.covariance[0] + w.covariance[step] + w.covariance[2 * step]);
+  write({w.force[0], w.force[1], w.force[2], w.moment[0], w.moment[1], w.moment[2], error_n,
+         static_cast<double>(estimate.health), static_cast<double>(estimate.held_alarm)});
   monitor_->advance();
   return return_type::OK;
 }

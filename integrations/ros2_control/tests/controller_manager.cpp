@@ -25,7 +25,7 @@ namespace ci = controller_interface;
 
 namespace {
 
-// A value with commas is a list: of numbers for `point`, else of names.
+// The values of `point` and `at_most_...` are numbers; others are names, with commas a list of them.
 rclcpp_lifecycle::LifecycleNode::Parameters parameters(int count, char** words) {
   rclcpp_lifecycle::LifecycleNode::Parameters found;
   for (int k = 0; k < count; ++k) {
@@ -37,6 +37,8 @@ rclcpp_lifecycle::LifecycleNode::Parameters parameters(int count, char** words) 
       std::vector<double> numbers;
       for (const std::string& part : list) numbers.push_back(std::strtod(part.c_str(), nullptr));
       found[name] = numbers;
+    } else if (name.starts_with("at_most")) {
+      found[name] = std::strtod(text.c_str(), nullptr);
     } else if (text.find(',') != std::string::npos) {
       found[name] = list;
     } else {

@@ -22,9 +22,8 @@ from tauext.robot.read import load_tree
 
 PACKAGE = Path(__file__).parents[1]
 MOCK = PACKAGE / "tests" / "mock"
-NAMES = [
-    f"tool_force/{name}" for name in ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z", "health")
-]
+VALUES = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z", "error", "health", "alarm")
+HEALTH, ALARM = VALUES.index("health"), VALUES.index("alarm")
 FRAME = _core.WrenchAxes.frame
 POSE = np.array([0.3, -0.6, 0.5, -1.7, 0.4, 1.3, 0.2])
 JOINTS = [f"joint{k}" for k in range(1, 8)]
@@ -32,6 +31,7 @@ PUSH = np.array([3.0, -20.0, 12.0, 0.5, -0.4, 0.2])
 """Force [N] and moment [N m] on the arm at the origin of link7, along its axes."""
 PUSHED_FROM, ROWS = 800, 1600
 WARMING_UP, OK, STALE = 0, 1, 2
+COLLISION = 2
 
 
 def torques() -> tuple[np.ndarray, np.ndarray]:
@@ -137,19 +137,20 @@ def test_the_exported_wrench_is_the_push_on_the_arm_and_that_of_the_monitor(plac
     assert code == 0, err
     required, exported, *rows, allocations = out
     assert required.split() == [f"{joint}/{kind}" for joint in JOINTS for kind in ("position", "velocity", "effort")]
-    assert exported.split() == NAMES
+    assert exported.split() == [f"tool_force/{name}" for name in VALUES]
     updating, configuring = map(int, allocations.split())
     assert updating == 0 < configuring
     found = values(rows)
     monitor, wanted = _core.Monitor(bundle), []
     for t_ns, *sample in zip(*signals, strict=True):
-        health = monitor.step(int(t_ns), *sample).health
-        wrench = monitor.wrench("link7", FRAME)
-        wanted.append([*wrench.force, *wrench.moment, float(health.value)])
+        answer, wrench = monitor.step(int(t_ns), *sample), monitor.wrench("link7", FRAME)
+        error_n = np.sqrt(np.trace(wrench.covariance[:3, :3])) if wrench.known else np.nan
+        wanted.append([*wrench.force, *wrench.moment, error_n, answer.health.value, answer.held_alarm.value])
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6)
-    warm = found[:, 6] == OK
-    assert np.isnan(found[~warm][:, :6]).all() and np.isfinite(found[warm]).all()
-    assert set(found[:, 6]) == {WARMING_UP, OK} and warm[PUSHED_FROM:].all()
+    warm = found[:, HEALTH] == OK
+    assert np.isnan(found[~warm][:, :HEALTH]).all() and np.isfinite(found[warm]).all()
+    assert set(found[:, HEALTH]) == {WARMING_UP, OK} and warm[PUSHED_FROM:].all()
+    assert not found[:PUSHED_FROM, ALARM].any() and found[-1, ALARM] == COLLISION
     np.testing.assert_allclose(found[PUSHED_FROM - 1, :6], 0, atol=0.01)
     np.testing.assert_allclose(found[-1, :6], PUSH, rtol=0.02, atol=0.05)  # 16/K0 after the onset
 
@@ -161,11 +162,25 @@ def test_a_force_at_a_point_has_its_moment_about_the_frame_and_joints_other_name
     code, out, err = started(place, *arguments, text="\n".join(cycles(samples())))
     assert code == 0, err
     assert out[0].split()[:3] == ["arm_joint1/position", "arm_joint1/velocity", "arm_joint1/effort"]
-    *force, mx, my, mz, _ = values(out[-2:-1])[0]
+    force, moment, (error_n, *_) = np.split(values(out[-2:-1])[0], [3, 6])
     monitor = _core.Monitor(bundle)
     monitor.run(*samples())
-    np.testing.assert_allclose(force, monitor.force("tool0", point, FRAME).force, rtol=1e-6)  # the load frame
-    np.testing.assert_allclose([mx, my, mz], np.cross(point, force), atol=1e-9)
+    wanted = monitor.force("tool0", point, FRAME)  # the load frame
+    np.testing.assert_allclose(force, wanted.force, rtol=1e-6)
+    np.testing.assert_allclose(moment, np.cross(point, force), atol=1e-9)
+    assert error_n == pytest.approx(np.sqrt(np.trace(wanted.covariance)))
+
+
+def test_a_declared_contact_is_in_effect_again_after_a_pause_and_raises_no_alarm_within_its_bounds(place):
+    lines = cycles(samples())
+    lines.insert(20, "off")
+    arguments = (f"bundle={place}/arm.tauext", "frame=link7", "at_most_nm=5")
+    for at_most_n, alarm in ((40, 0), (10, COLLISION)):  # the push has 23.5 N
+        code, out, err = started(place, *arguments, f"at_most_n={at_most_n}", text="\n".join(lines))
+        assert code == 0, err
+        found = values(out[2:-1])
+        assert np.nanmax(found[:, ALARM]) == alarm  # NaN while inactive
+        np.testing.assert_allclose(found[-1, :6], PUSH, rtol=0.02, atol=0.05)
 
 
 def test_a_held_interface_is_a_missing_sample_and_a_nan_or_a_pause_makes_the_force_unknown(place):
@@ -176,10 +191,10 @@ def test_a_held_interface_is_a_missing_sample_and_a_nan_or_a_pause_makes_the_for
     code, out, err = started(place, f"bundle={place}/arm.tauext", text="\n".join(lines))
     assert code == 0, err
     found = values(out[2:-1])
-    assert found[704, 6] == OK and found[705, 6] == STALE and found[706, 6] == OK
+    assert found[704:707, HEALTH].tolist() == [OK, STALE, OK]
     np.testing.assert_array_equal(found[705, :6], found[704, :6])  # the last known force
     assert np.isnan(found[740]).all()
-    assert found[741, 6] == WARMING_UP and np.isnan(found[741:, :6]).all()
+    assert found[741, HEALTH] == WARMING_UP and np.isnan(found[741:, :HEALTH]).all()
 
 
 @pytest.mark.parametrize(
@@ -190,6 +205,8 @@ def test_a_held_interface_is_a_missing_sample_and_a_nan_or_a_pause_makes_the_for
         ({"frame": "tool9"}, "parameter frame: 'tool9' must be one of joint1, "),
         ({"point": "1,2"}, "parameter point: must be three numbers, [m] along the frame's axes, or empty"),
         ({"point": "1,nan,2"}, "parameter point: must be three numbers"),
+        ({"at_most_n": "-1"}, "parameters at_most_n, at_most_nm: "),
+        ({"at_most_nm": "nan"}, "parameters at_most_n, at_most_nm: "),
         ({"joints": "a,b"}, "parameter joints: a, b: must be 7 names, one for each joint of the bundle"),
         ({"rate_hz": 500}, "parameter update_rate: 500 Hz must be the bundle's 1000 Hz"),
         ({"frame": "1,2"}, "parameter 'frame' has invalid type"),
@@ -221,7 +238,7 @@ def test_the_example_names_one_sensor_and_frame_for_all_controllers():
     of = {name: content["ros__parameters"] for name, content in example.items()}
     (sensor,) = (name for name, kind in of["controller_manager"].items() if kind == {"type": described().get("name")})
     declared = re.findall(r'auto_declare<.*>\("(\w+)"', (PACKAGE / "src" / "tool_force_sensor.cpp").read_text())
-    assert set(of[sensor]) <= set(declared) and len(declared) == 4
+    assert set(of[sensor]) <= set(declared) and len(declared) == 6
     admittance, broadcaster = of["admittance_controller"], of["force_torque_sensor_broadcaster"]
     assert {admittance["ft_sensor"]["name"], broadcaster["sensor_name"]} == {sensor}
     frames = {of[sensor]["frame"], admittance["ft_sensor"]["frame"]["id"], broadcaster["frame_id"]}

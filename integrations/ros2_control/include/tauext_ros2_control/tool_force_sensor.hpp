@@ -19,7 +19,8 @@ namespace tauext_ros2_control {
 // Runs a bundle on the joints' state interfaces and exports state interfaces NAME/force.x, force.y, force.z [N] and
 // NAME/torque.x, torque.y, torque.z [N m], NAME being the controller's name. They are the force that the environment
 // exerts on the arm and its moment about the frame's origin, along the frame's axes; all six are NaN while unknown.
-// NAME/health is tauext::Health as a number, 1 being ok.
+// Besides: NAME/error, the standard error of the force [N], and NAME/health and NAME/alarm, the numbers of tauext::Health
+// and of the tauext::Alarm that holds at this sample.
 //
 // It commands no joint. Between on_activate and on_deactivate nothing allocates, throws or logs.
 class ToolForceSensor : public controller_interface::ChainableControllerInterface {
@@ -41,7 +42,7 @@ class ToolForceSensor : public controller_interface::ChainableControllerInterfac
   bool on_set_chained_mode(bool chained) override;
 
  private:
-  static constexpr std::size_t kExported = 7;
+  static constexpr std::size_t kExported = 9;
 
   // Makes the monitor and resolves the parameters. Throws tauext::Error with the reason.
   void load();
@@ -53,6 +54,7 @@ class ToolForceSensor : public controller_interface::ChainableControllerInterfac
   std::vector<std::string> joints_;            // names of the hardware's joints, in the bundle's order
   int frame_ = -1;                             // of the bundle's WrenchModel
   std::optional<std::array<double, 3>> point_; // a force without a moment acts here, [m] along the frame's axes
+  std::optional<tauext::DeclaredContact> contact_;  // of the task, in effect while the controller is active
   std::vector<double> q_, dq_, tau_;
   std::vector<hardware_interface::StateInterface::SharedPtr> exported_;
 };

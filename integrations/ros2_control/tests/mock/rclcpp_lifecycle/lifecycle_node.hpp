@@ -14,10 +14,11 @@ namespace rclcpp {
 
 class Parameter {
  public:
-  using Value = std::variant<std::string, std::vector<double>, std::vector<std::string>>;
+  using Value = std::variant<std::string, double, std::vector<double>, std::vector<std::string>>;
 
   explicit Parameter(Value value) : value_(std::move(value)) {}
   std::string as_string() const { return std::get<std::string>(value_); }
+  double as_double() const { return std::get<double>(value_); }
   std::vector<double> as_double_array() const { return std::get<std::vector<double>>(value_); }
   std::vector<std::string> as_string_array() const { return std::get<std::vector<std::string>>(value_); }
 

@@ -23,6 +23,7 @@ from tauext.monitor.changes import HealthChange
 from tauext.monitor.control_lines import alarm_of_text
 from tauext.monitor.events import health_words
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, unseen_words
+from tauext.monitor.phases import announced_of_text
 from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
 from tauext_ros2.messages import (
     ERROR,
@@ -296,6 +297,11 @@ def set_load(control: Control, body: Inertia, by: str) -> None:
     control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
 
 
+def declare_contact(control: Control, message: String, by: str) -> None:
+    """Declare a contact that the task means, or end some: the text of the control line `contact`."""
+    control.declare(announced_of_text(message.data), by)
+
+
 def answer(control: Control, message: String, by: str) -> None:
     """Keep what an alarm was: `touched` or `nothing`, with the number of the alarm or without."""
     what, _, alarm = message.data.strip().partition(" ")
@@ -309,6 +315,7 @@ REQUESTS: dict[str, tuple[type, Callable[[Control, Any, str], None]]] = {
     "acknowledge": (Bool, acknowledge),
     "resume": (Bool, resume),
     "load": (Inertia, set_load),
+    "declare_contact": (String, declare_contact),
     "answer": (String, answer),
 }
 """Type and action by topic; an action raises ConfigError where the loop refuses the request."""

@@ -23,7 +23,7 @@ from test_live_properties import at_each_end, expect_clean, swinging, turning_bu
 pytest.importorskip("cyclonedds")
 
 from tauext_ros2 import connect
-from tauext_ros2.messages import Bool, DiagnosticArray, Inertia, JointState, Vector3
+from tauext_ros2.messages import Bool, DiagnosticArray, Inertia, JointState, String, Vector3
 from tauext_ros2.node import Node
 from tauext_ros2.samples import LEARNT_FROM
 from tauext_ros2.settings import Ros2Settings
@@ -130,7 +130,7 @@ def test_a_missing_library_is_named(monkeypatch):
 
 
 PAGE = "quickstarts/ros2.md"
-TYPES = {"std_msgs/msg/Bool": Bool, "geometry_msgs/msg/Inertia": Inertia}
+TYPES = {"std_msgs/msg/Bool": Bool, "std_msgs/msg/String": String, "geometry_msgs/msg/Inertia": Inertia}
 
 
 def test_every_command_of_the_page_is_accepted(monkeypatch):
@@ -233,7 +233,13 @@ def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
             driver.join()
     if failed:
         raise failed[0]
-    assert done == ["/tauext/resume", "/tauext/load", "/tauext/load"]
+    assert done == [f"/tauext/{name}" for name in ("resume", "load", "load", "declare_contact", "declare_contact")]
     shown = capsys.readouterr().out
-    for text in ("0 faults", "COLLISION shoulder", "resumed by ros2 /tauext/resume", "carries 2.8 kg"):
+    for text in (
+        "0 faults",
+        "COLLISION shoulder",
+        "resumed by ros2 /tauext/resume",
+        "carries 2.8 kg",
+        "0 declared contacts ended",
+    ):
         assert text in shown

@@ -40,9 +40,10 @@ from tauext_ros2.messages import (
 from tauext_ros2.node import GRAPH_TOPIC, Node, quality
 from tauext_ros2.settings import Ros2Settings
 
-from tauext._core import Load
+from tauext._core import DeclaredContact, Load
 from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
+from tauext.monitor.phases import Announced
 from tauext.monitor.sink import LoopReport, Publisher, ReactionEvent, Verdict
 from tauext.monitor.source import Sample, SourceCounts
 
@@ -79,6 +80,11 @@ class Loop:
         if alarm == 9:
             raise ConfigError("there was no alarm 9 yet")
         self.asked.append((what, alarm))
+
+    def declare(self, announced, by):
+        if announced.name == "insertion":
+            raise ConfigError("phase 'insertion' must be one of sanding")
+        self.asked.append((announced, by))
 
     def stop(self, by):
         self.asked.append(("stop", by))
@@ -319,6 +325,22 @@ def test_others_say_what_the_arm_carries(talking, peer, space):
     assert publisher._conditions.unreported() == [f"{by}: 6 kg are too heavy"]
 
 
+def test_others_declare_contacts_by_the_text_of_the_control_line(talking, peer, space):
+    publisher, loop = talking
+    contact = peer.writer(f"{space}/declare_contact", String, "reliable", "volatile", 8)
+    until(contact.get_matched_subscriptions, "the reader")
+    text = "frame=elbow axis=0,0,-1 half_angle_deg=30 at_most_n=40 seconds=10"
+    for one in (text, "sanding seconds=5", "insertion seconds=5", "frame=elbow at_most=40 seconds=1", "", "none"):
+        contact.write(String(one))
+    until(lambda: len(loop.asked) == 3, "the contacts")
+    declared = DeclaredContact(frame="elbow", axis=[0.0, 0.0, -1.0], half_angle_deg=30, at_most_n=40)
+    wanted = [Announced("", declared, 10.0), Announced("sanding", None, 5.0), Announced("", ends=True)]
+    assert loop.asked == [(one, f"ros2 {space}/declare_contact") for one in wanted]
+    until(lambda: publisher._conditions.standing(time.monotonic_ns()), "the refusals")
+    (refused,) = publisher._conditions.standing(time.monotonic_ns())  # the last one of the topic
+    assert "contact '' cannot be read; it is" in refused
+
+
 def test_events_are_json(talking, peer, space):
     publisher, _ = talking
     reader = reading(peer, f"{space}/event", String)
@@ -348,7 +370,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
-    assert len(node.reader_gid_seq) == 5 and len(node.writer_gid_seq) == 7
+    assert len(node.reader_gid_seq) == 6 and len(node.writer_gid_seq) == 7
     assert publisher._torque.guid.bytes.ljust(size, b"\0") in [bytes(one.data) for one in node.writer_gid_seq]
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]

@@ -485,7 +485,22 @@ void the_tool_force_has_its_errors_by_cause() {
     // In the frame's own axes it is the same force.
     const ToolForce own = w.monitor.tool_force(WrenchAxes::frame);
     CHECK_CLOSE(std::hypot(std::hypot(own.wrench.force[0], own.wrench.force[1]), own.wrench.force[2]), length(f), 1e-9 * length(f));
+    // The moment is about the frame's origin, though the force acts at the point.
+    const Vector3 moment = cross({contact.point[0], contact.point[1], contact.point[2]}, {own.wrench.force[0], own.wrench.force[1], own.wrench.force[2]});
+    CHECK_CLOSE(length(Vector3{own.wrench.moment[0], own.wrench.moment[1], own.wrench.moment[2]} - moment), 0, 1e-12 * length(f));
     CHECK(w.monitor.end_contact(which));
+  }
+  // So it is where a moment is declared: the wrench that is estimated at the origin, but for the prior of its size.
+  DeclaredContact contact = press(30, 0.5);
+  contact.at_most_nm = 2;
+  CHECK(w.monitor.expect_contact(contact, 10) >= 0);
+  w.monitor.step(w.signals.at(w.k++));
+  for (const WrenchAxes axes : {WrenchAxes::base, WrenchAxes::frame}) {
+    const Wrench at = w.monitor.tool_force(axes).wrench, wanted = w.monitor.wrench(6, axes);
+    CHECK(at.unknowns == 6 && at.known);
+    for (std::size_t i = 0; i < 3; ++i) CHECK_CLOSE(at.moment[i], wanted.moment[i], 0.05);  // of 30 N m
+    for (std::size_t i = 0; i < 36; ++i)
+      CHECK_CLOSE(at.covariance[i], wanted.covariance[i], 1e-2 * std::sqrt(wanted.covariance[7 * (i / 6)] * wanted.covariance[7 * (i % 6)]));
   }
 }
 

@@ -40,6 +40,27 @@ bool all_finite(const std::array<double, 3>& values) noexcept {
   return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
 }
 
+// From a moment about a point to one about the frame's origin; lever: from the origin to the point. A force alone has the moment of
+// its lever.
+void about_origin(Vector3 lever, Wrench& w) noexcept {
+  const Vector3 moment = cross(lever, vector3(w.force));
+  w.moment = w.unknowns == 6 ? listed(vector3(w.moment) + moment) : listed(moment);
+  if (w.unknowns != 6) return;
+  const auto add = [&](double* at, std::size_t step, double share) noexcept {  // to the moment, what the force brings
+    const Vector3 v = share * cross(lever, {at[0], at[step], at[2 * step]});
+    at[3 * step] += v.x, at[4 * step] += v.y, at[5 * step] += v.z;
+  };
+  for (std::size_t column = 0; column < 6; ++column) add(w.covariance.data() + column, 6, 1);
+  for (std::size_t row = 0; row < 6; ++row) add(w.covariance.data() + 6 * row, 1, 1);
+  for (std::size_t k = 0; k < static_cast<std::size_t>(w.blind); ++k) {
+    auto& d = w.blind_directions[k];
+    add(d.data(), 1, 1 / WrenchModel::kLength_m);
+    double square = 0;
+    for (const double part : d) square += part * part;
+    for (double& part : d) part /= std::sqrt(square);
+  }
+}
+
 // From the base's axes to the frame's.
 void turn_into(const Turn& base, Wrench& w) noexcept {
   const auto m = static_cast<std::size_t>(w.unknowns);
@@ -491,6 +512,7 @@ ToolForce DeclaredContacts::tool(const Torques& t, const ContactErrors& errors, 
   tool.rest_n = std::sqrt(rest);
   tool.constants_n = std::sqrt(constants);
   tool.motion_n = std::sqrt(std::max(variance - rest - constants, 0.0));
+  about_origin(base.out(vector3(point)), tool.wrench);
   if (axes == WrenchAxes::frame) turn_into(base, tool.wrench);
   return tool;
 }

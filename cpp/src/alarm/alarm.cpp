@@ -59,13 +59,13 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
 
 bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
                       std::uint32_t near_stiction, bool trusted, JointVector& limit_nm, JointVector& contact_limit_nm,
-                      const JointVector& spread_nm) noexcept {
+                      const JointVector& spread_nm, bool pressed) noexcept {
   for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;
     else if (elapsed_ns(t_ns, state_.stuck_t_ns[j]) >= kSlidNs) state_.pushed &= ~bit;
   }
-  const std::uint32_t raised = state_.touching ? 0 : state_.pushed;
+  const std::uint32_t raised = state_.touching || pressed ? 0 : state_.pushed;
   bool detection = false, touching = false;
   // The alarm's joint is the one furthest over its limit among those whose hold time has passed.
   int collision_joint = -1, contact_joint = -1;
@@ -104,9 +104,9 @@ bool AlarmStage::step(std::int64_t t_ns, const JointVector& tau_ext, const Joint
   if (touched) state_.touch_t_ns = t_ns;
   if (touched || !trusted) state_.contact_seen_ns = t_ns;
   state_.touch_over = trusted && !touched && elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_;
-  for (int j = 0; touching && j < joints_; ++j)
+  for (int j = 0; (touching || pressed) && j < joints_; ++j)
     if (near_stiction >> j & 1) state_.stuck_t_ns[j] = t_ns;
-  if (touching) state_.pushed |= near_stiction;
+  if (touching || pressed) state_.pushed |= near_stiction;
   state_.touching = touching;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     rise(Alarm::collision, collision_joint, t_ns);

@@ -36,10 +36,11 @@ class AlarmStage {
   // Processes one sample. near_stiction has one bit per joint; scale multiplies the limits, doubt [N m] raises them.
   // Writes both limits of every joint [N m] and returns whether some |tau_ext| exceeds its collision limit. If trusted
   // is false, nothing is detected, hold times restart, and an alarm stays. spread_nm: error of what a declared contact
-  // explains, independent of that of free motion: limit^2 grows by its square.
+  // explains, independent of that of free motion: limit^2 grows by its square. pressed: such a contact presses the arm; joints
+  // that are stuck meanwhile count as pushed once it does not.
   bool step(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
             std::uint32_t near_stiction, bool trusted, JointVector& limit_nm, JointVector& contact_limit_nm,
-            const JointVector& spread_nm = kNoSpread) noexcept;
+            const JointVector& spread_nm = kNoSpread, bool pressed = false) noexcept;
   static constexpr JointVector kNoSpread{};
 
   // Clears alarm, hold times and pushed joints.

@@ -217,7 +217,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   const bool pressed = declares && contacts->explain_frame(o, sample.q, contact_errors_, !expects, e, spread);
   if (expects || declares)
     e.detection = alarm_.step(o.t_ns, unexplained(), e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm,
-                              e.contact_limit_nm, spread);
+                              e.contact_limit_nm, spread, pressed);
   else
     e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
                               e.contact_limit_nm);

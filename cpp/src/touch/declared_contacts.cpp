@@ -343,11 +343,14 @@ void DeclaredContacts::stand(const Observed& observed, const ContactErrors& erro
   State& s = state_;
   const double dt = observed.restarted || s.stood_ns == 0 ? 0.0 : elapsed_s(observed.t_ns, s.stood_ns);
   s.stood_ns = observed.t_ns;
-  const double share = dt > 0 ? 1 - std::exp(-dt / kStandsS) : 0.0;
+  const double share = dt > 0 ? 1 - std::exp(-dt / kStandsS) : 0.0, kept = std::exp(-gain_per_s_ * dt);
+  s.released = pressed ? 1.0 : (1 - share) * s.released;
+  // The part of a torque that the standing rest explains: all of it between 0 and b, since a joint that slides loses its rest.
+  const auto of_rest = [&s](double torque, int j) noexcept { return std::clamp(torque, std::min(s.standing_nm[j], 0.0), std::max(s.standing_nm[j], 0.0)); };
   bool frozen = false;
   for (int j = 0; j < joints_; ++j) {
-    const double rest = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j] - s.standing_nm[j];
-    frozen = frozen || std::fabs(rest) > kFrozen * e.limit_nm[j];  // of the sample before
+    const double torque = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j];
+    frozen = frozen || std::fabs(torque - of_rest(torque, j)) > kFrozen * e.limit_nm[j];  // of the sample before
   }
   for (int j = 0; j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
@@ -359,12 +362,15 @@ void DeclaredContacts::stand(const Observed& observed, const ContactErrors& erro
     s.slow_nm[j] += share * (explained - s.slow_nm[j]);
     const double of_torque = std::sqrt(errors.brought(j, false, explained));
     const double friction = rests && (s.rests & bit) ? friction_nm_[j] : 0.0;
-    const double most = spread_ * of_torque + friction;
-    if (!frozen) s.standing_nm[j] += share * (e.tau_ext[j] - e.load_nm[j] - explained - s.standing_nm[j]);
+    s.most_nm[j] = std::max(spread_ * of_torque + friction, kept * s.most_nm[j]);  // r follows no faster
+    const double most = s.most_nm[j];
+    const double torque = e.tau_ext[j] - e.load_nm[j] - explained;
+    if (!frozen) s.standing_nm[j] += share * (torque - s.standing_nm[j]);
     s.standing_nm[j] = std::clamp(s.standing_nm[j], -most, most);
-    e.declared_nm[j] += s.standing_nm[j];
-    const double of_change = spread_ * std::sqrt(errors.brought(j, false, change)), of_friction = std::min(friction, change);
-    spread_nm[j] = std::sqrt(of_torque * of_torque + of_change * of_change + of_friction * of_friction);
+    e.declared_nm[j] += of_rest(torque, j);
+    const double of_change = spread_ * std::sqrt(errors.brought(j, false, change)), of_slide = kSlides * of_torque;
+    const double of_friction = std::min(friction, pressed ? change : std::max(change, s.released * friction));
+    spread_nm[j] = std::sqrt(of_slide * of_slide + of_change * of_change + of_friction * of_friction);
   }
 }
 

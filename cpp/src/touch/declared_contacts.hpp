@@ -31,9 +31,11 @@ class TorqueSpan;
 //
 //   |b_j| <= k (of_torque_j |explained_j|), and beyond that the joint's friction at rest while it rests since a press.
 //
-// It stops where the unexplained torque exceeds kFrozen of a limit. Limits rise, in squares, by one standard error of the share,
-// and by what b cannot follow while the force changes: k of_torque_j |d_j|, and for a resting joint at most its friction, |d_j|,
-// with d_j = explained_j - its low-pass of kStandsS. k is Limits::declared_spread. No torque that is left raises a limit.
+// Torques between 0 and b are explained, since a joint that slides loses its rest. b stops where the unexplained torque exceeds
+// kFrozen of a limit. Limits rise, in squares, by kSlides standard errors of the
+// share, which changes as the arm moves, and by what b cannot follow while the force changes: k of_torque_j |d_j|, and for a resting
+// joint |d_j|, at most its friction, all of which a released force may leave. d_j = explained_j - its low-pass of kStandsS; k is
+// Limits::declared_spread. No torque that is left raises a limit.
 //
 // A joint before the frame that does not answer in N m is explained completely, since its share of the force is unknown.
 // Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count
@@ -42,6 +44,7 @@ class DeclaredContacts {
  public:
   static constexpr double kSure = 2;       // standard errors from which on a force acts, or is beyond its bound
   static constexpr double kStandsS = 0.7;  // time constant of the standing rest, [s]
+  static constexpr double kSlides = 1.5;   // standard errors by which the share changes as the arm moves
   static constexpr double kFrozen = 0.5;   // of a limit: beyond it the rest may be a hit, and is not taken for a standing one
   static constexpr double kForgotten = 5;  // in 1/K0: so long a contact stays in effect afterwards, since r still contains it
 
@@ -105,7 +108,8 @@ class DeclaredContacts {
     bool pressed = false, moved = false;
     // The standing rest of each joint and the low-pass of what is explained; joints that rest since a press, a bit each, and when
     // they rested last.
-    JointVector standing_nm{}, slow_nm{};
+    JointVector standing_nm{}, slow_nm{}, most_nm{};  // most: what the standing rest may be
+    double released = 0;                               // 1 while a force acts, then fades with kStandsS
     std::uint32_t rests = 0;
     std::array<std::int64_t, kMaxJoints> rested_ns{};
     std::int64_t stood_ns = 0;

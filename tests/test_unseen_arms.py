@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pyarrow.csv
 import pytest
@@ -19,6 +20,8 @@ from unseen.simulation import (
     RATE_HZ,
     STOP_S,
     Contact,
+    Pressing,
+    build,
     draw_contacts,
     draw_motion,
     label,
@@ -55,6 +58,36 @@ def test_motor_friction_and_contact_are_all_that_changes_the_momentum(pushed):
     # Means over 50 ms; the integrator is of first order, the torques are of 10 to 60 Nm.
     assert np.abs(means).max() < 0.05
     assert np.abs(run.tau_ext[1400]).max() > 5 and not run.tau_ext[:1000].any() and not run.tau_ext[1801:].any()
+
+
+def test_a_surface_presses_on_the_tool_and_resists_its_sliding():
+    """The force is that of the rows, across the surface against the tip's motion; the joints feel nothing else."""
+    rng, tip_m, axis = SEVEN.random(0, 0), np.array([0.01, 0.0, 0.15]), np.array([0.0, 0.0, -1.0])
+    arm, known = true_arm(SEVEN, rng), load_tree(SEVEN.model, SEVEN.joints)
+    setpoints = draw_motion(SEVEN, 3 * RATE_HZ, RATE_HZ, rng)
+    rows = np.tile([30.0, 0.2, *tip_m], (3 * RATE_HZ, 1))
+    rows[:RATE_HZ, 0] = 0.0
+    run = simulate(arm, known, setpoints, SEVEN.torque_nm, [], 0.0, pressing=Pressing(axis, rows))
+    assert not run.tool_n[:RATE_HZ].any() and not run.tau_ext[:RATE_HZ].any()
+    model = build(arm.tree)
+    data = mujoco.MjData(model)
+    at, tips, normals = np.arange(RATE_HZ + 50, len(run.q), 100), [], []
+    for q in (run.q[k + step] for k in at for step in (-1, 0)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        rotation = data.xmat[-1].reshape(3, 3)
+        tips.append(data.xpos[-1] + rotation @ tip_m)
+        normals.append(rotation @ axis)
+    moved, normal = np.diff(tips, axis=0)[::2], np.array(normals[1::2])
+    force = run.tool_n[at]
+    np.testing.assert_allclose((force * normal).sum(axis=1), 30.0, rtol=1e-3)
+    across = force - (force * normal).sum(axis=1, keepdims=True) * normal
+    slides = np.linalg.norm(moved, axis=1) * RATE_HZ > 0.1
+    assert slides.sum() > 5
+    np.testing.assert_allclose(np.linalg.norm(across[slides], axis=1), 6.0, rtol=0.01)
+    # the power that the surface takes is the joints' power
+    dq = np.diff(run.q, axis=0)[at - 1]
+    np.testing.assert_allclose((run.tau_ext[at] * dq).sum(axis=1), (force * moved).sum(axis=1), atol=2e-5)
 
 
 def test_the_drive_follows_and_friction_opposes_the_motion(pushed):

@@ -9,13 +9,16 @@ namespace {
 
 // Rows of the table of joints: simulation.py's joint_table, in its order.
 enum { kInertia, kMost, kCoulomb, kAsymmetry, kStaticShare, kStribeck, kStiffness, kDamping, kViscous, kLoadShare,
-       kWarmDrop, kRipple, kCycles, kPhase };
+       kWarmDrop, kRipple, kCycles, kPhase, kElastic, kIntegral };
 // Values of a contact: simulation.py's contact_row.
 enum { kFrom, kTo, kFirst, kBody, kPoint, kDirection = kPoint + 3, kPeak = kDirection + 3, kRise, kInLink, kContactValues };
 
 // Gains of the drive's cascade; the integral forgets, so that a standing joint does not hunt.
-constexpr double kPositionPerS = 20, kVelocityPerS = 80, kIntegralPerS = 8, kForgetS = 1;
+constexpr double kPositionPerS = 20, kVelocityPerS = 80, kForgetS = 1;
 constexpr double kViscousBend = 2;  // rad/s
+// Values of a press at a sample: simulation.py's Pressing.rows.
+enum { kNormal, kGrip, kAt, kPressValues = kAt + 3 };
+constexpr double kSlips = 0.002;  // m/s, from which friction at the tool is that of sliding
 
 double sign(double x) { return (x > 0) - (x < 0); }
 
@@ -30,15 +33,17 @@ double force(const double* contact, double time_s) {
 
 // Steps `first` to first + count - 1 of setpoints (samples, n). more: torques [N m] that act beside, (n,), or null.
 // state: bristle, integral and friction (3, n), then the number of the next contact, whether it acts, and its direction.
-// out: position, motor, friction and external torque, each (samples, n).
+// press: (samples, kPressValues), or null. The last link is pressed along `axis`, in its own axes.
+// out: position, motor, friction and external torque, each (samples, n). tool: force of the press, base axes, (samples, 3).
 extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, double warm_from_s, double warm_s, const double* q_des,
                           const double* dq_des, const double* forward, int samples, int first, int count, const double* more,
-                          const double* contacts, int contact_count, double* state, double* out) {
+                          const double* contacts, int contact_count, const double* press, const double* axis, double* state,
+                          double* out, double* tool) {
   const int n = m->nv;
   const double dt = m->opt.timestep;
   const std::size_t size = static_cast<std::size_t>(samples) * n;
   double *bristle = state, *integral = state + n, *friction = state + 2 * n, *touch = state + 3 * n;
-  std::vector<double> jacobian(3 * n);
+  std::vector<double> jacobian(3 * n), torque(n);
   for (int k = first; k < first + count; ++k) {
     const double warmth = -std::expm1(-(warm_from_s + k * dt) / warm_s);
     const std::size_t row = static_cast<std::size_t>(k) * n;
@@ -47,14 +52,16 @@ extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, dou
       const double q = d->qpos[j], v = d->qvel[j], direction = sign(v), warm = 1 - of(kWarmDrop) * warmth;
       const double error = dq_des[row + j] + kPositionPerS * (q_des[row + j] - q) - v;
       integral[j] += dt * (error - integral[j] / kForgetS);
-      double motor = forward[row + j] + of(kInertia) * kVelocityPerS * (error + kIntegralPerS * integral[j]);
+      double motor = forward[row + j] + of(kInertia) * kVelocityPerS * (error + of(kIntegral) * integral[j]);
       motor = std::clamp(motor, -of(kMost), of(kMost));
       const double sliding =
           warm * of(kCoulomb) * (1 + of(kAsymmetry) * direction) + of(kLoadShare) * std::fabs(motor - friction[j]);
       const double slow = v / of(kStribeck);
       const double g = sliding * (1 + (of(kStaticShare) - 1) * std::exp(-slow * slow));
       const double steady = g * direction / of(kStiffness);
-      const double moved = (steady - bristle[j]) * -std::expm1(-of(kStiffness) * std::fabs(v) * dt / g);
+      double moved = (steady - bristle[j]) * -std::expm1(-of(kStiffness) * std::fabs(v) * dt / g);
+      // Elasto-plastic: bristles that are bent little, or back, do not slip, so that no vibration straightens them.
+      if (of(kElastic) > 0 && bristle[j] * direction < of(kElastic) * std::fabs(steady)) moved = v * dt;
       bristle[j] += moved;
       const double bent = v / kViscousBend, viscous = warm * of(kViscous) * v / std::sqrt(1 + bent * bent);
       const double ripple = of(kRipple) * std::sin(of(kCycles) * q + of(kPhase));
@@ -96,6 +103,22 @@ extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, dou
         touch[0] += 1;
         touch[1] = 0;
       }
+    }
+    const double* pressed = press == nullptr ? nullptr : press + static_cast<std::size_t>(k) * kPressValues;
+    if (pressed != nullptr && pressed[kNormal] > 0) {
+      const int body = m->nbody - 1;
+      double point[3], normal[3], speed[3], *acts = tool + 3 * static_cast<std::size_t>(k);
+      mju_mulMatVec3(point, d->xmat + 9 * body, pressed + kAt);
+      mju_addTo3(point, d->xpos + 3 * body);
+      mju_mulMatVec3(normal, d->xmat + 9 * body, axis);
+      mj_jac(m, d, jacobian.data(), nullptr, point, body);
+      mju_mulMatVec(speed, jacobian.data(), d->qvel, 3, n);
+      mju_addToScl3(speed, normal, -mju_dot3(speed, normal));  // along the surface
+      mju_scl3(acts, normal, pressed[kNormal]);
+      mju_addToScl3(acts, speed, -pressed[kGrip] * pressed[kNormal] / std::hypot(mju_norm3(speed), kSlips));
+      mju_mulMatTVec(torque.data(), jacobian.data(), acts, 3, n);
+      mju_addTo(d->qfrc_applied, torque.data(), n);
+      mju_addTo(out + 3 * size + row, torque.data(), n);
     }
     mj_step(m, d);
   }

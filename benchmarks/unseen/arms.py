@@ -77,6 +77,11 @@ class TrueArm:
     current_filter_s: float
     current_step_a: float
     current_noise_a: float
+    elastic_share: float = 0.0
+    """Bend of the bristles below which they do not slip, of that at which the joint slides [Dupont et al. 2002].
+    0: they always slip a little (LuGre), and vibrations of a resting joint take its friction away."""
+    integral_per_s: float = 8.0
+    """Of the drives' speed loop."""
 
 
 def makers(models: Path) -> dict[str, Maker]:

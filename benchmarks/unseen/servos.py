@@ -34,7 +34,7 @@ from tauext.sim.servo_arm import (
 )
 from unseen.arms import Maker, direction, true_arm
 from unseen.recordings import Take, split_text
-from unseen.simulation import NUMBER, POINTER, WHOLE, address, compiled, draw_motion
+from unseen.simulation import NUMBER, POINTER, WHOLE, Pressing, address, compiled, draw_motion
 
 # --- A low-cost servo arm as its user meets it: a URDF that is roughly right, and servos of which each differs.
 
@@ -67,7 +67,7 @@ def servo_arm(maker: Maker, seed: int) -> ServoArm:
 SAMPLE = ("q", "dq", "goal", "duty", "supply_a", "speed", "motor_nm", "load_nm", "tau_ext")
 STEPS = (
     POINTER, POINTER, POINTER, WHOLE, NUMBER, NUMBER, NUMBER, POINTER, POINTER, WHOLE, POINTER, WHOLE,
-    POINTER, WHOLE, POINTER, POINTER,
+    POINTER, POINTER, POINTER, WHOLE, POINTER, POINTER, POINTER,
 )  # fmt: skip
 """Arguments of servo_steps()."""
 SHAPES = ("impact", "push", "wall")
@@ -102,12 +102,19 @@ class ServoRun:
     ticks: np.ndarray
     signals: dict[str, np.ndarray]
     volts: np.ndarray
+    tool_n: np.ndarray
+    """Force of what presses on the last link, in the base axes, (samples, 3), [N]."""
 
 
-def simulate_servos(arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch]) -> ServoRun:
+def simulate_servos(
+    arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch], pressing: Pressing | None = None
+) -> ServoRun:
     """The arm follows goals, (samples, joints), [rad], each written as the servos are read, at `rate_hz`.
 
     A goal is that of the register: whole counts. Samples are taken at the servos' ticks of 1 ms.
+
+    Args:
+        pressing: what presses on the last link beside the touches; None: nothing.
     """
     model = backlash_model(arm)
     data = mujoco.MjData(model)
@@ -117,16 +124,19 @@ def simulate_servos(arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: S
     samples, n = goals.shape
     ticks = np.round(np.arange(samples) * TICKS_HZ / rate_hz).astype(np.int32)
     acts = (ticks + COMMAND_TICKS).astype(np.int32)
-    out, volts = np.zeros((samples, n, len(SAMPLE))), np.zeros(samples)
+    out, volts, tool_n = np.zeros((samples, n, len(SAMPLE))), np.zeros(samples), np.zeros((samples, 3))
+    axis = None if pressing is None else np.ascontiguousarray(pressing.axis, dtype=float)
+    press = None if pressing is None else np.ascontiguousarray(pressing.rows)
     rows = np.array([touch.row() for touch in touches], dtype=np.float64)
     taken = compiled("servo_steps", STEPS, WHOLE)(
         model._address, data._address, address(table), n, arm.volts, arm.supply_ohm, COUNT_RAD,
         address(goals), address(acts), samples, address(rows), len(touches),
-        address(ticks), samples, address(out), address(volts),
+        None if press is None else address(press), None if axis is None else address(axis),
+        address(ticks), samples, address(out), address(volts), address(tool_n),
     )  # fmt: skip
     if taken != samples or not np.isfinite(out).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         raise RuntimeError("the simulation diverged")
-    return ServoRun(ticks, {name: out[:, :, k].copy() for k, name in enumerate(SAMPLE)}, volts)
+    return ServoRun(ticks, {name: out[:, :, k].copy() for k, name in enumerate(SAMPLE)}, volts, tool_n)
 
 
 # --- What a bus reports of the arm: Parquet files of registers, arm.toml, and apart from them the truth.

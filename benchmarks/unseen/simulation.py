@@ -224,12 +224,23 @@ LINK_RADIUS_M = 0.05
 
 STEPS = (
     POINTER, POINTER, POINTER, NUMBER, NUMBER, POINTER, POINTER, POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER, WHOLE,
-    POINTER, POINTER,
+    POINTER, POINTER, POINTER, POINTER, POINTER,
 )  # fmt: skip
 """Arguments of arm_steps()."""
 
 Grip = Callable[[mujoco.MjModel, mujoco.MjData, int], np.ndarray]
 """Changes what the arm carries before a step, and says the joint torques of what else holds it, (joints,)."""
+
+
+@dataclass(frozen=True)
+class Pressing:
+    """A surface that presses on the last link as the arm works: it moves and turns with the link."""
+
+    axis: np.ndarray
+    """Direction of the force on the arm, in the link's axes, (3,)."""
+    rows: np.ndarray
+    """Force along the axis [N], friction against sliding as a share of it, and the point in the link's axes [m],
+    (samples, 5)."""
 
 
 @dataclass(frozen=True)
@@ -240,6 +251,8 @@ class Run:
     motor_nm: np.ndarray
     friction_nm: np.ndarray
     tau_ext: np.ndarray
+    tool_n: np.ndarray
+    """Force of what presses on the last link, in the base axes, (samples, 3), [N]."""
 
 
 def hinge(body: mujoco.MjsBody, link: _core.Link) -> None:
@@ -260,6 +273,7 @@ def simulate(
     contacts: Sequence[Contact],
     warm_from_s: float,
     grip: Grip | None = None,
+    pressing: Pressing | None = None,
 ) -> Run:
     """Follow the setpoints at 1 kHz; the drive feeds forward what the known model says.
 
@@ -271,40 +285,82 @@ def simulate(
         torque_nm: most of each drive.
         warm_from_s: how long the arm has run when the recording begins.
         grip: what happens at the flange; None: nothing.
+        pressing: what presses on the last link beside the contacts; None: nothing.
     """
-    model = build(arm.tree)
-    data = mujoco.MjData(model)
-    q_des, dq_des, ddq_des = setpoints
-    n, dt = q_des.shape[1], 1 / RATE_HZ
-    p, beta = known.momentum(q_des, dq_des)
-    rotor = np.array([link.rotor_inertia for link in arm.tree.links])
-    forward = np.ascontiguousarray(np.gradient(p, dt, axis=0) + beta + rotor * ddq_des)
-    inertia = rotor + _mean_inertia(known, q_des)
-    joints, rows = joint_table(arm, rotor, inertia, torque_nm), contact_rows(arm.tree, contacts)
-    q_des, dq_des = np.ascontiguousarray(q_des), np.ascontiguousarray(dq_des)
-    state, out = np.zeros(3 * n + 5), np.zeros((4, *q_des.shape))
-    data.qpos[:] = q_des[0]
-    for k in range(0, len(q_des), len(q_des) if grip is None else 1):
-        more = None if grip is None else np.ascontiguousarray(grip(model, data, k))
+    steps = Steps(arm, known, setpoints, torque_nm, contacts, warm_from_s, pressing)
+    samples = len(steps.q_des)
+    if grip is None:
+        steps.run(0, samples)
+    else:
+        for k in range(samples):
+            steps.run(k, 1, grip(steps.model, steps.data, k))
+    return steps.done()
+
+
+class Steps:
+    """The arm and its drive, stepped; see simulate(), whose arguments it takes."""
+
+    def __init__(
+        self,
+        arm: TrueArm,
+        known: _core.Tree,
+        setpoints: tuple[np.ndarray, np.ndarray, np.ndarray],
+        torque_nm: Sequence[float],
+        contacts: Sequence[Contact],
+        warm_from_s: float,
+        pressing: Pressing | None = None,
+    ) -> None:
+        self.model = build(arm.tree)
+        self.data = mujoco.MjData(self.model)
+        q_des, dq_des, ddq_des = setpoints
+        n, dt = q_des.shape[1], 1 / RATE_HZ
+        p, beta = known.momentum(q_des, dq_des)
+        self.rotor = np.array([link.rotor_inertia for link in arm.tree.links])
+        self.forward = np.ascontiguousarray(np.gradient(p, dt, axis=0) + beta + self.rotor * ddq_des)
+        self.q_des, self.dq_des = np.ascontiguousarray(q_des), np.ascontiguousarray(dq_des)
+        inertia = self.rotor + _mean_inertia(known, q_des)
+        self._joints, self._contacts = (
+            joint_table(arm, self.rotor, inertia, torque_nm),
+            contact_rows(arm.tree, contacts),
+        )
+        self._axis = None if pressing is None else np.ascontiguousarray(pressing.axis, dtype=float)
+        self._press = None if pressing is None else np.ascontiguousarray(pressing.rows)
+        self._warm_s = warm_from_s, arm.warm_s
+        self._state, self.out, self.tool_n = np.zeros(3 * n + 5), np.zeros((4, *q_des.shape)), np.zeros((len(q_des), 3))
+        self.data.qpos[:] = q_des[0]
+
+    def run(self, first: int, count: int, more: np.ndarray | None = None) -> None:
+        """Steps first to first + count - 1.
+
+        Args:
+            more: torques that act beside, (joints,), [N m].
+        """
+        more = None if more is None else np.ascontiguousarray(more)
         compiled("arm_steps", STEPS, None)(
-            model._address, data._address, address(joints), warm_from_s, arm.warm_s,
-            address(q_des), address(dq_des), address(forward), len(q_des), k, len(q_des) if grip is None else 1,
-            None if more is None else address(more), address(rows), len(contacts), address(state), address(out),
+            self.model._address, self.data._address, address(self._joints), *self._warm_s,
+            address(self.q_des), address(self.dq_des), address(self.forward), len(self.q_des), first, count,
+            None if more is None else address(more), address(self._contacts), len(self._contacts),
+            None if self._press is None else address(self._press), None if self._axis is None else address(self._axis),
+            address(self._state), address(self.out), address(self.tool_n),
         )  # fmt: skip
-    run = Run(*out)
-    if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
-        raise RuntimeError("the simulation diverged")
-    return run
+
+    def done(self) -> Run:
+        """True signals of all steps. RuntimeError: the simulation diverged."""
+        bad = self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
+        if bad or not np.isfinite(self.data.qpos).all():
+            raise RuntimeError("the simulation diverged")
+        return Run(*self.out, self.tool_n)
 
 
 def joint_table(arm: TrueArm, rotor: np.ndarray, inertia: np.ndarray, torque_nm: Sequence[float]) -> np.ndarray:
-    """Constants of the joints as arm_steps.cpp reads them, (14, joints)."""
+    """Constants of the joints as arm_steps.cpp reads them, (16, joints)."""
     stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
     damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
     rows = (
         inertia, np.array(torque_nm, dtype=float), arm.coulomb_nm, arm.asymmetry, arm.static_share, arm.stribeck_rad_s,
         stiffness, damping, arm.viscous_nm_s_rad, arm.load_share, arm.warm_drop, arm.ripple_nm, arm.ripple_cycles,
-        arm.ripple_phase_rad,
+        arm.ripple_phase_rad, np.full(len(rotor), arm.elastic_share),
+        np.full(len(rotor), arm.integral_per_s),
     )  # fmt: skip
     return np.array(rows, dtype=np.float64)
 

@@ -240,14 +240,23 @@ class Event:
     facts: dict[str, float]
 
 
+class Spot(Protocol):
+    """A point of a link, in its frame, [m]."""
+
+    @property
+    def link(self) -> int: ...
+
+    def of(self, tree: _core.Tree) -> np.ndarray: ...
+
+
 class Kinematics:
-    """Points of the maker's model and their velocities."""
+    """Points of a model's links and their velocities."""
 
     def __init__(self, tree: _core.Tree) -> None:
         self.tree, self.model = tree, build(tree)
         self.data = mujoco.MjData(self.model)
 
-    def jacobian(self, place: Place, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(self, place: Spot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)

@@ -27,6 +27,7 @@ from unseen.servos import (
     SUPPLY_STEP_A,
     TOUCHED_NM,
     VOLTAGE_STEP_V,
+    ServoRun,
     draw_touches,
     servo_arm,
     simulate_servos,
@@ -187,10 +188,33 @@ SO101_LOADS_KG = (0.06, 0.12)
 COLD_GREASE = 1.3
 
 
+def servo_signals(settings: SourceSettings, run: ServoRun, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Registers of a run, and the velocity and torque that a source computes from them, (samples, joints)."""
+    true = run.signals
+    ampere = np.abs(true["supply_a"]) + SUPPLY_NOISE_A * rng.standard_normal(true["q"].shape)
+    volts = np.round(run.volts / VOLTAGE_STEP_V)[:, None] * VOLTAGE_STEP_V
+    registers = {
+        "q": encoder(true["q"], COUNTS),
+        "q_des": true["goal"],
+        "current": np.round(np.maximum(ampere, 0) / SUPPLY_STEP_A) * SUPPLY_STEP_A,
+        "duty": np.round(true["duty"] / DUTY_STEP) * DUTY_STEP,
+        "voltage": np.repeat(volts, true["q"].shape[1], axis=1),
+    }
+    assert settings.servo is not None
+    stage, unknown, dq, tau = ServoStage(settings.servo), np.full(true["q"].shape[1], np.nan), [], []
+    for k in range(len(run.ticks)):
+        row = {name: values[k] for name, values in registers.items()}
+        made = stage.made(Sample(k * settings.period_ns, row.pop("q"), true["speed"][k], unknown, 0, **row))
+        dq.append(made.dq)
+        tau.append(made.tau)
+    signals = registers | {"dq": np.array(dq), "tau": np.array(tau)}
+    signals["dq"][0], signals["tau"][0] = 0.0, signals["tau"][1]  # a derived velocity begins with the second sample
+    return signals
+
+
 def servos() -> Working:
     facts, maker = servo_facts_of_so101(), so101()
     settings = facts.settings
-    assert settings.servo is not None
     bare = servo_arm(maker, 0)
 
     def arm_in(part: Part, warm_s: float) -> ServoArm:
@@ -212,26 +236,8 @@ def servos() -> Working:
         goals = draw_motion(maker, round(STRETCH_S * RATE_HZ), RATE_HZ, program(seed, number))[0]
         at = np.arange(round(STRETCH_S * rate_hz)) * (RATE_HZ // rate_hz)
         run = simulate_servos(arm, goals[at], rate_hz, draw_touches(maker, arm, take, rng))
-        true = run.signals
-        ampere = np.abs(true["supply_a"]) + SUPPLY_NOISE_A * rng.standard_normal(true["q"].shape)
-        registers = {
-            "q": encoder(true["q"], COUNTS),
-            "q_des": true["goal"],
-            "current": np.round(np.maximum(ampere, 0) / SUPPLY_STEP_A) * SUPPLY_STEP_A,
-            "duty": np.round(true["duty"] / DUTY_STEP) * DUTY_STEP,
-            "voltage": np.repeat(
-                np.round(run.volts / VOLTAGE_STEP_V)[:, None] * VOLTAGE_STEP_V, len(maker.joints), axis=1
-            ),
-        }
-        stage, unknown, dq, tau = ServoStage(settings.servo), np.full(5, np.nan), [], []
-        for k in range(len(at)):
-            row = {name: values[k] for name, values in registers.items()}
-            made = stage.made(Sample(k * settings.period_ns, row.pop("q"), true["speed"][k], unknown, 0, **row))
-            dq.append(made.dq)
-            tau.append(made.tau)
-        signals = registers | {"dq": np.array(dq), "tau": np.array(tau), "tau_ext": true["tau_ext"]}
-        signals["dq"][0], signals["tau"][0] = 0.0, signals["tau"][1]  # a derived velocity begins with the second sample
-        touched = (np.abs(true["tau_ext"]) > TOUCHED_NM).any(axis=1)
+        signals = servo_signals(settings, run, rng) | {"tau_ext": run.signals["tau_ext"]}
+        touched = (np.abs(signals["tau_ext"]) > TOUCHED_NM).any(axis=1)
         return recording_of(facts, f"stretch-{number:04d}", signals, touched)
 
     return Working(facts, maker.model, "", SO101_LOADS_KG, make)

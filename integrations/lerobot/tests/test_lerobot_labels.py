@@ -320,7 +320,7 @@ HERE = Path(__file__).parent.parent
 
 def test_every_command_of_the_page_is_accepted(monkeypatch):
     commands = Page(PAGE).commands()
-    assert [words[0] for words in commands] == ["import", "check", "train", "label"]
+    assert [words[0] for words in commands] == ["import", "check", "train", "label", "guard"]
     for command in commands:
         assert parses(command, monkeypatch), command
     assert not parses(["label", "--dataset", "demos", "--bundles", "arm.tauext"], monkeypatch)
@@ -329,9 +329,11 @@ def test_every_command_of_the_page_is_accepted(monkeypatch):
 @pytest.mark.parametrize("text", [Page(PAGE).text, (HERE / "README.md").read_text()])
 def test_options_of_the_wrapped_robot_exist(text):
     """By its settings' source: lerobot need not be installed."""
-    path = HERE / "lerobot_robot_tauext" / "config_tauext.py"
-    (config,) = (node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef))
-    settings = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
+    settings: set[str] = set()
+    for name in ("config_wrapping", "config_tauext", "config_tauext_guard"):
+        path = HERE / "lerobot_robot_tauext" / f"{name}.py"
+        for config in (node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef)):
+            settings |= {node.target.id for node in config.body if isinstance(node, ast.AnnAssign)}
     printed = set(re.findall(r"--robot\.(\w+)", text))
     assert {"bundle", "arm", "robot"} <= printed
     assert printed <= settings | {"type", "id"}, printed - settings

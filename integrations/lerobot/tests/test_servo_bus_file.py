@@ -76,7 +76,8 @@ def test_every_command_of_the_page_is_accepted(monkeypatch):
 
 
 def test_the_files_of_the_page_are_valid(tmp_path):
-    arm, bus = Page(PAGE).blocks("toml")
+    arm, guard, bus = Page(PAGE).blocks("toml")
+    assert "[grip]" in guard  # what a guard learned: test_guard.py reads it
     assert parse_arm(arm).servo.torque_from == "goal"
     (tmp_path / "my_follower.json").write_text(json.dumps({"shoulder_pan": ELBOW | {"id": 1}}))
     (tmp_path / "bus.toml").write_text(bus)

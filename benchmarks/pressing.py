@@ -103,6 +103,8 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
             save_recording(recording, folder / f"{recording.name}.parquet")
         save_split(Split(tuple(sorted(one.name for one in folder.glob("train-*.parquet"))), (), ()), folder)
         bundle, started = load_bundle(trained(folder, folder / "trained.tauext")), time.monotonic()
+        if bundle.servo.on:  # recordings of servos go through import: its limits are those of the training's minutes
+            return bundle
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
         found, limits = calibrate_bundle(bundle, "promised", loaders, AlarmConfig(), 1, out=place_of(promised))
         print(presser.maker.name, found.sentence(), flush=True)

@@ -162,6 +162,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.slow
 def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path):
     save_recording(pushed(seconds=4), tmp_path / "log.parquet")
     lines, controls = [], []
@@ -180,6 +181,7 @@ def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path)
     assert not command.is_alive()
 
 
+@pytest.mark.slow
 def test_a_new_alarm_never_has_the_number_of_a_label_whose_event_was_lost(tmp_path):
     """A full disk keeps the label of alarm 7, for which space is reserved, and loses the line of its event."""
     save_recording(pushed(), tmp_path / "log.parquet")

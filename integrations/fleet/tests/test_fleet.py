@@ -401,6 +401,7 @@ def processes_with(mark: str) -> list[Path]:
     return found
 
 
+@pytest.mark.slow  # Ray's start
 def test_ray_writes_the_bytes_of_this_process_and_leaves_nothing_behind(place, monkeypatch):
     """In an environment of long and strange names, without a home."""
     fleet = write_fleet(place, 'stages = ["train"]\n' + QUICK + arms_of("a", "b", dataset="data"))

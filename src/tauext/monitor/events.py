@@ -102,11 +102,12 @@ def declared_words(change: DeclaredChange) -> str:
             f"{name}{bounds.frame} moved {abs(change.travel_m) * 1e3:.0f} mm along the contact's axis, of at most "
             f"{bounds.at_most_travel_m * 1e3:.0f} mm; nothing is explained until the force has gone"
         )
+    error = f"{float(format(change.sigma, '.1g')):g}"
     if bounds.joint:
-        return f"{name}{change.size:.3g} ± {change.sigma:.1g} at joint {bounds.joint}, of at most {bounds.at_most_nm:g}"
+        return f"{name}{change.size:.3g} ± {error} at joint {bounds.joint}, of at most {bounds.at_most_nm:g}"
     moment = f" and {change.moment_nm:.2g} N m" if bounds.at_most_nm else ""
     most = f"{bounds.at_most_n:g} N" + (f" and {bounds.at_most_nm:g} N m" if bounds.at_most_nm else "")
-    return f"{name}{change.size:.0f} ± {change.sigma:.1g} N{moment} at {bounds.frame}, of at most {most}"
+    return f"{name}{change.size:.0f} ± {error} N{moment} at {bounds.frame}, of at most {most}"
 
 
 def declared_facts(change: DeclaredChange) -> dict[str, Any]:

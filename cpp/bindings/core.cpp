@@ -555,7 +555,7 @@ void bind_bundle(nb::module_& m) {
       .def_prop_rw(
           "declared_spread", [](const Bundle& b) { return b.limits.declared_spread; },
           [](Bundle& b, double v) { b.limits.declared_spread = v; },
-          "Standard errors of what a declared contact explains by which limits rise meanwhile, in squares.")
+          "Standard errors by which what a declared contact explains may be wrong.")
       .def_prop_rw(
           "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); },

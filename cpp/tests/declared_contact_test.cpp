@@ -346,7 +346,8 @@ void time_box_and_travel_end_it() {
   CHECK(a.e.declared == Declared::within);
   for (int k = 0; k < 300; ++k) a.step(away, 6, contact.point, {0, 0, 10});
   CHECK(a.e.declared == Declared::none);
-  CHECK(a.contacts.end(0));
+  a.step(kPose, 6, contact.point, {0, 0, 10});
+  CHECK(a.contacts.in_effect() && a.contacts.end(0) && !a.contacts.in_effect());  // a refit learns again
 
   // The wall gives way: the tool goes along the axis by more than declared.
   DeclaredContact short_way = contact;
@@ -419,6 +420,7 @@ void bad_contacts_are_refused() {
   }
   CHECK(w.monitor.expect_contact(press(3), 5) == 2);  // declared already: it starts again
   refused("at most 8", [](DeclaredContact& c) { c.at_most_n = 99; });
+  refused("at most 8", [](DeclaredContact& c) { c.frame = -1, c.joint = 2, c.at_most_n = 0, c.at_most_nm = 1; });
   CHECK(w.monitor.declared_contact(2)->at_most_n == 3 && !w.monitor.declared_contact(8) && !w.monitor.declared_contact(-1));
   w.monitor.reset();
   CHECK(!w.monitor.declared_contact(2));

@@ -19,8 +19,8 @@ struct DeclaredContact {
   std::array<double, 3> axis{};
   WrenchAxes axes = WrenchAxes::frame;  // of the axis
   double half_angle_rad = 0;           // of the cone, 0 (a line) to pi/2
-  double at_most_n = 0;                   // largest force, [N]
-  double at_most_nm = 0;                  // largest moment about the point, [N m]; with a joint its largest torque, in the joint's unit
+  double at_most_n = 0;                // largest force, [N]
+  double at_most_nm = 0;               // largest moment about the point, [N m]; with a joint its largest torque, in the joint's unit
   double at_most_travel_m = std::numeric_limits<double>::infinity();  // largest way of the point along the axis during the contact
   bool boxed = false;                  // in effect only while the frame's origin is in this box, in the base's axes, [m]
   std::array<double, 3> lowest_m{}, highest_m{};

@@ -121,8 +121,8 @@ class Monitor {
   // tau_ext that no force and moment within its bounds explains (Estimate's declared_*), and limits rise by the error of what is
   // explained. A force beyond the bounds is Declared::beyond; what is beyond them stays in the alarm. Meanwhile drift, weighing and
   // a refit learn nothing. The contact stays in effect for 5/K0 afterwards, since r still contains it. Of several contacts at
-  // frames the last one counts, while no load is expected; contacts of joints count beside it. A sample takes about a microsecond
-  // longer. Returns the contact's number, or -1 and changes nothing if contact_fault() gives a reason.
+  // frames the last one counts, while no load is expected; contacts of joints count beside it. A sample takes about two
+  // microseconds longer. Returns the contact's number, or -1 and changes nothing if contact_fault() gives a reason.
   int expect_contact(const DeclaredContact& contact, double seconds) noexcept;
   // Ends a declared contact at once; false: there is none of this number.
   bool end_contact(int which) noexcept;

@@ -173,7 +173,7 @@ struct Limits {
   // it has slid for kSlidS. A factor of 1 switches this off.
   static constexpr double kSlidS = 0.5;
   double after_contact_factor = 1;
-  // Standard errors of what a declared contact explains by which limits rise meanwhile, in squares (DeclaredContacts).
+  // Standard errors by which what a declared contact explains may be wrong (DeclaredContacts).
   double declared_spread = 3;
 
   // A joint that has slid by a width has a state of 1 or -1 for it, and a reversal changes the state at once. A

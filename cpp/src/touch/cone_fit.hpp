@@ -16,6 +16,11 @@ struct Symmetric3 {
   Symmetric3 plus(double on_diagonal) const noexcept {
     return {xx + on_diagonal, yy + on_diagonal, zz + on_diagonal, xy, xz, yz};
   }
+  // Adds w v v'.
+  void add(double w, Vector3 v) noexcept {
+    xx += w * v.x * v.x, yy += w * v.y * v.y, zz += w * v.z * v.z;
+    xy += w * v.x * v.y, xz += w * v.x * v.z, yz += w * v.y * v.z;
+  }
   // Of a positive definite matrix.
   Symmetric3 inverse() const noexcept;
 };

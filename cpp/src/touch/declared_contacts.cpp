@@ -137,12 +137,13 @@ ContactFault DeclaredContacts::fault(const DeclaredContact& contact, double seco
   for (std::size_t i = 0; contact.boxed && i < 3; ++i)
     if (!(contact.lowest_m[i] < contact.highest_m[i])) return ContactFault::no_box;
   if (!(seconds > 0)) return ContactFault::no_time;
-  if (of_joint) return ContactFault::none;
-  TorqueSpan explained;
-  int before = 0;
-  for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) before += told_[j] && monitored_[j] && moves(contact.frame, j);
-  add_explained(contact, explained);
-  if (explained.rank() >= before) return ContactFault::explains_everything;
+  if (at_frame) {
+    TorqueSpan explained;
+    int before = 0;
+    for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) before += told_[j] && monitored_[j] && moves(contact.frame, j);
+    add_explained(contact, explained);
+    if (explained.rank() >= before) return ContactFault::explains_everything;
+  }
   if (state_.count < kMostContacts) return ContactFault::none;
   const bool again = std::ranges::any_of(state_.slots, [&](const Slot& slot) { return slot.on && slot.contact == contact; });
   return again ? ContactFault::none : ContactFault::too_many;
@@ -250,6 +251,7 @@ bool DeclaredContacts::end(int which) noexcept {
   if (!contact(which)) return false;
   state_.slots[static_cast<std::size_t>(which)] = {};
   --state_.count;
+  state_.in_effect = std::ranges::any_of(state_.slots, [](const Slot& slot) { return slot.acts; });
   if (state_.fitted == which) state_.fitted = -1;
   return true;
 }
@@ -409,23 +411,11 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
     const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
     if (!used[j]) continue;
     const double w = 1 / (e.sigma_nm[j] * e.sigma_nm[j] + errors.brought(static_cast<int>(j), e.near_stiction >> j & 1, rest[j]));
-    Symmetric3& ff = equations.force;
-    ff.xx += w * f.x * f.x;
-    ff.yy += w * f.y * f.y;
-    ff.zz += w * f.z * f.z;
-    ff.xy += w * f.x * f.y;
-    ff.xz += w * f.x * f.z;
-    ff.yz += w * f.y * f.z;
+    equations.force.add(w, f);
     equations.force_seen = equations.force_seen + w * rest[j] * f;
     if (parts == 3) continue;
     const Vector3 m{state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]};
-    Symmetric3& mm = equations.moment;
-    mm.xx += w * m.x * m.x;
-    mm.yy += w * m.y * m.y;
-    mm.zz += w * m.z * m.z;
-    mm.xy += w * m.x * m.y;
-    mm.xz += w * m.x * m.z;
-    mm.yz += w * m.y * m.z;
+    equations.moment.add(w, m);
     equations.mixed[0] = equations.mixed[0] + w * f.x * m;
     equations.mixed[1] = equations.mixed[1] + w * f.y * m;
     equations.mixed[2] = equations.mixed[2] + w * f.z * m;

@@ -145,7 +145,6 @@ def watch(
     from tauext.cli.text_lines import Outcome
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
-    from tauext.monitor.mcap_sink import McapSink
     from tauext.monitor.phases import phases_of
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
@@ -167,6 +166,8 @@ def watch(
         record = RecordSink(extras.record, settings_of(bundle), source.name, extras.segment_s, lambda: bundle.name)
     mcap = None
     if extras.mcap is not None:
+        from tauext.monitor.mcap_sink import McapSink
+
         mcap = McapSink(extras.mcap, bundle, source.name, settings.wrench)
     sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
     reactions = start_reactions(rules, source, publishers)

@@ -75,13 +75,7 @@ def recalibrate(
     """
     started = time.monotonic()
     expect_codes(accept)
-    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
-    if not loaders:
-        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
-    expect_new_file(out)
-    loaded = load_bundle(bundle)
-    history = read_loss_history(loaded, bundle) or []
-    facts = json.loads(loaded.provenance or "{}")
+    loaders, loaded, history, facts = opened(bundle, dataset, out)
     files, where = dataset.files("calibration"), str(dataset.folder)
     checked = check_for_bundle(loaded, "calibration", files, where, accept, threads, report)
     facts["checks"] = facts.get("checks", {}) | checked
@@ -106,6 +100,18 @@ def recalibrate(
     return promised
 
 
+def opened(
+    bundle: Place, dataset: Dataset, out: Place
+) -> tuple[Sequence[Callable[[], Recording]], _core.Bundle, Sequence[Any], dict]:
+    """Calibration recordings, the bundle, its loss history and provenance, before anything is done."""
+    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
+    if not loaders:
+        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
+    expect_new_file(out)
+    loaded = load_bundle(bundle)
+    return loaders, loaded, read_loss_history(loaded, bundle) or [], json.loads(loaded.provenance or "{}")
+
+
 def calibrate_contacts(
     bundle: Place,
     dataset: Dataset,
@@ -125,18 +131,18 @@ def calibrate_contacts(
         BundleError: the bundle does not exist, or a recording is not for it.
     """
     started = time.monotonic()
-    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
-    if not loaders:
-        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
-    expect_new_file(out)
-    loaded = load_bundle(bundle)
-    history = read_loss_history(loaded, bundle) or []
-    facts = json.loads(loaded.provenance or "{}")
+    loaders, loaded, history, facts = opened(bundle, dataset, out)
     motion = ((recording, contacts(int(recording.t_ns[0]))) for recording in fitting(loaded, loaders))
     with report.progress(f"calibrate {out.stem}"):
         spread = put_spread(loaded, motion, injected=False, threads=threads)
+    if not spread.hours:
+        raise ConfigError(f"{dataset.folder}: {spread.sentence()}")
     facts["declared_spread"] = spread.facts()
-    settings = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "phases": True}
+    settings = {
+        "bundle": bundle.name,
+        "dataset": dataset.folder.resolve().name,
+        "contacts": [repr(one) for one, *_ in contacts(0)],
+    }
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
     write_calibrated(loaded, out, facts, started, history, report)
     return spread

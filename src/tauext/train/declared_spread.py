@@ -23,6 +23,8 @@ Contacts = Sequence[tuple[_core.DeclaredContact, int, float]]
 """Contact, start [ns] and duration [s], by rising start."""
 USUAL = 3.0
 """Spread without a measurement: by errors of their torque constants, 98 of 100 arms of seven joints stay within it."""
+ENOUGH_H = 1.0
+"""Hours of declared contact from which on a spread below USUAL is believed."""
 TRIED = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
 """Spreads that are tried, from the smallest on."""
 MOST_HOURS = 1.0
@@ -57,9 +59,10 @@ class SpreadFound:
         if not self.hours:
             return "no declared force acted in these recordings: limits during declared contacts stay as they are"
         how = "of tool forces added to free motion" if self.injected else "of declared contacts"
+        rate = float(format(upper_rate(0, self.hours), ".2g"))
         return (
-            f"during a declared contact {self.spread:.2g} standard errors of what is explained are admitted: no false "
-            f"collision in {duration(self.hours)} {how}, at most {upper_rate(0, self.hours):.2g} an hour (95%)"
+            f"during a declared contact what is explained may be wrong by {self.spread:g} of its standard errors: no "
+            f"false collision in {duration(self.hours)} {how}, at most {rate:g} an hour (95%)"
         )
 
 
@@ -87,7 +90,7 @@ def put_spread(
 ) -> SpreadFound:
     """Set the bundle's spread so that this motion has no false collision.
 
-    Of declared contacts it may fall below USUAL, of injected forces it may not: their errors are drawn, not measured.
+    It falls below USUAL only by ENOUGH_H hours of declared contacts, not by injected forces, whose errors are drawn.
 
     Raises:
         ConfigError: none of TRIED is enough for declared contacts. With injected forces such a recording is left out.
@@ -104,7 +107,7 @@ def put_spread(
             )
         most, hours = max(most, of_this), hours + time_h
     if hours:
-        bundle.declared_spread = max(USUAL if injected else TRIED[0], most)
+        bundle.declared_spread = max(most, 0.0 if not injected and hours >= ENOUGH_H else USUAL)
     return SpreadFound(bundle.declared_spread, most, hours, injected)
 
 

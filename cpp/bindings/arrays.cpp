@@ -12,8 +12,6 @@ namespace {
 
 std::string text(nb::handle object) { return nb::cast<std::string>(nb::str(object)); }
 
-std::string type_of(nb::handle object) { return text(nb::handle(object.type()).attr("__name__")); }
-
 std::string shape_of(std::size_t rows, std::size_t columns) {
   return "(" + std::to_string(rows) + ", " + std::to_string(columns) + ")";
 }
@@ -56,6 +54,10 @@ nb::object converted(nb::handle object, std::string_view type, int dimensions, s
 }
 
 }  // namespace
+
+std::string type_of(nb::handle object) {
+  return text(nb::steal(PyType_GetName(Py_TYPE(object.ptr()))));  // the stable ABI hides the fields of a type
+}
 
 bool is_numpy(nb::handle object) noexcept {
   static const PyTypeObject* type = nullptr;
@@ -103,7 +105,7 @@ void read_number(nb::handle object, double& value, std::string& problem) noexcep
   value = PyFloat_AsDouble(object.ptr());
   if (!PyErr_Occurred()) return;
   PyErr_Clear();
-  problem = "is of type " + std::string(Py_TYPE(object.ptr())->tp_name) + "; it must be a number";
+  problem = "is of type " + type_of(object) + "; it must be a number";
 }
 
 void expect_temperatures(std::span<const double> celsius, std::size_t joints) {

@@ -62,6 +62,7 @@ std::span<const T> span_of(const Array<T, 1>& a) {
   return {a.data(), a.shape(0)};
 }
 
+std::string type_of(nb::handle object);  // the name of the object's type
 bool is_numpy(nb::handle object) noexcept;  // an array of NumPy itself, no subclass such as a masked array
 // The object as an array of NumPy, as a whole number, as a number. The problem is set where it cannot be one.
 nb::object numpy_of(nb::handle object, std::string_view type, int dimensions, std::string& problem) noexcept;

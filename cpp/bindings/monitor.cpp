@@ -451,7 +451,7 @@ void bind_monitor(nb::module_& m) {
           "__init__",
           [](Monitor* monitor, nb::handle given, bool own_rate) {
             if (!nb::isinstance<Bundle>(given))
-              throw Error("bundle is of type " + std::string(Py_TYPE(given.ptr())->tp_name) +
+              throw Error("bundle is of type " + type_of(given) +
                           "; it must be a Bundle, as load_bundle() returns it");
             const auto& bundle = nb::cast<const Bundle&>(given);
             const nb::gil_scoped_release released;

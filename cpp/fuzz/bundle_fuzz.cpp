@@ -1,5 +1,6 @@
 // Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
-// the file. The input is a payload; it gets a right header, since no fuzzer guesses a checksum. `make fuzz` runs it.
+// the file. The input is a payload; it gets a right header, since no fuzzer guesses a checksum. `make test-all
+// PARTS=fuzz` runs it.
 //
 // cpp/fuzz/corpus holds payloads of a few made bundles and what runs have found, as little of it as covers the same.
 // After a change of the format:

@@ -46,6 +46,44 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
     return Shared(config, log)
 
 
+DURATIONS = "tauext/durations_s"
+"""Seconds that each test took when it ran last, in pytest's cache."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shorter-than", type=float, metavar="SECONDS", help="leave out tests that took longer last time")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    longest_s = config.getoption("--shorter-than")
+    if longest_s is None:
+        return
+    took_s = config.cache.get(DURATIONS, {})
+    left_out = [item for item in items if took_s.get(item.nodeid, 0.0) > longest_s]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if took_s.get(item.nodeid, 0.0) <= longest_s]
+
+
+class Durations:
+    """Remembers how long each test took, with what its fixtures needed first."""
+
+    def __init__(self, config: pytest.Config):
+        self.config, self.took_s = config, config.cache.get(DURATIONS, {})
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        before_s = 0.0 if report.when == "setup" else self.took_s.get(report.nodeid, 0.0)
+        self.took_s[report.nodeid] = round(before_s + report.duration, 3)
+
+    def pytest_sessionfinish(self) -> None:
+        self.config.cache.set(DURATIONS, self.took_s)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Durations(config))
+
+
 def of_this_run(tmp_path_factory) -> Path:
     """A folder that all workers of this run share."""
     base = tmp_path_factory.getbasetemp()

@@ -41,6 +41,10 @@ LAST_LINES = 150
 """Of the log of a part that failed."""
 
 
+LAST_DURATIONS = ROOT / ".pytest_cache/v/tauext/durations_s"
+"""Seconds of each test in the last `make test`: see conftest.py."""
+SHORTER_THAN_S = 2.0
+"""Tests that take longer run with the first Python alone."""
 STARTED: list[subprocess.Popen] = []
 """All commands, so that none outlives an interruption."""
 
@@ -57,6 +61,7 @@ class Run:
     log: Path
     limit_s: float
     began: float = field(default_factory=time.monotonic)
+    processor_s: float = 0.0
     notes: list[str] = field(default_factory=list)
     unstable: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
@@ -78,15 +83,23 @@ class Run:
                 start_new_session=True,
             )
             STARTED.append(running)
-            try:
-                done = running.wait(max(1.0, self.limit_s - (time.monotonic() - self.began)))
-            except subprocess.TimeoutExpired:
-                raise Failed(f"ran past its limit of {self.limit_s / 60:.0f} minutes") from None
-            finally:
-                end(running)
+            done = self.waited(running)
         if done not in status:
             raise Failed(f"status {done} of {' '.join(map(str, words))}")
         return done
+
+    def waited(self, running: subprocess.Popen) -> int:
+        """The status of a command, whose processes end with the part's time. Raises Failed."""
+        while time.monotonic() - self.began < self.limit_s:
+            ended, status, usage = os.wait4(running.pid, os.WNOHANG)
+            if ended:
+                running.returncode = os.waitstatus_to_exitcode(status)
+                self.processor_s += usage.ru_utime + usage.ru_stime
+                end(running)
+                return running.returncode
+            time.sleep(0.1)
+        end(running)
+        raise Failed(f"ran past its limit of {self.limit_s / 60:.0f} minutes")
 
     def make(self, *words: str, **settings: str) -> None:
         """A target of the Makefile, with the environment and the build folder of this run."""
@@ -96,6 +109,10 @@ class Run:
         """Tests by their marks, and once more, one after the other, those that fail."""
         cache = LOGS / f"{self.name}-cache"
         shutil.rmtree(cache, ignore_errors=True)
+        if LAST_DURATIONS.exists():
+            kept = cache / LAST_DURATIONS.relative_to(ROOT / ".pytest_cache")
+            kept.parent.mkdir(parents=True)
+            shutil.copy(LAST_DURATIONS, kept)
         words = [venv / "bin/python", "-m", "pytest", "-rs", "-m", marks, "-o", f"cache_dir={cache}"]
         parallel = ["-n", workers, "--maxprocesses", "8", "--dist", "loadfile"] if workers != "0" else []
         status = self.command([*words, *parallel, *more], settings, status=(0, 1, 5))
@@ -196,7 +213,7 @@ def other_python(version: str, kernel: str) -> Callable[[Run], None]:
         run.command(words)
         run.command([folder / "venv/bin/tauext", "--version"])
         run.notes.append(f"kernels {kernel}")
-        run.pytest(FAST, venv=folder / "venv", **kernel_settings(kernel))
+        run.pytest(FAST, f"--shorter-than={SHORTER_THAN_S}", venv=folder / "venv", **kernel_settings(kernel))
 
     return part
 
@@ -294,7 +311,10 @@ def run_part(name: str, began: float) -> tuple[Run, str]:
         verdict = f"FAILED: {reason}"
         print(*run.log.read_text(errors="replace").splitlines()[-LAST_LINES:], sep="\n")
     took = (time.monotonic() - run.began) / 60
-    print(f"{name:14} {took:5.1f} min  {'; '.join([verdict, *run.notes])}", flush=True)
+    print(
+        f"{name:14} {took:5.1f} min, of processors {run.processor_s / 60:5.1f} min  {'; '.join([verdict, *run.notes])}",
+        flush=True,
+    )
     return run, verdict
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -257,6 +258,43 @@ def test_a_phase_that_the_bundle_cannot_have_is_refused_by_name(arm, tmp_path):
 def test_a_control_line_that_cannot_be_read_is_answered(line, message):
     with pytest.raises(ConfigError, match=message):
         announced_of_text(line)
+
+
+FAR = {
+    "joint": {"joint": "joint2", "at_most_nm": 1e6},
+    "force": {"frame": TOOL, "at_most_n": 1e6},
+    "line": {"frame": TOOL, "axis": UP, "at_most_n": 1e6},
+    "lever": {"frame": TOOL, "point": (1000.0, 0.0, 0.0), "at_most_n": 40.0},
+}
+"""Contacts that admit whatever the arm can exert."""
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_a_contact_that_admits_whatever_the_arm_can_exert_is_refused_by_every_entry(arm, tmp_path, name):
+    bundle, free = arm
+    far = FAR[name]
+    for bounds in (far, {key: 1e300 if key.startswith("at_most") else value for key, value in far.items()}):
+        with pytest.raises(_core.CoreError, match=r"at_most_nm? = \S+ .*must be below .* would be monitored"):
+            _core.Monitor(bundle).expect_contact(DeclaredContact(**bounds), 1.0)
+        with pytest.raises(_core.CoreError, match="must be below"):
+            run(bundle, free, DeclaredContact(**bounds))
+    # By a control line, and by a phases file.
+    words = [f"{key}={','.join(map(str, value)) if isinstance(value, tuple) else value}" for key, value in far.items()]
+    loop = Loop(bundle, ScriptedSource([]))
+    assert "must be below" in obey(f"contact {' '.join(words)} seconds=5", loop, "test")
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in far.items()}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
+    (tmp_path / "phases.toml").write_text("\n".join(["[a]", *lines]))
+    with pytest.raises(ConfigError, match="phase a: .*must be below"):
+        read_phases(tmp_path / "phases.toml").check(_core.Monitor(bundle))
+
+
+def test_what_an_arm_needed_in_training_can_be_declared(arm):
+    """Drive limits are unknown here: the bound is well above every torque of the recording."""
+    bundle, free = arm
+    monitor, largest = _core.Monitor(bundle), np.abs(free.tau).max(axis=0)
+    for j, link in enumerate(bundle.links):
+        assert not monitor.why_no_contact(DeclaredContact(joint=link.joint_name, at_most_nm=2 * largest[j]))
 
 
 def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):

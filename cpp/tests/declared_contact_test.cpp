@@ -426,6 +426,70 @@ void bad_contacts_are_refused() {
   CHECK(!w.monitor.declared_contact(2));
 }
 
+// A contact that admits whatever the arm can exert would hide everything, so it is refused: by its force, its moment, or its lever.
+void a_contact_admits_less_than_the_drives_can_exert() {
+  Bundle bundle = Watch::limited(7, 3);
+  bundle.signals.torque_limit_nm = {87, 87, 87, 87, 12, 12, 12};
+  bundle.signals.largest_torque_nm = {40, 60, 30, 30, 4, 20, 2};  // joint 6 passed its limit: that is no limit
+  bundle.signals.possible_torque_nm = {174, 174, 174, 174, 24, 200, 24};
+  Monitor monitor(bundle);
+  const auto why = [&](const DeclaredContact& contact) {
+    const std::string reason = monitor.why_no_contact(contact, 1);
+    CHECK(reason.empty() == (monitor.contact_fault(contact, 1) == ContactFault::none));
+    CHECK(reason.empty() || reason.find("must be below") != std::string::npos);
+    CHECK(reason.empty() || (monitor.expect_contact(contact, 1) == -1 && monitor.unmonitored(contact).empty()));
+    return reason;
+  };
+  const double most_nm[] = {87, 87, 87, 87, 12, 200, 12};
+  for (int j = 0; j < 7; ++j) {
+    DeclaredContact own;
+    own.joint = j;
+    for (const double at_most : {most_nm[j], 1e6, 1e300}) {
+      own.at_most_nm = at_most;
+      CHECK(!why(own).empty());
+    }
+    own.at_most_nm = 0.99 * most_nm[j];
+    CHECK(why(own).empty());
+  }
+  for (const double half_angle : {0.0, 0.5}) {
+    CHECK(why(press(30, half_angle)).empty());
+    for (const double at_most : {1e4, 1e6, 1e300}) CHECK(!why(press(at_most, half_angle)).empty());
+    for (const double far_m : {1e3, 1e9, 1e300}) {
+      DeclaredContact far = press(30, half_angle);
+      far.point = {far_m, far_m, 0};
+      CHECK(!why(far).empty());
+    }
+  }
+  DeclaredContact turned = press(30, 0.5);
+  for (const double at_most : {5.0, 250.0, 1e6, 1e300}) {
+    turned.at_most_nm = at_most;
+    CHECK(why(turned).empty() == (at_most < 10));
+  }
+  // Beyond the bound, the drives hold the force in few poses and directions; a tenth of it in most.
+  double bound = 1;
+  while (why(press(1.02 * bound, 0.5)).empty()) bound *= 1.02;
+  const WrenchModel model(bundle);
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  std::uniform_real_distribution<double> turn(-3, 3);
+  int held = 0, held_tenth = 0;
+  for (int k = 0; k < 2000; ++k) {
+    std::vector<double> q(7);
+    for (double& one : q) one = turn(random);
+    std::array<double, 6 * kMaxJoints> columns;
+    model.columns(6, q, press().point, WrenchAxes::base, columns);
+    Vector3 u{normal(random), normal(random), normal(random)};
+    u = 1 / length(u) * u;
+    double most_n = kInf;
+    for (std::size_t j = 0; j < 7; ++j)
+      most_n = std::min(most_n, most_nm[j] / std::fabs(dot(u, {columns[j], columns[7 + j], columns[14 + j]})));
+    held += most_n > bound;
+    held_tenth += most_n > bound / 10;
+  }
+  CHECK(held < 100 && held_tenth > 1000);
+  if (!(held < 100 && held_tenth > 1000)) std::printf("bound %g N: held in %d, a tenth in %d\n", bound, held, held_tenth);
+}
+
 void what_is_hidden_is_stated() {
   const Watch w;
   CHECK(w.monitor.unmonitored(press()).empty());
@@ -516,6 +580,7 @@ int main() {
   a_joint_has_a_contact_of_its_own();
   time_box_and_travel_end_it();
   bad_contacts_are_refused();
+  a_contact_admits_less_than_the_drives_can_exert();
   what_is_hidden_is_stated();
   a_monitor_keeps_what_is_declared();
   the_tool_force_has_its_errors_by_cause();

@@ -48,6 +48,7 @@ enum class ContactFault : std::uint8_t {
   no_box,               // empty
   no_time,              // seconds are not above 0
   explains_everything,  // no torque of the joints before the frame would be left for the alarm
+  bounds_nothing,       // at_most_n or at_most_nm is no less than the drives can exert there
   too_many,             // kMostContacts are declared
 };
 

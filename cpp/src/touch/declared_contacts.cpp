@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 #include <limits>
 #include <vector>
 
@@ -34,6 +35,13 @@ ForceCone cone_of(const DeclaredContact& contact) noexcept {
   const double cosine = contact.half_angle_rad > 0 ? std::cos(contact.half_angle_rad) : 1.0;
   const double sine = contact.half_angle_rad > 0 ? std::sin(contact.half_angle_rad) : 0.0;
   return {unit(contact.axis), cosine, sine, std::numeric_limits<double>::infinity()};
+}
+
+// What the drive of a joint can give: its limit or, where that is unknown or training passed it, what no sample may exceed.
+double drive_torque(const SignalRanges& signals, std::size_t joint) noexcept {
+  const double limit = signals.torque_limit_nm[joint], largest = signals.largest_torque_nm[joint], possible = signals.possible_torque_nm[joint];
+  if (std::isfinite(limit) && limit >= largest) return limit;
+  return std::isfinite(possible) ? possible : DeclaredContacts::kBeyondTraining * largest;
 }
 
 bool all_finite(const std::array<double, 3>& values) noexcept {
@@ -116,6 +124,7 @@ DeclaredContacts::DeclaredContacts(const Bundle& bundle, const WrenchModel& wren
     told_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
     monitored_[static_cast<std::size_t>(j)] = bundle.limits.monitors(j);
     friction_nm_[j] = friction_line(bundle.prior, static_cast<std::size_t>(j)).at_rest_nm;
+    drive_nm_[j] = drive_torque(bundle.signals, static_cast<std::size_t>(j));
   }
 }
 
@@ -144,6 +153,7 @@ ContactFault DeclaredContacts::fault(const DeclaredContact& contact, double seco
     add_explained(contact, explained);
     if (explained.rank() >= before) return ContactFault::explains_everything;
   }
+  if (bounds_nothing(contact)) return ContactFault::bounds_nothing;
   if (state_.count < kMostContacts) return ContactFault::none;
   const bool again = std::ranges::any_of(state_.slots, [&](const Slot& slot) { return slot.on && slot.contact == contact; });
   return again ? ContactFault::none : ContactFault::too_many;
@@ -170,6 +180,7 @@ std::string DeclaredContacts::words(ContactFault fault, const DeclaredContact& c
     case ContactFault::explains_everything:
       return "the contact" + where + " would explain any torque of the joints before it, and nothing would be monitored; declare no moment, "
              "or a line (half_angle 0)";
+    case ContactFault::bounds_nothing: return bound_words(contact, where);
     case ContactFault::too_many: return "at most " + std::to_string(kMostContacts) + " contacts can be declared at the same time; end one first";
   }
   return "";
@@ -194,6 +205,59 @@ std::string DeclaredContacts::unmonitored(const DeclaredContact& contact) const 
   if (!hidden.empty()) text = "within its bounds, nothing is monitored on the links of " + hidden + " meanwhile";
   if (!unknown.empty()) text += (text.empty() ? "" : "; ") + std::string("not monitored meanwhile, since not in N m: ") + unknown;
   return text;
+}
+
+// The largest force at the contact's point, or moment, that the drives can exert: along the best of some directions in the best of
+// some poses, that at which the first joint gives way. Infinite where no joint has a lever.
+double DeclaredContacts::most_exerted(const DeclaredContact& contact, bool moment) const noexcept {
+  constexpr double kDirections[][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1},  {1, 1, 0},  {1, -1, 0},  {1, 0, 1}, {1, 0, -1},
+                                       {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
+  const bool line = !moment && cone_of(contact).line();
+  const auto n = static_cast<std::size_t>(joints_), first = moment ? 3 * n : 0;
+  std::array<double, kPoses * std::size(kDirections)> gives_way;  // the largest share of a drive that 1 N takes, or 1 N m
+  std::size_t count = 0;
+  double strongest = 0;
+  for (int pose = 0; pose < kPoses; ++pose) {
+    JointVector q;
+    for (std::size_t j = 0; j < n; ++j) q[j] = 0.4 + (0.7 + 0.9 * pose) * static_cast<double>(j + 1);
+    std::array<double, 6 * kMaxJoints> all;
+    wrench_->columns(contact.frame, std::span(q).first(n), contact.point, contact.axes, all);
+    for (std::size_t k = 0; k < (line ? 1 : std::size(kDirections)); ++k) {
+      const Vector3 u = unit(line ? contact.axis : std::array<double, 3>{kDirections[k][0], kDirections[k][1], kDirections[k][2]});
+      double share = 0;
+      for (std::size_t j = 0; j < n; ++j) {
+        const double lever = dot(u, {all[first + j], all[first + n + j], all[first + 2 * n + j]});
+        if (!std::isfinite(lever)) return 0;
+        if (told_[j] && monitored_[j]) share = std::max(share, std::fabs(lever) / drive_nm_[j]);
+      }
+      gives_way[count++] = share;
+      strongest = std::max(strongest, share);
+    }
+  }
+  double least = strongest;
+  for (std::size_t k = 0; k < count; ++k)
+    if (gives_way[k] > kStructure * strongest) least = std::min(least, gives_way[k]);
+  return 1 / least;
+}
+
+// Whether the contact admits more than the drives can exert, so that it hides whatever the arm does.
+bool DeclaredContacts::bounds_nothing(const DeclaredContact& contact) const noexcept {
+  if (!contact.at_frame()) return !(contact.at_most_nm < drive_nm_[contact.joint]);
+  return (contact.at_most_n > 0 && !(contact.at_most_n < most_exerted(contact, false))) ||
+         (contact.at_most_nm > 0 && !(contact.at_most_nm < most_exerted(contact, true)));
+}
+
+std::string DeclaredContacts::bound_words(const DeclaredContact& contact, const std::string& where) const {
+  if (!contact.at_frame())
+    return "at_most_nm = " + to_text(contact.at_most_nm) + " of a declared contact of joint '" +
+           wrench_->links()[static_cast<std::size_t>(contact.joint)].joint_name + "' must be below " + to_text(drive_nm_[contact.joint]) +
+           ", the most that its drive can give; no torque of the joint would be monitored";
+  const double most_n = most_exerted(contact, false);
+  const bool force = contact.at_most_n > 0 && !(contact.at_most_n < most_n);
+  return (force ? "at_most_n = " + to_text(contact.at_most_n) + " N" : "at_most_nm = " + to_text(contact.at_most_nm) + " N m") +
+         " of a declared contact" + where + " must be below " +
+         (force ? to_text(most_n) + " N" : to_text(most_exerted(contact, true)) + " N m") +
+         ", the most that the drives can exert at its point; no force would be monitored";
 }
 
 // Whether the joint moves the frame.

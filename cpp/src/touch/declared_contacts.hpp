@@ -46,6 +46,9 @@ class DeclaredContacts {
   static constexpr double kStandsS = 0.7;  // time constant of the standing rest, [s]
   static constexpr double kSlides = 1.5;   // standard errors by which the share changes as the arm moves
   static constexpr double kFrozen = 0.5;   // of a limit: beyond it the rest may be a hit, and is not taken for a standing one
+  static constexpr int kPoses = 4;                  // in which it is judged what the drives can exert
+  static constexpr double kStructure = 0.01;        // of the strongest lever: a direction with less is held by the structure
+  static constexpr double kBeyondTraining = 10;     // times its torque in training: what an unknown drive may give
   static constexpr double kForgotten = 5;  // in 1/K0: so long a contact stays in effect afterwards, since r still contains it
 
   // The bundle must be valid.
@@ -122,6 +125,9 @@ class DeclaredContacts {
  private:
   bool moves(int frame, std::size_t joint) const noexcept;
   void add_wrenches(int frame, const std::array<double, 3>& point, const Vector3* line, bool force, bool moment, TorqueSpan& into) const noexcept;
+  double most_exerted(const DeclaredContact& contact, bool moment) const noexcept;
+  bool bounds_nothing(const DeclaredContact& contact) const noexcept;
+  std::string bound_words(const DeclaredContact& contact, const std::string& where) const;
   void add_explained(const DeclaredContact& contact, TorqueSpan& into) const noexcept;
   bool acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept;
   void stand(const Observed& observed, const ContactErrors& errors, bool pressed, Estimate& estimate, JointVector& spread_nm) noexcept;
@@ -134,6 +140,7 @@ class DeclaredContacts {
   double gain_per_s_, spread_;
   std::array<bool, kMaxJoints> told_{}, monitored_{};
   JointVector friction_nm_{};  // at rest
+  JointVector drive_nm_{};     // what each drive can give
   State state_;
 };
 

@@ -697,6 +697,9 @@ void bind_monitor(nb::module_& m) {
       .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks,
                    "Number of ticks of the regular clock without a sample, at which the previous sample was held.")
       .def_prop_ro("restarts", &Monitor::restarts, "Number of restarts of the chain after its first start.")
+      .def_prop_ro("clock_jumps", &Monitor::clock_jumps,
+                   "Restarts because the stamps jumped: back, by a gap of more than 10 s, or none newer in 100 samples. Everything\n"
+                   "with a time ended then: contacts declared for a time, an expected load, weighing, motion for a refit.")
       .def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());

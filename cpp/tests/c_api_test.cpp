@@ -417,6 +417,12 @@ void a_refit_in_c_is_that_of_cpp() {
   CHECK(tauext_refit(nullptr, m, new_path.c_str(), message, sizeof message) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_refit(old_path.c_str(), nullptr, new_path.c_str(), nullptr, 0) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_reserve_refit(nullptr, 1) == TAUEXT_BAD_ARGUMENT && tauext_monitor_refit_full(nullptr) == 0);
+  CHECK(tauext_monitor_clock_jumps(nullptr) == 0 && tauext_monitor_clock_jumps(m) == 0);
+  for (std::int64_t k = 1; k < 3; ++k) {  // the clock was set back: the first sample is a fault
+    const Signals s(k);
+    CHECK(tauext_monitor_step(m, k * made::kPeriodNs, s.q, s.dq, s.tau, nullptr) == TAUEXT_OK);
+  }
+  CHECK(tauext_monitor_clock_jumps(m) == 1);
   CHECK(tauext_monitor_start_refit(nullptr, 0.4) == TAUEXT_BAD_ARGUMENT && tauext_monitor_finish_refit(nullptr) == TAUEXT_BAD_ARGUMENT);
   tauext_monitor_close(m);
   tauext_monitor* empty = open();  // nothing kept

@@ -210,6 +210,10 @@ class Monitor {
   std::uint64_t samples() const noexcept;  // samples that entered the chain
   std::uint64_t bridged_ticks() const noexcept;  // ticks of the regular clock without a sample of their own
   std::uint64_t restarts() const noexcept;       // restarts of the chain after its first start
+  // Restarts because the stamps jumped: they went back, stood still for 100 samples, or a gap exceeded 10 s. Times from before do
+  // not count in the new clock, so everything with a time ends: contacts declared for a time, an expected load (an alarm that was
+  // held back for it is raised), weighing, and the motion of a refit. Ask for it again.
+  std::uint64_t clock_jumps() const noexcept;
 
  private:
   struct Chain;

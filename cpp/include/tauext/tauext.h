@@ -348,6 +348,10 @@ const char* tauext_monitor_why_no_wrench(const tauext_monitor* monitor);
 tauext_status tauext_monitor_wrench(const tauext_monitor* monitor, int32_t frame, tauext_axes axes, tauext_wrench* wrench);
 tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame, const double* point, tauext_axes axes,
                                    tauext_wrench* wrench);
+/* How often the stamps jumped: they went back, stood still for 100 samples, or a gap exceeded 10 s. Everything with a time ended
+ * then: contacts declared for a time, an expected load (an alarm that was held back is raised), weighing, motion for a refit. Ask
+ * for it again. 0 for a null pointer. */
+uint64_t tauext_monitor_clock_jumps(const tauext_monitor* monitor);
 /* Returns to the state of a new monitor. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 

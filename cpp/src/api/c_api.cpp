@@ -520,6 +520,8 @@ tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double frictio
   return monitor && monitor->monitor.start_refit(friction_share) ? TAUEXT_OK : TAUEXT_BAD_ARGUMENT;
 }
 
+uint64_t tauext_monitor_clock_jumps(const tauext_monitor* monitor) { return monitor ? monitor->monitor.clock_jumps() : 0; }
+
 int32_t tauext_monitor_refit_full(const tauext_monitor* monitor) { return monitor && monitor->monitor.refit_full(); }
 
 tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor) {

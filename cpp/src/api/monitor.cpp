@@ -98,6 +98,7 @@ struct Monitor::Chain {
   void follow_expected() noexcept;
   void put_load(const Load& load, std::int64_t since_ns) noexcept;
   void end_weighing() noexcept;
+  void end_by_jump() noexcept;
 };
 
 Monitor::Chain::Chain(const Bundle& bundle, NetworkRate rate)
@@ -164,6 +165,18 @@ void Monitor::Chain::end_weighing() noexcept {
   judge.hold_drift(false);
 }
 
+// The stamps jumped: what lasts until somebody ends it, and holds drift or raises limits, ends if it has begun before. Declared
+// contacts and an expected load end themselves (Observed::jumped).
+void Monitor::Chain::end_by_jump() noexcept {
+  if (weighs() && weighing->begun()) {
+    weighing->stop();
+    judge.hold_drift(false);
+  }
+  if (refit_motion.view().samples == 0) return;
+  judge.widen_limits({}, {});
+  refit_motion.stop();
+}
+
 std::string Monitor::why_no_weighing() const {
   if (chain_->weighing) return "";
   if (chain_->load_settings.link < 0) return "no load can be weighed: " + chain_->load_settings.refused;
@@ -227,7 +240,10 @@ bool Monitor::set_temperature(std::span<const double> celsius) noexcept {
 const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = chain_->observe.step(sample);
-  if (chain_->network && observed.passage == Passage::entered) chain_->predict(observed);
+  if (observed.passage == Passage::entered) {
+    if (observed.jumped) chain_->end_by_jump();
+    if (chain_->network) chain_->predict(observed);
+  }
   const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load(), &chain_->contacts);
   const bool learns = observed.passage == Passage::entered && !chain_->contacts.in_effect();
   if (learns) chain_->refit_motion.push(sample);  // the refit's chain restarts after the gap that a contact leaves
@@ -345,6 +361,7 @@ std::int64_t Monitor::sample_period_ns() const noexcept { return chain_->sample_
 std::uint64_t Monitor::samples() const noexcept { return chain_->observe.progress().samples; }
 std::uint64_t Monitor::bridged_ticks() const noexcept { return chain_->observe.progress().bridged; }
 std::uint64_t Monitor::restarts() const noexcept { return chain_->observe.progress().restarts; }
+std::uint64_t Monitor::clock_jumps() const noexcept { return chain_->observe.progress().jumps; }
 
 // Parts of a saved state, in this order; all trivially copyable.
 std::size_t Monitor::state_bytes() const noexcept {

@@ -23,6 +23,7 @@ struct Observed {
   std::uint32_t causes = 0;         // bits of Cause
   int cause_joint = -1;             // the first joint concerned by a cause
   bool restarted = false;           // the chain restarted at this sample
+  bool jumped = false;              // ... because the stamps jumped or stood still: times from before count no more
   std::int64_t ticks = 0;           // since the last entered sample; 0 if restarted
   bool warm = false;                // the residual is warmed up
   bool overflowed = false;          // some number overflowed: no residual either

@@ -102,6 +102,11 @@ void ExpectedLoad::explain(const Sample& sample, const Observed& observed, std::
                            std::span<double> raised) noexcept {
   State& s = state_;
   const auto n = static_cast<std::size_t>(joints_);
+  if (observed.jumped && s.timed) {  // decide() ends it
+    s.jumped = true;
+    std::ranges::fill(explained, 0.0);
+    return;
+  }
   if (!s.timed) {
     s.end_ns = sample.t_ns + to_ns(s.seconds);
     s.block_end_ns = sample.t_ns + to_ns(kBlock_s);
@@ -188,6 +193,7 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
 void ExpectedLoad::follow(std::int64_t t_ns, const JointVector& tau_ext, const JointVector& scale, const JointVector& doubt,
                           std::uint32_t near_stiction, bool trusted, const AlarmStage& alarm) noexcept {
   State& s = state_;
+  if (s.jumped) return;
   if (s.phase == LoadPhase::weighing) {
     if (alarm.state().held_alarm != Alarm::none && !s.failed) s.fails = true;
     return;
@@ -231,6 +237,7 @@ void ExpectedLoad::restore(std::span<const std::byte> from) noexcept {
 
 ExpectedLoad::Decision ExpectedLoad::decide() noexcept {
   State& s = state_;
+  if (on() && s.jumped) return end_by_jump();
   if (!on() || !s.fresh) return {};
   s.fresh = false;
   if (s.fails) return give_alarm();
@@ -438,6 +445,15 @@ ExpectedLoad::Decision ExpectedLoad::give_alarm() noexcept {
   s.held_ns = s.t_ns;
   s.phase = LoadPhase::weighing;
   if (!s.has_set) stop();
+  return decision;
+}
+
+// The stamps jumped: nothing that was held back waits for a time of the old clock.
+ExpectedLoad::Decision ExpectedLoad::end_by_jump() noexcept {
+  Decision decision;
+  decision.alarm = state_.held;
+  decision.joint = state_.joint;
+  stop();
   return decision;
 }
 

@@ -27,7 +27,7 @@ struct Bundle;
 // rest. An alarm that tau_ext itself would raise is held back, and ends in one of two ways:
 //   - the load is set: over two stretches of kStretch_s the fits agree, and fit well;
 //   - the alarm is raised: the fit fell by a third, neither settled nor grew for kDecide_s, or exceeds kLongest_s.
-// After the window nothing is held back. The estimate of a set load is refined for kWeigh_s, since a few poses do not
+// After the window nothing is held back. Where the stamps jump, the window ends and an alarm that is held back is raised. The estimate of a set load is refined for kWeigh_s, since a few poses do not
 // determine the centre of mass. Meanwhile limits are higher by kRaise standard errors of its torques.
 // After the first load was set, the window accepts more load (a table releases slowly). It accepts less only within the
 // error of the first estimate: a load that gets lighter is a push that ends.
@@ -108,7 +108,7 @@ class ExpectedLoad {
   };
   struct State {
     LoadPhase phase = LoadPhase::none;
-    bool timed = false, fresh = false;
+    bool timed = false, fresh = false, jumped = false;
     bool fails = false, failed = false;  // the unexplained torque is over its limit; the alarm was raised
     bool has_set = false;
     double seconds = 0;
@@ -139,6 +139,7 @@ class ExpectedLoad {
   Decision refine() noexcept;
   Decision finish() noexcept;
   Decision give_alarm() noexcept;
+  Decision end_by_jump() noexcept;
   Decision take_back() noexcept;
   Decision take(const Stretch& stretch, LoadChange change) noexcept;
   Stretch last_blocks(std::size_t from, std::size_t count) const noexcept;

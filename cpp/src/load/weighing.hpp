@@ -38,6 +38,7 @@ class Weighing {
   // Back to the state after construction.
   void reset() noexcept;
   bool on() const noexcept { return on_; }
+  bool begun() const noexcept { return !row_due_; }  // a sample entered
 
   // Call with the sample just judged. Only if on().
   void take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept;

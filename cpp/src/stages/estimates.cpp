@@ -17,7 +17,7 @@ struct Seen {
     Passage passage;
     Health health;
     std::int8_t cause_joint;
-    bool restarted, overflowed, judged, teaches;
+    bool restarted, jumped, overflowed, judged, teaches;
   };
   std::vector<Row> rows;                        // (samples)
   std::vector<float> features;                  // (clock rows, columns)
@@ -35,7 +35,7 @@ void observe_block(ObserveStage& stage, const RecordingView& recording, std::siz
   for (std::size_t k = 0; k < N; ++k) {
     const Observed& o = stage.step(recording.at(static_cast<std::int64_t>(begin + k)));
     seen.rows.push_back({o.causes, o.near_stiction, static_cast<std::int32_t>(o.ticks), o.passage, o.health,
-                         static_cast<std::int8_t>(o.cause_joint), o.restarted, o.overflowed, o.judged, o.teaches});
+                         static_cast<std::int8_t>(o.cause_joint), o.restarted, o.jumped, o.overflowed, o.judged, o.teaches});
     if (o.passage != Passage::entered) continue;
     const auto cells = static_cast<std::ptrdiff_t>(k * n);
     std::ranges::copy(o.residual, seen.residual.begin() + cells);
@@ -110,6 +110,7 @@ void judge_block(JudgeStage& stage, const RecordingView& recording, std::size_t 
     o.causes = row.causes;
     o.cause_joint = row.cause_joint;
     o.restarted = row.restarted;
+    o.jumped = row.jumped;
     o.ticks = row.ticks;
     o.overflowed = row.overflowed;
     o.judged = row.judged;

@@ -106,7 +106,7 @@ const Observed& ObserveStage::no_sample(std::int64_t now_ns) noexcept {
   const Progress& p = progress_;
   const bool recent =
       now_ns <= p.t_ns || elapsed_ns(now_ns, p.t_ns) <= static_cast<std::uint64_t>(bridged_ns_);
-  if (!p.started || (recent && !p.restart_next))
+  if (!p.started || (recent && !p.restart_next && !stands_still(now_ns)))
     hold(now_ns, kMissingSample);
   else
     refuse(now_ns, kGap, -1);
@@ -133,6 +133,8 @@ bool ObserveStage::usable(const Sample& s) noexcept {
   if (!p.started || p.restart_next || s.t_ns > p.t_ns) return true;
   if (elapsed_ns(p.t_ns, s.t_ns) > static_cast<std::uint64_t>(bridged_ns_))
     refuse(s.t_ns, kTimeBackwards, -1);
+  else if (stands_still(s.t_ns))
+    refuse(s.t_ns, kLateSample, -1);
   else
     hold(s.t_ns, kLateSample);
   return false;
@@ -175,6 +177,9 @@ void ObserveStage::enter(const Sample& s) noexcept {
     o.memory_gap = std::span(memory_gap_).first(n);
   }
   o.restarted = tick.kind == SampleClock::Kind::restart;
+  o.jumped = o.restarted && p.started && (s.t_ns <= p.t_ns || elapsed_ns(s.t_ns, p.t_ns) > static_cast<std::uint64_t>(kJumpNs));
+  p.jumps += o.jumped;
+  p.held = 0;
   if (o.restarted) {
     if (p.started && !p.restart_next) {
       p.causes = kGap;
@@ -298,6 +303,11 @@ void ObserveStage::hold(std::int64_t t_ns, std::uint32_t cause) noexcept {
   observed_.health = had_one ? Health::stale : p.reported;
   observed_.causes = had_one ? cause : p.reported_causes | cause;
   observed_.cause_joint = had_one ? -1 : p.reported_joint;
+}
+
+// Whether the stamps have stopped; counts this sample.
+bool ObserveStage::stands_still(std::int64_t t_ns) noexcept {
+  return t_ns <= progress_.t_ns && ++progress_.held > kMostHeld;
 }
 
 void ObserveStage::record_health() noexcept {

@@ -24,6 +24,9 @@ struct Bundle;
 class ObserveStage {
  public:
   static constexpr double kLargest = 1e306;  // a larger torque counts as not finite: sums of a few would overflow
+  static constexpr std::int64_t kJumpNs = 10'000'000'000;  // a gap of more is a jump: what the arm did meanwhile is unknown
+  static constexpr int kMostHeld = 100;  // samples in a row without a newer stamp: the clock has stopped. A loop may be
+                                         // so many times as fast as its arm.
 
   // For training: checks only finite values and increasing times; impossible_samples() were removed before. Throws
   // Error as ResidualStage.
@@ -61,7 +64,8 @@ class ObserveStage {
 
   // Trivially copyable, so that a monitor's state can be saved.
   struct Progress {
-    std::uint64_t samples = 0, bridged = 0, restarts = 0;
+    std::uint64_t samples = 0, bridged = 0, restarts = 0, jumps = 0;
+    int held = 0;                   // samples since the last entered one that brought no newer stamp
     bool started = false;           // a stretch is running or may be continued
     bool restart_next = false;      // a fault broke the chain
     std::uint32_t causes = 0;       // of the current warm-up
@@ -105,6 +109,7 @@ class ObserveStage {
   void conclude(const Findings& findings) noexcept;
   void refuse(std::int64_t t_ns, std::uint32_t cause, int joint) noexcept;
   void hold(std::int64_t t_ns, std::uint32_t cause) noexcept;
+  bool stands_still(std::int64_t t_ns) noexcept;
   void record_health() noexcept;
   void write_features(const Sample& sample) noexcept;
   void update_region(const Sample& sample, std::int64_t step_ns) noexcept;

@@ -348,6 +348,7 @@ void DeclaredContacts::explain_joints(const Observed& observed, std::span<const 
   state_.in_effect = false;
   state_.count = 0;
   for (Slot& slot : state_.slots) {
+    if (observed.jumped && slot.timed && std::isfinite(slot.seconds)) slot.on = false;  // its end was a stamp of another clock
     slot.acts = slot.on && acts(slot, observed.t_ns, q);
     state_.count += slot.on;
     state_.in_effect = state_.in_effect || slot.acts;

@@ -18,6 +18,7 @@ from tauext.errors import ConfigError
 from tauext.files.copies import local_file
 from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables, text
+from tauext.monitor.source import CountedTime
 
 BUNDLE, ARM, SETTINGS, CALIBRATION = "arm.tauext", "arm.toml", "guard.toml", "calibration.json"
 """Files of a guard's folder; the last is a copy of LeRobot's, where arm.toml needs one."""
@@ -113,6 +114,7 @@ class StallRule:
         """Joints that stall at this sample, (joints,) bool.
 
         Args:
+            t_ns: counted time of the sample, which never jumps.
             over: whether a joint exceeds its torque at this sample.
         """
         begins = over & (~self._was | (np.abs(q - self._from) > STILL_RAD))
@@ -168,6 +170,7 @@ class Guard:
             self._monitor.expect_contact(_core.DeclaredContact(joint=grip.joint, at_most_nm=grip.at_most_nm))
         n = len(self.joints)
         self._rule = StallRule(n, round(self.settings.hold_s * 1e9))
+        self._time = CountedTime(self._bundle.observer.sample_period_ns)
         self._last_ns = np.zeros(n, np.int64)
         self._stalls = np.zeros(n, bool)
         self._known_ns: int | None = None
@@ -193,24 +196,25 @@ class Guard:
         unexplained = np.array(estimate.margin_nm) < 0  # false where there is no estimate
         most = np.where(unexplained, np.fmin(self._rest + limit, self._largest), self._largest)
         over = self._guarded & np.isfinite(tau_ext) & (self.torque > most)
-        stalls = self._rule.step(t_ns, q, over)
-        events = list(self._sight(t_ns, bool(np.isfinite(tau_ext).all()), estimate.causes))
+        now_ns = self._time.step(t_ns)
+        stalls = self._rule.step(now_ns, q, over)
+        events = list(self._sight(t_ns, now_ns, bool(np.isfinite(tau_ext).all()), estimate.causes))
         for j in np.flatnonzero(stalls & ~self._stalls):
             kind: Literal["stall", "grip"] = "grip" if j == self._grip else "stall"
             events.append(GuardEvent(kind, t_ns, self.joints[j], float(self.torque[j]), float(most[j]), self._units[j]))
-        self._last_ns[stalls] = t_ns
-        ended = self._stalls & (t_ns - self._last_ns > RELEASE_S * 1e9)
+        self._last_ns[stalls] = now_ns
+        ended = self._stalls & (now_ns - self._last_ns > RELEASE_S * 1e9)
         events += [GuardEvent("over", t_ns, self.joints[j]) for j in np.flatnonzero(ended)]
         self._stalls = (self._stalls | stalls) & ~ended
         return events
 
-    def _sight(self, t_ns: int, known: bool, causes: Sequence[str]) -> Iterator[GuardEvent]:
+    def _sight(self, t_ns: int, now_ns: int, known: bool, causes: Sequence[str]) -> Iterator[GuardEvent]:
         if known or self._known_ns is None:
-            self._known_ns = t_ns
+            self._known_ns = now_ns
         if known and self._blind:
             yield GuardEvent("guards", t_ns)
             self._blind = False
-        elif not self._blind and t_ns - self._known_ns > BLIND_S * 1e9:
+        elif not self._blind and now_ns - self._known_ns > BLIND_S * 1e9:
             yield GuardEvent("blind", t_ns, causes=tuple(causes))
             self._blind = True
 

@@ -16,6 +16,7 @@ from tauext_lerobot import make_guard
 from tauext_lerobot.guard import (
     BLIND_S,
     HOLD_S,
+    RELEASE_S,
     STILL_RAD,
     Grip,
     Guard,
@@ -130,6 +131,37 @@ def test_nan_is_reported_as_no_guard_and_never_as_a_stall(guarded, recordings, s
     (blind, event), (again, _) = events
     assert first + 30 * BLIND_S <= blind <= last and last <= again <= last + 45
     assert "not finite" in str(event) and "nothing is guarded" in str(event)
+
+
+def shifted(t_ns, row, jump):
+    """Stamps that go back or ahead by an hour from this row on, or stand still for ten seconds."""
+    t_ns = t_ns.copy()
+    if jump == "stop":
+        t_ns[row:] = np.maximum(t_ns[row:] - 10_000_000_000, t_ns[row - 1])
+    else:
+        t_ns[row:] += 3_600_000_000_000 * (1 if jump == "ahead" else -1)
+    return t_ns
+
+
+@pytest.mark.parametrize("jump", ["back", "ahead", "stop"])
+def test_a_guard_counts_its_times_in_samples_where_the_stamps_jump(guarded, recordings, jump):
+    """A stall ends and is found again, and blindness is reported, as without the jump: not an hour later."""
+    (free, *_) = recordings["free"]
+    q, tau = np.repeat(free.q[:1], 600, axis=0), np.repeat(free.tau[:1], 600, axis=0)
+    guard = Guard(*guarded)
+    guard._rule.step = lambda t_ns, q, over: np.array([stalls[k], *[False] * (len(guard.joints) - 1)])
+    stalls = np.zeros(600, bool)
+    stalls[100:120] = stalls[200:220] = True
+    t_ns, events = shifted(np.arange(600) * PERIOD_NS, 110, jump), []
+    tau[300:] = np.nan
+    for k in range(600):
+        events += [(k, event.kind) for event in guard.step(int(t_ns[k]), q[k], np.zeros_like(q[k]), tau[k])]
+    kinds = [kind for k, kind in events if kind in ("stall", "over")]
+    assert kinds == ["stall", "over", "stall", "over"]
+    over = [k for k, kind in events if kind == "over"]
+    assert all(abs(k - end - 30 * RELEASE_S) <= 2 for k, end in zip(over, (119, 219), strict=True))
+    (blind,) = [k for k, kind in events if kind == "blind"]  # where stamps stand still, 100 samples later
+    assert 200 < blind <= 300 + 30 * BLIND_S + 2
 
 
 def test_a_stall_needs_its_time_at_one_place():

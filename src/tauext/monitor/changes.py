@@ -250,7 +250,7 @@ class ChangeFinder:
             if self._declared >= BEYOND:  # until here
                 self._beyond_ns = float(t_ns[k])
             beyond = now >= BEYOND
-            returns = beyond and t_ns[k] - self._beyond_ns <= APART_S * 1e9
+            returns = beyond and 0 <= t_ns[k] - self._beyond_ns <= APART_S * 1e9  # a clock that was set back: not soon
             ends = now == 0 and self._declared
             if not returns and (beyond or ends or contact != self._declared_contact):
                 size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
@@ -304,7 +304,9 @@ class ChangeFinder:
         before_ns = np.append(t_ns[at[0]] if self._held_ns is None else self._held_ns, t_ns[at[:-1]])
         self._held_ns = int(t_ns[at[-1]])
         hidden = []
-        for k in at[(t_ns[at] - before_ns > round(APART_S * 1e9)) & (alarm_before[at] == COLLISION)].tolist():
+        since_ns = t_ns[at] - before_ns
+        apart = (since_ns > round(APART_S * 1e9)) | (since_ns < 0)  # or the clock was set back
+        for k in at[apart & (alarm_before[at] == COLLISION)].tolist():
             share = np.abs(unexplained(estimates)[k]) / estimates["limit_nm"][k]
             hidden.append(HiddenCollision(first_row + k, int(t_ns[k]), int(np.nanargmax(share))))
         return hidden

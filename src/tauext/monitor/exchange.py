@@ -41,7 +41,7 @@ class NoMonitor:
 
     why_no_wrench = why_not_expected = why_no_weighing = why_no_load = lambda self, *arguments: NO_BUNDLE
     last = _NoEstimate
-    samples = bridged_ticks = restarts = alarms = 0
+    samples = bridged_ticks = restarts = clock_jumps = alarms = 0
     weighing = False
     load = _core.Load(0.0)
 

@@ -53,7 +53,7 @@ from tauext.monitor.sink import (
     Sink,
     Verdict,
 )
-from tauext.monitor.source import Commanded, Sample, ServoStage, Source, SourceSettings, settings_of
+from tauext.monitor.source import Commanded, CountedTime, Sample, ServoStage, Source, SourceSettings, settings_of
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.turns import Turns
 
@@ -88,7 +88,7 @@ class LoopSettings:
     """Time after a sample when the next one counts as missing, [s]; None: two periods, or a period and 2 ms if
     longer."""
     acknowledge_after_s: float | None = None
-    """Time after which a collision is acknowledged, by the source's clock, [s]; None: only on request."""
+    """Time of its samples after which a collision is acknowledged, [s]; None: only on request."""
     duration_s: float | None = None
     """Duration of the loop, [s]; None: until the source ends, or on request."""
     core: int | None = None
@@ -179,7 +179,11 @@ class Loop:
         self._mark_ns: int | None = None
         self._load_kg = 0.0
         self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
+        self._time = CountedTime(self._arm.period_ns)
         self._due_ns: int | None = None
+        """Counted time at which the alarm that stands is acknowledged; None: it is not."""
+        self._jumps, self._timed = 0, set[str]()
+        """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
         self._answered = 0
         """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
         self._last: Sample | None = None
@@ -406,15 +410,16 @@ class Loop:
         sample = self._turns.made(sample)
         if self._servo is not None:
             sample = self._servo.made(sample)
-        if self._due_ns is not None and self._last is not None and sample.t_ns < self._last.t_ns:
-            self._due_ns += sample.t_ns - self._last.t_ns  # the clock was set back
-        self._acknowledge_when_due(sample.t_ns)
+        self._time.step(sample.t_ns)
+        self._acknowledge_when_due()
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)
         estimates = self.monitor.run(
             np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
         )
         self._last = sample
+        if self.monitor.clock_jumps != self._jumps:
+            self._note_jump()
         if self._ring is not None:
             self._remember(self._ring, sample, estimates)
         self._publish(sample.t_ns, sample, estimates)
@@ -431,7 +436,8 @@ class Loop:
         self.missing += 1
         silent_s = now - self._last.received_ns * 1e-9
         t_ns = self._last.t_ns + round(silent_s * 1e9)
-        self._acknowledge_when_due(t_ns)
+        self._time.step(t_ns)
+        self._acknowledge_when_due()
         if self._ring is not None:
             self._ring.miss(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
@@ -502,6 +508,7 @@ class Loop:
         successor.replaced = self.monitor, self._bundle
         self._changes.exchange(successor.monitor, successor.places)
         self.monitor, self._bundle = successor.monitor, successor.bundle
+        self._jumps = successor.monitor.clock_jumps
         self._turns.follow(successor.bundle)
         self._load_kg = successor.monitor.load.mass
         self._model, self._mark_ns = successor.model, None
@@ -529,8 +536,7 @@ class Loop:
             self._reactions.put(event)
         after_s = self._settings.acknowledge_after_s
         if estimates["alarm"][0] == COLLISION and after_s is not None and self._due_ns is None:
-            since_ns = min(self.monitor.last.alarm_t_ns, t_ns)  # a carried alarm may have risen by a later clock
-            self._due_ns = since_ns + round(after_s * 1e9)
+            self._due_ns = self._time.now_ns + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
@@ -605,6 +611,7 @@ class Loop:
 
     def _expect(self, expected: Expected, by: str) -> None:
         self._real.expect_load(expected.seconds, expected.at_most_kg)
+        self._timed.add("the expected load")
         self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _declare(self, announced: Announced, contact: _core.DeclaredContact | None, by: str) -> None:
@@ -614,6 +621,8 @@ class Loop:
             self.note(f"{ended} declared contact{'s' * (ended != 1)} ended, by {by}")
             return
         phases.declare(self._real, name, contact, announced.seconds)
+        if math.isfinite(announced.seconds):
+            self._timed.add("the declared contact")
         for_s = f" for {announced.seconds:g} s" if math.isfinite(announced.seconds) else ""
         hidden = self._real.unmonitored(contact)
         self.note(f"a contact {bounds_words(contact)}{for_s} is declared, by {by}{f'; {hidden}' * bool(hidden)}")
@@ -632,8 +641,10 @@ class Loop:
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
             self._real.start_weighing(reach_m)
+            self._timed.add("weighing")
         elif what == "stop":
             self._real.stop_weighing()
+            self._timed.discard("weighing")
         found = None if what == "start" else self._real.estimate_load()
         frame = self._real.load_settings.frame
         self._changes.note(WeighChange(self.samples, self._last_ns, what, by, frame, self.monitor.load, found))
@@ -648,13 +659,21 @@ class Loop:
         """Number of the alarm that stands; 0: none."""
         return 0 if self._episodes.standing is None else self._episodes.standing.number
 
-    def _acknowledge_when_due(self, t_ns: int) -> None:
+    def _note_jump(self) -> None:
+        """What lasts for a time has ended in the core: a stamp of the old clock is no end of it."""
+        self._jumps = self.monitor.clock_jumps
+        if self._timed:
+            what = " and ".join(sorted(self._timed))
+            self.note(f"the time stamps jumped: {what} ended, if it had not before; ask for it again")
+        self._timed.clear()
+
+    def _acknowledge_when_due(self) -> None:
         if self._answered and self._answered != self._standing:  # it has ended by itself
             self._answered, self._due_ns = 0, None
         after_s = self._settings.acknowledge_after_s
         if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
-            self._due_ns = t_ns + round(after_s * 1e9)
-        is_due = self._due_ns is not None and t_ns >= self._due_ns
+            self._due_ns = self._time.now_ns + round(after_s * 1e9)
+        is_due = self._due_ns is not None and self._time.now_ns >= self._due_ns
         if is_due or (self._answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 

@@ -42,6 +42,29 @@ class Sample:
     """Supply voltage, [V]."""
 
 
+class CountedTime:
+    """Time that samples have taken, whatever happens to their clock: durations are measured in it.
+
+    Where stamps go back, stand still or jump ahead, a sample counts as one period.
+    """
+
+    LONGEST_NS = 1_000_000_000
+    """Longest step between two stamps that counts as such, or two periods if these are longer, [ns]."""
+
+    def __init__(self, period_ns: int):
+        self.now_ns = 0
+        self._period_ns, self._longest_ns = period_ns, max(self.LONGEST_NS, 2 * period_ns)
+        self._last_ns: int | None = None
+
+    def step(self, t_ns: int) -> int:
+        """Count the sample of this stamp; returns the time since the first one, [ns]."""
+        if self._last_ns is not None:
+            step_ns = t_ns - self._last_ns
+            self.now_ns += step_ns if 0 < step_ns <= self._longest_ns else self._period_ns
+        self._last_ns = t_ns
+        return self.now_ns
+
+
 @dataclass
 class SourceCounts:
     """Counts of samples before they reach the loop, since open()."""

@@ -266,9 +266,9 @@ class PlaceFinder:
     def _judge(self, row: int, t_ns: int, fell: bool, level: int) -> PlaceChange | None:
         """A place, if one is due and the strongest sample is STRONGER times as strong as the last reported one."""
         assert self._due_ns is not None
-        due = fell or t_ns >= self._due_ns
+        due = fell or not 0 < self._due_ns - t_ns <= AGAIN_S * 1e9  # past, or the clock was set back
         if not due or self._sample is None or self._strength < STRONGER * self._reported:
-            if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
+            if fell or not 0 <= t_ns - self._rose_ns <= FOLLOWED_S * 1e9:
                 self._due_ns = None
             return None
         self._reported = self._strength

@@ -14,6 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from scipy.signal import lfilter
 
 from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
@@ -277,6 +279,21 @@ def undrawn() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FigureCanvasAgg, "print_png", print_pixel)
         yield
+
+
+LONG_NAMES = tuple(
+    f"{joint}_joint_{side}_arm"
+    for side in ("left", "right")
+    for joint in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_1", "wrist_2", "wrist_3")
+)
+
+
+def texts_of(figure: Figure) -> list[str]:
+    """All texts of a figure, with the numbers of its axes."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.get_ticklabels(which="both")  # makes them
+    return [text.get_text() for text in figure.findobj(Text)]
 
 
 def words_of(page: str) -> str:

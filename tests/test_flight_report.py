@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
+import matplotlib
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from made_arms import no_model
 from made_bundles import JOINTS, cut_flight, damaged, pushed, taking_amperes, watching_bundle, with_error_scale
-from made_results import make_recording, run_command, words_of
+from made_results import LONG_NAMES, make_recording, run_command, texts_of, words_of
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tauext import _core
 from tauext.bundle.estimates import COLUMNS, STORED, load_estimates, save_estimates
@@ -23,6 +29,7 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.report.flight import broken, draw_close, draw_flight, event_rows, write_flight_report
 from tauext.report.flight_file import load_flight
+from tauext.report.style import RC
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +154,8 @@ def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path
     assert "Fault (time backwards)" in words_of(write_flight_report(path, tmp_path / "out").read_text())
 
 
-def test_an_arm_of_seven_joints_has_its_page(tmp_path, undrawn):
-    made = make_recording("seven", 7, 6.0, True, np.random.default_rng(5))
+def flight_of(folder, made):
+    """The flight of a collision of an arm with the joints of the recording."""
     links = []
     for k, name in enumerate(made.joints):
         link = _core.Link()
@@ -157,13 +164,42 @@ def test_an_arm_of_seven_joints_has_its_page(tmp_path, undrawn):
     tree = no_model(_core.Tree(links, [0, 0, -9.81]))
     setup = build_setup(tree, made, ObserverConfig())
     bundle = make_bundle("seven", setup, 0.02, made)
-    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [30.0] * 7
-    path = write_flight(
-        cut_flight(bundle, made, first_row(bundle, made, alarm=2)), tmp_path, FlightSource.of(bundle, made)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [30.0] * len(links)
+    return write_flight(
+        cut_flight(bundle, made, first_row(bundle, made, alarm=2)), folder, FlightSource.of(bundle, made)
     )
+
+
+def test_an_arm_of_seven_joints_has_its_page(tmp_path, undrawn):
+    path = flight_of(tmp_path, make_recording("seven", 7, 6.0, True, np.random.default_rng(5)))
     page = write_flight_report(path, tmp_path / "out").read_text()
     assert all(f"joint{j + 1}" in page for j in range(7)) and page.count("<tr") == 8
     assert len(draw_flight(load_flight(path)).figure.axes) == 28
+
+
+@pytest.mark.parametrize("joints", [7, 12])
+def test_long_names_of_joints_stay_beside_their_rows(joints, tmp_path):
+    made = make_recording("long", joints, 6.0, True, np.random.default_rng(5))
+    path = flight_of(tmp_path, replace(made, joints=LONG_NAMES[:joints]))
+    with matplotlib.rc_context(RC):
+        figure = draw_flight(load_flight(path)).figure
+        FigureCanvasAgg(figure).draw()
+    rows = figure.axes[::4]
+    spans = [row.yaxis.label.get_window_extent() for row in rows]
+    assert [row.get_ylabel().replace("\n", "") for row in rows] == list(LONG_NAMES[:joints])
+    assert all(above.y0 > below.y1 for above, below in itertools.pairwise(spans))
+    assert not any("$" in text for text in texts_of(figure))
+
+
+def test_nothing_of_matplotlib_reaches_the_terminal_without_a_home(tmp_path):
+    """Neither its line about a folder that cannot be written, nor its warning about letters that its font lacks."""
+    made = make_recording("strange", 2, 6.0, True, np.random.default_rng(5))
+    path = flight_of(tmp_path, replace(made, joints=("关节", "elbow")))
+    nowhere = {"HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null"}
+    environment = {key: value for key, value in os.environ.items() if key != "MPLCONFIGDIR"} | nowhere
+    words = [sys.executable, "-m", "tauext", "report", "--flight", path, "--out", tmp_path / "out"]
+    done = subprocess.run([str(word) for word in words], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stderr == ""
 
 
 def test_no_line_is_drawn_over_missing_samples():

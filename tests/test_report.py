@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_results import SEVEN_BUNDLES, make_results, words_of
+from made_results import LONG_NAMES, SEVEN_BUNDLES, make_results, texts_of, words_of
 from made_results import undrawn as no_pictures
 
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
@@ -37,7 +37,15 @@ from tauext.report.error_figures import (
 from tauext.report.force_figures import MOST_N, draw_noticed_force, joined, noticed_table
 from tauext.report.page import PageFigure, render_page, tile, write_report
 from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
-from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
+from tauext.report.style import (
+    CASE_COLOURS,
+    LETTERS_A_LINE,
+    OTHER_COLOURS,
+    VARIANT_COLOURS,
+    bundle_colours,
+    bundle_strokes,
+    name_lines,
+)
 from tauext.report.tables import methods
 from tauext.report.three_collisions import choose, draw_three_collisions
 
@@ -123,6 +131,37 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
     first = load_results(made[0]).collisions[0]
     link = f"#recording=collisions-000&amp;t={first.start_s - 1:.3f},{first.start_s + 1:.3f}"
     assert f'<a href="{link}">collisions-000</a>' in page
+
+
+def test_no_text_of_any_figure_is_raw_mathtext(noticing, copied, tmp_path, monkeypatch):
+    """With text.parse_math off, matplotlib's own labels of powers would be printed as their source."""
+    figures = {}
+
+    def keep(figure, path):
+        figures[path.stem] = texts_of(figure)
+        path.write_bytes(b"")
+
+    def edit(content):
+        for k, bundle in enumerate(content["bundles"]):
+            bundle["training_minutes"], bundle["recipe"], bundle["case"] = 5.0 * (k + 1), "prior", "exact"
+
+    monkeypatch.setattr("tauext.report.page.save_png", keep)
+    write_report(*noticing, tmp_path / "report", page_mb=1)
+    change(copied[0], edit)
+    write_report(*copied, tmp_path / "curves", page_mb=1)
+    assert set(figures) >= {*ALL_FIGURES, "learning-curves"}
+    assert not {name: one for name, texts in figures.items() for one in texts if "$" in one or "\\" in one}
+    assert {"100", "10k"} <= set(figures["training-loss"])
+
+
+def test_long_names_of_joints_stay_in_their_card_and_beside_their_row(copied):
+    results = load_results(copied[0])
+    long = replace(results, joints=LONG_NAMES[: len(results.joints)])
+    assert "joint1" in render_page(results, NO_FIGURES).partition("push on a joint")[0]
+    assert not any(name in render_page(long, NO_FIGURES).partition("push on a joint")[0] for name in LONG_NAMES)
+    for name in (*LONG_NAMES, "a" * 50, "", "j1"):
+        lines = name_lines(name).split("\n")
+        assert "".join(lines) == name and max(map(len, lines)) <= LETTERS_A_LINE
 
 
 @pytest.mark.slow
@@ -684,6 +723,7 @@ def test_limits_that_move_are_drawn_as_they_held(moving):
 def test_errors_against_sigma_have_a_panel_a_joint_and_a_table(moving, made):
     results = load_results(moving[0])
     drawing = draw_error_against_sigma(results)
+    assert not any("$" in text for text in texts_of(drawing.figure))
     assert [axes.get_title() for axes in drawing.figure.axes] == list(results.joints)
     region = results.bundles[0].error_against_sigma["sliding"][0]
     offsets = drawing.figure.axes[0].collections[0].get_offsets()

@@ -34,6 +34,7 @@ from tauext.report.style import (
     missing_bundles,
     panel_grid,
     uncertainty_words,
+    use_log_counts,
     use_log_height,
     use_log_width,
 )
@@ -332,7 +333,8 @@ def draw_training_loss(results: Results) -> Drawing:
         else:
             axes.set_title(bundles[0].label, color=colours[bundles[0].name], fontweight="bold")
     for k, axes in enumerate(grid):
-        axes.set(xscale="log", yscale="log")
+        use_log_counts(axes)
+        use_log_height(axes)
         if k + columns >= len(panels):
             axes.set_xlabel("training steps")
             axes.tick_params(labelbottom=True)

@@ -30,6 +30,7 @@ from tauext.report.style import (
     WIDTH_IN,
     Drawing,
     draw_band,
+    name_lines,
     uncertainty_words,
 )
 from tauext.report.tables import render_template
@@ -74,7 +75,7 @@ def draw_flight(flight: Flight) -> Drawing:
     for joint, name in enumerate(joints):
         for axes, column in zip(grid[joint], columns, strict=True):
             draw_signal(axes, flight, column, joint, slice(None))
-        grid[joint, 0].set_ylabel(name, fontweight="bold" if name == flight.event["joint"] else "normal")
+        grid[joint, 0].set_ylabel(name_lines(name), fontweight="bold" if name == flight.event["joint"] else "normal")
     for axes, column in zip(grid[0], columns, strict=True):
         axes.set_title(COLUMNS[column].format(**heading_words(flight)))
     for axes in grid[-1]:

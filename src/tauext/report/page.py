@@ -65,6 +65,8 @@ FEW_HOURS = 1.0
 """With less test motion, a rate an hour is uncertain."""
 MOST_JOINTS = 8
 """Largest number of joints whose limits are listed one by one."""
+MOST_LETTERS = 16
+"""Longest name of a joint that fits into a card beside its limit."""
 CONTACT_KINDS = {"pads": "by padded bodies", "pulses": "by force pulses"}
 
 
@@ -271,11 +273,11 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
 
 
 def joint_list(results: Results, values: Numbers) -> str:
-    """`joint1 1.3, joint2 0.5 Nm`; of many joints their range; empty where no number exists."""
+    """`joint1 1.3, joint2 0.5 Nm`; of many joints or long names their range; empty where no number exists."""
     known = [(name, k) for k, name in enumerate(results.joints) if values[k] is not None]
     if not known:
         return ""
-    if len(known) > MOST_JOINTS:
+    if len(known) > MOST_JOINTS or (len(known) > 1 and max(len(name) for name, _ in known) > MOST_LETTERS):
         several = [value for value in values if value is not None]
         return f"{decimals(min(several), 1)} to {decimals(max(several), 1)} {results.unit}"
     apart = "\N{NO-BREAK SPACE}"  # of a number and its name or unit

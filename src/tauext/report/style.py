@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,8 +125,17 @@ def use_log_width(axes: Axes) -> None:
     _number_plainly(axes.xaxis)
 
 
-def _number_plainly(axis: Axis) -> None:
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+def use_log_counts(axes: Axes) -> None:
+    """The same for counts from tens to millions, with numbers at 1 of every decade alone: 100, 1k, 10k."""
+    axes.set_xscale("log")
+    _number_plainly(axes.xaxis, (1,))
+    axes.xaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}")
+    )
+
+
+def _number_plainly(axis: Axis, marks: Sequence[int] = (1, 2, 5)) -> None:
+    axis.set_major_locator(LogLocator(subs=marks))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
@@ -159,9 +170,24 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+LETTERS_A_LINE = 14
+"""Letters of a name beside a row of 1.2 inches."""
+
+
+def name_lines(name: str) -> str:
+    """A joint's name in lines that fit beside a row of a figure, broken behind `_`, `-`, `.`, `/` and blanks."""
+    lines = [""]
+    for part in re.findall(r"[^_\-./ ]*[_\-./ ]*", name):
+        for piece in (part[k : k + LETTERS_A_LINE] for k in range(0, len(part), LETTERS_A_LINE)):
+            if len(lines[-1]) + len(piece) > LETTERS_A_LINE and lines[-1]:
+                lines.append("")
+            lines[-1] += piece
+    return "\n".join(lines)
+
+
 def label_joint(axes: Axes, joint: str, quantity: str = "torque, Nm") -> None:
     """Name a row by its joint."""
-    axes.set_ylabel(f"{joint}\n{quantity}")
+    axes.set_ylabel(f"{name_lines(joint)}\n{quantity}")
 
 
 # --- A figure and its caption.
@@ -176,7 +202,9 @@ class Drawing:
 def save_png(figure: Figure, path: Path) -> Path:
     """As `figure.savefig` does, with one drawing instead of two: the layout is computed by the drawing itself."""
     figure.set_dpi(DPI)
-    FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a letter of a joint's name that the font lacks
+        FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
     return path
 
 

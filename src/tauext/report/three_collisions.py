@@ -23,6 +23,7 @@ from tauext.report.style import (
     Drawing,
     bundle_colours,
     draw_band,
+    label_joint,
     missing_bundles,
     sigma_words,
 )
@@ -113,7 +114,7 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         grid[2, column].sharex(grid[1, column])
         grid[1, column].tick_params(labelbottom=False)
     for row in grid[:2]:
-        row[0].set_ylabel(f"{results.joints[joint]}\nexternal torque, {results.unit_of(joint)}")
+        label_joint(row[0], results.joints[joint], f"external torque, {results.unit_of(joint)}")
     grid[2, 0].set_ylabel("delay")
     drawn = [name for name in names if name not in missing]
     figure.legend(handles=legend(results, drawn, colours, sensed), loc="outside upper left", ncols=5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from tauext_lerobot.guard import GuardSettings
 
 LEAST_MINUTES = 5.0
+LEAST_MOTION_DEG = 2 * math.pi
+"""Least range of the joint that moves farthest, [deg]. Radians that are declared as degrees never exceed it, since a
+servo covers one turn at most; usual motion of an arm exceeds it many times."""
 GRIPPER = "gripper"
 MOST_SHARE = 0.5
 """Share of the servo's stall torque that no joint holds in usual motion: LeRobot's Max_Torque_Limit of a gripper. A
@@ -98,6 +102,7 @@ def guard(
                 f"{', '.join(map(str, sources))}: {minutes:.1f} minutes of motion are too few for a guard; record at "
                 f"least {LEAST_MINUTES:g}, better 10, in which every joint moves as it will move later"
             )
+        expect_motion(training, sources)
         joints = training[0].joints
         name = gripper_of(joints, gripper)
         config = TrainConfig(recipe="prior", fit_torque_constants=False)
@@ -115,6 +120,18 @@ class Bars(Terminal):
 
     def say(self, sentence: str) -> None:
         pass
+
+
+def expect_motion(training: Sequence[Recording], sources: Sequence[Path]) -> None:
+    """Raise ConfigError where no joint moves by LEAST_MOTION_DEG: friction and torques would be those of rest."""
+    ranges_deg = np.degrees(np.ptp(np.concatenate([one.q for one in training]), axis=0))
+    if (most := float(ranges_deg.max())) <= LEAST_MOTION_DEG:
+        joint = training[0].joints[int(ranges_deg.argmax())]
+        raise ConfigError(
+            f"{', '.join(map(str, sources))}: the joint that moves farthest, {joint}, "
+            f"covers {most:.2g} deg, must be more than {LEAST_MOTION_DEG:.2g} deg; positions in rad that are declared "
+            "as deg cover less: check the unit of q (--arm), or record usual motion"
+        )
 
 
 def named_calibration(arm: Path) -> Path | None:

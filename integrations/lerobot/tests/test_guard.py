@@ -28,7 +28,7 @@ from tauext_lerobot.guard import (
     watch,
 )
 from tauext_lerobot.guard_limits import Limits
-from tauext_lerobot.make_guard import described, grip_of, learned, settings_text
+from tauext_lerobot.make_guard import described, expect_motion, grip_of, learned, settings_text
 
 import tauext
 from tauext.cli import main
@@ -331,6 +331,33 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_left(words, error, tmp_
     printed = capsys.readouterr().err
     assert error in printed and printed.count("\n") == 1
     assert not (tmp_path / "guard").exists() and not (tmp_path / "guard.part").exists()
+
+
+@pytest.mark.parametrize(
+    ("data", "declared", "refused"), [("rad", "deg", True), ("rad", "rad", False), ("deg", "deg", False)]
+)
+def test_radians_that_are_declared_as_degrees_are_refused(data, declared, refused, tmp_path):
+    """The arm moves by 42 degrees: 0.7 rad, and 0.7 degrees are less than the usual motion of any arm."""
+    factor = math.pi / 180 if data == "rad" else 1.0
+    episodes = [(factor * state, factor * action) for state, action in arms.episodes(range(1), 120)]
+    arms.write_dataset(tmp_path / "free", episodes, "v3.0", motors=MOTORS)
+    text = arms.ARM.replace("UNIT", declared).replace("wrist", "gripper")
+    (tmp_path / "arm.toml").write_text(f'{text}[split]\ntrain = ["free"]\n')
+    training = recorded(tmp_path / "free", tmp_path / "arm.toml")
+    if refused:
+        with pytest.raises(ConfigError, match=r"covers 0\.7\d deg, must be more than 6\.3 deg; .*check the unit of q"):
+            expect_motion(training, [tmp_path / "free"])
+    else:
+        expect_motion(training, [tmp_path / "free"])
+
+
+def test_the_command_writes_no_guard_of_radians_that_are_taken_for_degrees(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(make_guard, "LEAST_MINUTES", 0.0)
+    episodes = [(state * math.pi / 180, action * math.pi / 180) for state, action in arms.episodes(range(2), 90)]
+    arms.write_dataset(tmp_path / "free", episodes, "v3.0", motors=MOTORS)
+    assert main(f"guard --source {tmp_path / 'free'} --out {tmp_path / 'guard'}".split()) == 2
+    printed = capsys.readouterr().err
+    assert "check the unit of q" in printed and printed.count("\n") == 1 and not (tmp_path / "guard").exists()
 
 
 def info(folder, **changes):

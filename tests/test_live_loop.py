@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from dataclasses import replace
 
@@ -10,14 +11,18 @@ import pytest
 from doc_pages import Page
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
+from made_results import run_command
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, FAULT, OK, STALE
+from tauext.bundle.history_file import NOTED
+from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import in_amperes
 from tauext.errors import ConfigError, TauextError
+from tauext.files.plain_file import number_of
 from tauext.monitor.changes import AlarmChange, HealthChange
-from tauext.monitor.control_lines import ControlSocket, obey
+from tauext.monitor.control_lines import ControlSocket, listen_at, obey
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
@@ -373,10 +378,123 @@ def test_a_socket_obeys_lines_and_is_gone_afterwards(bundle, tmp_path):
             lines.write("profile two words\nsing\nprofile a\rstop\nprofile b\r\n")
             lines.flush()
             assert lines.readline() == "ok\n" and lines.readline().startswith("error: 'sing'")
-            assert lines.readline() == "ok\n" and lines.readline() == "ok\n"
+            assert (
+                lines.readline() == "error: 'profile a\\rstop' must be printable text\n" and lines.readline() == "ok\n"
+            )
     listening.close()
     # Only a line feed ends a line: no second command hides behind a carriage return.
-    assert asked == [(name, "control socket") for name in ("two words", "a\rstop", "b")] and not path.exists()
+    assert asked == [(name, "control socket") for name in ("two words", "b")] and not path.exists()
+
+
+class Recorded:
+    """A control that takes every request; its answer to the profile `none` has characters that act on a terminal."""
+
+    def __init__(self):
+        self.requests = []
+
+    def use_profile(self, name, by):
+        if name == "none":
+            raise ConfigError("no profile \x1b[2J\r\nof this name")
+        self.requests.append((name, by))
+
+    def __getattr__(self, name):
+        return lambda *values: self.requests.append((name, *values))
+
+
+@pytest.mark.parametrize("number", ["1_0", "\u0663", "inf", "-inf", "nan", "1e999", "0x10", "\u00b2", "--1"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "load mass={}",
+        "load mass=1 com=0,{},0",
+        "load mass=1 ago={}",
+        "expect seconds={} at_most=2",
+        "expect seconds=1 at_most={}",
+        "contact sanding seconds={}",
+        "contact frame=tool0 axis=0,0,{} at_most_n=5 seconds=1",
+        "contact frame=tool0 at_most_n={} seconds=1",
+        "weigh reach={}",
+        "touched {}7",
+    ],
+)
+def test_a_control_line_takes_plain_numbers_alone(line, number):
+    """Python's own float() takes underlines, digits of other scripts, infinity and NaN."""
+    control = Recorded()
+    assert obey(line.format("1"), control, "test") == "ok" and len(control.requests) == 1
+    assert obey(line.format(number), control, "test").startswith("error: ") and len(control.requests) == 1
+
+
+@pytest.mark.parametrize("text", ["-0.5", "+2", ".5", "2.", "1e-3", "1E3", "0"])
+def test_plain_numbers_are_those_of_python(text):
+    assert number_of(text) == float(text)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "profile \x1b]0;x\x07",
+        "profile a\x00",
+        "touched \x1b[31m",
+        "sim \x9b1m",
+        "\u202eprofile a",
+        "profile none",
+        "\x1b",
+    ],
+)
+def test_answers_hold_no_characters_that_act_on_a_terminal(line):
+    control = Recorded()
+    answer = obey(line, control, "test")
+    assert answer.startswith("error: ") and answer.isprintable() and not control.requests
+
+
+def test_notes_are_printed_without_characters_that_act_on_a_terminal(capsys):
+    TextLines(None).note("stopped by \x1b[2Jx")
+    assert capsys.readouterr().out.strip() == "stopped by \\x1b[2Jx"
+
+
+# --- `tauext send`.
+
+
+def test_send_prints_the_answer_of_a_monitor_and_refusals_end_with_two(tmp_path, capsys):
+    control, path = Recorded(), tmp_path / "control"
+    listening = ControlSocket(path, control)
+    (tmp_path / "commission.json").write_text(json.dumps({"format": 1, NOTED: 0, "control": str(path)}))
+    try:
+        assert run_command(capsys, "send", path, "profile", "two", "words") == (0, "ok\n", "")
+        assert run_command(capsys, "send", tmp_path, "acknowledge") == (0, "ok\n", "")
+        assert control.requests == [("two words", "control socket"), ("acknowledge", "control socket")]
+        code, printed, error = run_command(capsys, "send", path, "sing")
+        assert code == 2 and printed == "" and error.startswith("tauext: error: 'sing' must be `profile NAME`")
+        for words, why in (
+            (("profile", "a\nstop"), "must be one line of at most 999 printable characters"),
+            (("profile", "a" * 1000), "must be one line"),
+            ((), "the line is missing"),
+            (("stop", "--timeout-s", "0"), "must be > 0"),
+        ):
+            code, printed, error = run_command(capsys, "send", path, *words)
+            assert code == 2 and printed == "" and why in error and error.count("\n") == 1
+    finally:
+        listening.close()
+    assert len(control.requests) == 2
+
+
+def test_send_ends_with_two_where_nobody_listens_or_answers(tmp_path, capsys):
+    path = tmp_path / "control"
+    deaf = listen_at(path)
+    code, _, error = run_command(capsys, "send", path, "stop", "--timeout-s", "0.05")
+    assert code == 2 and "no answer within 0.05 s; the monitor may still execute the line" in error
+    deaf.close()
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "empty").mkdir()
+    for to, why in (
+        (path, "no monitor listens at this socket (Connection refused)"),
+        (tmp_path / "file", "no monitor listens at this socket"),
+        (tmp_path / "missing", "no monitor listens at this socket (No such file or directory)"),
+        (tmp_path / ("x" * 200), "no monitor listens at this socket"),
+        (tmp_path / "empty", "commission.json: there is no such file"),
+    ):
+        code, printed, error = run_command(capsys, "send", to, "stop")
+        assert (code, printed, error.count("\n")) == (2, "", 1) and why in error
 
 
 @pytest.mark.parametrize(

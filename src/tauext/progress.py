@@ -12,6 +12,11 @@ Show = Callable[[int, int, str], None]
 """Called with count done, total count and a note: `show(300, 1000, "loss 0.01")`."""
 
 
+def in_plain_letters(text: str) -> str:
+    """A text without characters that would act on a terminal: names of files and joints may hold them."""
+    return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in text)
+
+
 class Reporter(Protocol):
     """Receives a stage's progress; the command line prints it, a page draws it."""
 

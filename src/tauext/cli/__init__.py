@@ -207,7 +207,7 @@ def not_swallowed(lost: sys.UnraisableHookArgs) -> None:
 
 def refused(why: str) -> int:
     """Print the reason of a failure in one line, and return the exit status."""
-    from tauext.cli.progress import in_plain_letters
+    from tauext.progress import in_plain_letters
 
     line = in_plain_letters(" ".join(why.split()))
     print_error(f"tauext: error: {line if len(line) <= LONGEST_ERROR else f'{line[:LONGEST_ERROR]} ...'}")

@@ -47,6 +47,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "commission": Command("learn a live arm while it works, and monitor it", "tauext.cli.commission:commission"),
         "run": Command("run the monitor on recordings", "tauext.cli.run:run"),
         "monitor": Command("run the monitor on a live arm", "tauext.cli.monitor:monitor"),
+        "send": Command("send a control line to a running monitor", "tauext.cli.send:send"),
         "load": Command("weigh a payload, or find torque constants from a known weight", "tauext.cli.load:load"),
     },
     "Results": {

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.place_argument import LocalArg, PlaceArg
-from tauext.cli.progress import in_plain_letters
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
+from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:
     from tauext.commission.answers import Steering

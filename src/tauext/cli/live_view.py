@@ -19,6 +19,7 @@ from tauext.files.places import Place
 from tauext.monitor.explanation import readable
 from tauext.monitor.monitored_time import percent
 from tauext.monitor.replay import Chunk, Tally
+from tauext.progress import in_plain_letters
 
 REFRESH_S = 0.1
 BAR_CELLS = 40
@@ -36,7 +37,7 @@ class LiveView(TextLines):
         self._drawn = 0.0
 
     def print_line(self, line: str) -> None:
-        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(in_plain_letters(line), markup=False, highlight=False, soft_wrap=True)
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         super().chunk(chunk, tally)

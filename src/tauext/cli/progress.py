@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from tauext.progress import Show
+from tauext.progress import Show, in_plain_letters
 
 PLAIN_LINE_EVERY_S = 10.0
 
@@ -57,11 +57,6 @@ class ProgressBar:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._bar is not None:
             self._bar.stop()
-
-
-def in_plain_letters(text: str) -> str:
-    """A text without characters that would act on a terminal: names of files and joints may hold them."""
-    return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in text)
 
 
 class Terminal:

@@ -24,6 +24,7 @@ from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored, percent
 from tauext.monitor.replay import Chunk, Tally
+from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:
     from tauext.monitor.latency import Latencies
@@ -68,7 +69,7 @@ class TextLines(PrintContext):
         self._monitored = Monitored()
 
     def print_line(self, line: str) -> None:
-        print(line, flush=True)
+        print(in_plain_letters(line), flush=True)
 
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
         """A recording begins."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Callable
@@ -91,6 +93,16 @@ def read_json(path: Place, missing: str = "there is no such file", kind: str = "
         raise ConfigError(f"{path}: {missing}") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {kind}not readable as JSON ({error})") from error
+
+
+PLAIN_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+def number_of(text: str) -> float:
+    """The value of a plain decimal number; ValueError for `1_0`, `inf`, `nan`, `1e999` and digits other than 0 to 9."""
+    if not PLAIN_NUMBER.fullmatch(text) or not math.isfinite(value := float(text)):
+        raise ValueError(f"{text[:40]!r} is no plain number")
+    return value
 
 
 def toml_of(text: str) -> dict[str, Any]:

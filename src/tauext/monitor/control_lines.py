@@ -15,12 +15,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
-from tauext.errors import ConfigError, TauextError
+from tauext.errors import AwayError, ConfigError, TauextError
+from tauext.files.plain_file import number_of
 from tauext.monitor.loads import expected_of_text, load_and_ago_of_text
 from tauext.monitor.phases import announced_of_text
 from tauext.monitor.sink import USUAL_REACH_M, Control
+from tauext.progress import in_plain_letters
 
 LONGEST = 1000
+LONGEST_ANSWER = 10_000
 MOST_CONNECTIONS = 8
 """Largest number of connections; beyond it the one that was silent longest is closed."""
 UNHEARD_S = 5.0
@@ -38,41 +41,48 @@ USAGE = (
 
 
 def obey(line: str, control: Control, by: str) -> str:
-    """Execute one line and return `ok` or `error: ...`."""
-    what, _, name = line.strip().partition(" ")
+    """Execute one line and return `ok` or `error: ...`, without characters that act on a terminal."""
     try:
-        if what == "profile" and name.strip():
-            control.use_profile(name.strip(), by)
-        elif what == "acknowledge" and not name:
-            control.acknowledge(by)
-        elif what == "resume" and not name:
-            control.resume(by)
-        elif what == "load" and name.strip():
-            load, ago_s = load_and_ago_of_text(name)
-            control.set_load(load, by, ago_s)
-        elif what == "expect" and name.strip():
-            control.expect_load(expected_of_text(name), by)
-        elif what == "contact" and name.strip():
-            control.declare(announced_of_text(name), by)
-        elif what == "weigh" and name.strip() in ("report", "stop"):
-            control.weigh(name.strip(), by)
-        elif what == "weigh":
-            control.weigh("start", by, reach_of_text(name.strip()))
-        elif what in ("touched", "nothing"):
-            control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(name.strip()))
-        elif what == "learn" and name.strip() in ("yes", "no"):
-            control.answer("learn" if name.strip() == "yes" else "leave", by)
-        elif what == "sim" and name.strip():
-            control.command(name.strip(), by)
-        elif what == "stop" and not name:
-            control.stop(by)
-        else:
-            return f"error: {line.strip()[:60]!r} must be {USAGE}"
+        _execute(line.strip(), control, by)
     except TauextError as error:
-        return f"error: {error}"
+        return f"error: {' '.join(in_plain_letters(str(error)).split())}"
     except ReferenceError:
         return "error: the monitor has ended"
     return "ok"
+
+
+def _execute(line: str, control: Control, by: str) -> None:
+    """Execute one line; ConfigError where it is no command, or the command is refused."""
+    if not line.replace("\t", " ").isprintable():
+        raise ConfigError(f"{line[:60]!r} must be printable text")
+    what, _, name = line.partition(" ")
+    if what == "profile" and name.strip():
+        control.use_profile(name.strip(), by)
+    elif what == "acknowledge" and not name:
+        control.acknowledge(by)
+    elif what == "resume" and not name:
+        control.resume(by)
+    elif what == "load" and name.strip():
+        load, ago_s = load_and_ago_of_text(name)
+        control.set_load(load, by, ago_s)
+    elif what == "expect" and name.strip():
+        control.expect_load(expected_of_text(name), by)
+    elif what == "contact" and name.strip():
+        control.declare(announced_of_text(name), by)
+    elif what == "weigh" and name.strip() in ("report", "stop"):
+        control.weigh(name.strip(), by)
+    elif what == "weigh":
+        control.weigh("start", by, reach_of_text(name.strip()))
+    elif what in ("touched", "nothing"):
+        control.answer("touched" if what == "touched" else "nothing", by, alarm_of_text(name.strip()))
+    elif what == "learn" and name.strip() in ("yes", "no"):
+        control.answer("learn" if name.strip() == "yes" else "leave", by)
+    elif what == "sim" and name.strip():
+        control.command(name.strip(), by)
+    elif what == "stop" and not name:
+        control.stop(by)
+    else:
+        raise ConfigError(f"{line[:60]!r} must be {USAGE}")
 
 
 def reach_of_text(text: str) -> float:
@@ -82,7 +92,7 @@ def reach_of_text(text: str) -> float:
     name, _, number = text.partition("=")
     with suppress(ValueError):
         if name == "reach":
-            return float(number)
+            return number_of(number)
     raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `report`, `stop` or nothing")
 
 
@@ -230,3 +240,31 @@ def listened_to(path: Path) -> bool:
         except OSError:
             return False
         return True
+
+
+def send_line(path: Path, line: str, patience_s: float) -> str:
+    """Send a line to a control socket; returns its answer, `ok` or `error: ...`.
+
+    Args:
+        patience_s: time for the answer, [s].
+
+    Raises:
+        ConfigError: the line is too long, or holds characters that are no printable text.
+        AwayError: nobody listens at the socket, or no answer comes in time.
+    """
+    if not line.isprintable() or len(line) >= LONGEST:
+        raise ConfigError(f"{line[:60]!r} must be one line of at most {LONGEST - 1} printable characters")
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
+            caller.settimeout(patience_s)
+            caller.connect(os.fsencode(path))
+            caller.sendall(f"{line}\n".encode())
+            with caller.makefile("r", encoding="utf-8", errors="replace", newline="\n") as answers:
+                answer = answers.readline(LONGEST_ANSWER).strip()
+    except TimeoutError:
+        raise AwayError(f"{path}: no answer within {patience_s:g} s; the monitor may still execute the line") from None
+    except OSError as error:
+        raise AwayError(f"{path}: no monitor listens at this socket ({error.strerror or error})") from error
+    if not answer:
+        raise AwayError(f"{path}: the connection ended without an answer; the monitor has ended, or is no monitor")
+    return in_plain_letters(answer)

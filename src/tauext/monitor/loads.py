@@ -10,6 +10,7 @@ from typing import Any
 from tauext._core import Load, LoadSettings
 from tauext.errors import ConfigError
 from tauext.files.places import Place
+from tauext.files.plain_file import number_of
 from tauext.files.toml_file import number, numbers, read_table, read_toml, tables
 
 KEYS = {
@@ -149,6 +150,6 @@ def load_facts(load: Load) -> dict[str, Any]:
 
 def _number(where: str, value: str) -> float:
     try:
-        return float(value)
+        return number_of(value)
     except ValueError:
-        raise ConfigError(f"{where}: {value!r} must be a number") from None
+        raise ConfigError(f"{where}: {value[:40]!r} must be a number") from None

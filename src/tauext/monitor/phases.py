@@ -11,6 +11,7 @@ from typing import Any
 from tauext._core import Bundle, DeclaredContact, Monitor, WrenchAxes
 from tauext.errors import ConfigError
 from tauext.files.places import Place
+from tauext.files.plain_file import number_of
 from tauext.files.toml_file import Key, flag, number, numbers, one_of, read_table, read_toml, text
 from tauext.monitor.changes import DeclaredChange
 
@@ -237,10 +238,10 @@ def _value(where: str, key: str, value: str) -> Any:
     if key in ("frame", "joint", "axes"):
         return value
     try:
-        found = [float(one) for one in value.split(",")]
+        found = [number_of(one) for one in value.split(",")]
     except ValueError as error:
         raise ConfigError(
-            f"{where}: {key} = {value[:40]} must be {'three numbers' if key in VECTORS else 'a number'}"
+            f"{where}: {key} = {value[:40]!r} must be {'three numbers' if key in VECTORS else 'a number'}"
         ) from error
     return found if key in VECTORS else found[0] if len(found) == 1 else found
 

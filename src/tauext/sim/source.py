@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import math
 import multiprocessing
-import re
 import threading
 import time
 from collections import deque
@@ -21,6 +20,7 @@ import numpy as np
 from tauext import _core
 from tauext.data.servo import settings_by_type
 from tauext.errors import ConfigError
+from tauext.files.plain_file import number_of
 from tauext.files.toml_file import number, numbers, one_of, read_table
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.monitor.stop_signals import without_interrupts
@@ -94,10 +94,11 @@ def _joint_key(name: str, joints: Sequence[str]) -> dict:
 
 def _numbers(words: list[str]) -> Any:
     """A number, or a list of several; text where one is not a number, which no rule accepts."""
-    plain = re.compile(r"[-+]?[0-9]*\.?[0-9]+(e[-+]?[0-9]+)?")
-    if not all(plain.fullmatch(word) for word in words):
+    try:
+        found = [number_of(word) for word in words]
+    except ValueError:
         return ",".join(words)
-    return float(words[0]) if len(words) == 1 else [float(word) for word in words]
+    return found[0] if len(found) == 1 else found
 
 
 # --- Simulated arms, one sample at a time.

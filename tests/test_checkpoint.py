@@ -90,22 +90,29 @@ def test_a_state_of_other_work_counts_as_none(place, at_once):
 def test_what_is_damaged_or_asks_for_other_classes_is_no_state(tmp_path, at_once):
     path = tmp_path / "state"
     work = Checkpoint(path, "key")
-    assert work.load() is None
+    assert work.load(dict) is None
     work.offer({"rows": np.arange(4.0), "names": ["a"]})
-    np.testing.assert_array_equal(work.load()["rows"], np.arange(4.0))
-    assert Checkpoint(path, "other").load() is None
+    np.testing.assert_array_equal(work.load(dict)["rows"], np.arange(4.0))
+    assert Checkpoint(path, "other").load(dict) is None
     whole = path.read_bytes()
     for end in range(0, len(whole), 7):
         path.write_bytes(whole[:end])
-        assert work.load() is None
+        assert work.load(dict) is None
 
     class Harm:
         def __reduce__(self):
             return os.mkdir, (str(tmp_path / "harm"),)
 
+    strings = [("key", "strings"), ("key", ["a"]), ("key", {"rows": 1}), "ab", ["key"]]
+    path.write_bytes(pickle.dumps(("key", (["a"], ["b"]))))
+    assert work.load(tuple[list[str], list[str]]) == (["a"], ["b"])
+    for content in map(pickle.dumps, [*strings, ("key", (["a"], ["b"]))]):
+        path.write_bytes(content)
+        assert work.load(tuple[list[np.ndarray], list[str]]) is None
+        assert work.load(tuple[np.ndarray, int]) is None
     for content in (pickle.dumps(("key", Harm())), pickle.dumps(("key", Path("x"))), pickle.dumps("key")):
         path.write_bytes(content)
-        assert work.load() is None
+        assert work.load(dict) is None
     assert not (tmp_path / "harm").exists()
 
 

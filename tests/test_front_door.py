@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import enum
 import importlib
 import inspect
+import itertools
 import re
 import subprocess
 import sys
@@ -18,6 +20,7 @@ import pytest
 from made_bundles import pushed, watching_bundle
 
 import tauext
+from tauext.data.recording import REQUIRED_SIGNALS
 
 ROOT = Path(__file__).parent.parent
 
@@ -35,6 +38,110 @@ def test_every_name_is_there_and_documented(name):
     assert inspect.getdoc(value), f"{name} has no docstring"
     assert name in tauext.__doc__, f"help(tauext) does not name {name}"
     assert name in dir(tauext)
+
+
+# What no function takes.
+
+
+ODD = {
+    "None": None,
+    "dict": {},
+    "no text": "",
+    "text": "x",
+    "bytes": b"x",
+    "list": [],
+    "tuple": (1,),
+    "number": 3,
+    "negative": -1,
+    "true": True,
+    "large": 10**400,
+    "NaN": float("nan"),
+    "object": object(),
+}
+NO_CALLS = {"Reporter", "__version__", *(name for name in tauext.__all__ if name.endswith("Error"))}
+"""A protocol, a text, and exceptions, which Python makes of anything."""
+
+
+def parameters(call) -> list[inspect.Parameter]:
+    """Empty for functions of the C++ module, whose parameters Python does not list; an enumeration takes a number."""
+    if inspect.isclass(call) and issubclass(call, enum.Enum):
+        return [inspect.Parameter("value", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
+    try:
+        return list(inspect.signature(call).parameters.values())
+    except ValueError:
+        return []
+
+
+def expect_sentence(call, *values, **named) -> None:
+    """The call succeeds, or raises an error of tauext's own in one line."""
+    try:
+        call(*values, **named)
+    except tauext.TauextError as error:
+        assert str(error).strip() and "\n" not in str(error) and len(str(error)) < 1000, str(error)
+
+
+@pytest.mark.parametrize("name", sorted(set(tauext.__all__) - NO_CALLS))
+def test_values_that_no_argument_takes_are_refused_in_a_sentence(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call = getattr(tauext, name)
+    takes = parameters(call)
+    required = [one for one in takes if one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD]
+    for value in ODD.values():
+        expect_sentence(call, *[value] * len(required))
+        for one in takes:
+            if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD, one.POSITIONAL_ONLY):
+                expect_sentence(call, **{other.name: value for other in required} | {one.name: value})
+        if not takes:
+            for given in ((value,), (value, value)):
+                expect_sentence(call, *given)
+            expect_sentence(call, x=value)
+    assert not list(tmp_path.iterdir())
+
+
+def usual_calls(folder: Path) -> dict:
+    """Functions with arguments that they take."""
+    bundle, recording = watching_bundle(), pushed(seconds=3.0)
+    bundle.save(str(folder / "b.tauext"))
+    tauext.save_recording(recording, folder / "r.parquet")
+    return {
+        tauext.load_bundle: {"path": folder / "b.tauext"},
+        tauext.load_recording: {"path": folder / "r.parquet", "signals": ("contact",), "rows": (0, 10)},
+        tauext.save_recording: {"recording": recording, "path": folder / "again.parquet"},
+        tauext.expect_fit: {"bundle": bundle, "recording": recording},
+        tauext.estimate_recording: {"bundle": bundle, "recording": recording, "threads": 1, "contacts": ()},
+        tauext.refit_motion: {
+            "bundle": bundle,
+            "motion": {name: getattr(recording, name) for name in ("t_ns", *REQUIRED_SIGNALS)},
+        },
+        tauext.refit_recordings: {"bundle": bundle, "recordings": [recording], "threads": 1},
+        tauext.Monitor: {"bundle": bundle},
+        tauext.DeclaredContact: {"joint": "elbow", "at_most_nm": 1.0, "axis": [1, 0, 0], "box": None, "at_most_n": 0},
+        tauext.Load: {"mass": 1.0, "com": [0, 0, 0]},
+        bundle.save: {"path": str(folder / "c.tauext")},
+        tauext.Bundle.load: {"path": str(folder / "b.tauext")},
+        tauext.Monitor(bundle).expect_load: {"seconds": 1.0, "at_most_kg": 1.0},
+        tauext.Monitor(bundle).set_limit_factors: {"collision": [1, 1], "contact": [1, 1]},
+    }
+
+
+def test_one_odd_value_among_usual_ones_is_refused_in_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for call, usual in usual_calls(tmp_path).items():
+        for name, value in itertools.product(usual, ODD.values()):
+            expect_sentence(call, **usual | {name: value})
+    with pytest.raises(tauext.TauextError, match="at_most_n is beyond 1.8e308, the largest number"):
+        tauext.DeclaredContact(frame="tool", at_most_n=10**400)
+    with pytest.raises(tauext.ConfigError, match="load_bundle: path = None must be a path or StoredPlace or text"):
+        tauext.load_bundle(None)
+    with pytest.raises(tauext.ConfigError, match="refit_motion: bundle = {} must be Bundle"):
+        tauext.refit_motion({}, {})
+    with pytest.raises(tauext.TauextError, match="Alarm.7. must be the number of one of none, contact, collision"):
+        tauext.Alarm(7)
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path):
+    assert tauext.TrainConfig(seed=np.int64(3), minutes=np.float32(2.0)).seed == 3
+    assert tauext.Load(np.float64(1.0), np.zeros(3), np.zeros(6)).mass == 1.0
 
 
 def test_names_for_type_checkers_are_those_that_are_loaded():

@@ -133,6 +133,13 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
     assert f'<a href="{link}">collisions-000</a>' in page
 
 
+@pytest.mark.parametrize("units", [["Nm"], [], None, ["Nm"] * 3])
+def test_results_with_too_few_units_are_refused_in_a_sentence(units, copied):
+    change(copied[0], lambda content: content["bundles"][0].update(estimate_units=units))
+    with pytest.raises(ConfigError, match=r"bundles\[0\]: 'estimate_units' must be a list of 2 texts, one a joint$"):
+        load_results(copied[0])
+
+
 def test_no_text_of_any_figure_is_raw_mathtext(noticing, copied, tmp_path, monkeypatch):
     """With text.parse_math off, matplotlib's own labels of powers would be printed as their source."""
     figures = {}

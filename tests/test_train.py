@@ -178,6 +178,24 @@ def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
     with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
         train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 1})
     assert path.exists()
+    with np.load(path) as stored:
+        whole = dict(stored)
+    for name, odd in (
+        ("parameters", np.full(len(whole["parameters"]), "a")),
+        ("m", whole["m"][1:]),
+        ("best", np.full_like(whole["best"], np.nan)),
+        ("history", np.array("strings")),
+        ("settings", np.array('"text"')),
+        ("seconds", np.array("soon")),
+    ):
+        with path.open("wb") as file:
+            np.savez(file, **whole | {name: odd})
+        with pytest.raises(ConfigError, match="checkpoint cannot be read"):
+            train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
+    with path.open("wb") as file:
+        np.save(file, np.array(["strings"]))
+    with pytest.raises(ConfigError, match="checkpoint cannot be read"):
+        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ConfigError, match="cannot be read"):
         train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})

@@ -10,7 +10,93 @@ namespace tauext::bindings {
 
 namespace {
 
+// An argument that is taken only once no signature takes the call, not even by converting arguments.
+struct Leftover {
+  nb::object value;
+};
+
+}  // namespace
+}  // namespace tauext::bindings
+
+namespace nanobind::detail {
+
+template <>
+struct type_caster<tauext::bindings::Leftover> {
+  NB_TYPE_CASTER(tauext::bindings::Leftover, const_name("object"))
+  bool from_python(handle object, std::uint32_t flags, cleanup_list*) noexcept {
+    value.value = borrow(object);
+    return (flags & static_cast<std::uint32_t>(cast_flags::convert)) != 0;
+  }
+};
+
+}  // namespace nanobind::detail
+
+namespace tauext::bindings {
+
+namespace {
+
 std::string text(nb::handle object) { return nb::cast<std::string>(nb::str(object)); }
+
+// An argument for a message: in one line, shortened.
+std::string shown(nb::handle object) {
+  constexpr int kMost = 40;
+  try {
+    const nb::object line = nb::str(" ").attr("join")(nb::repr(object).attr("split")());
+    const std::string whole = text(line);
+    return nb::len(line) <= kMost ? whole : text(line.attr("__getitem__")(nb::slice(0, kMost, 1))) + " ...";
+  } catch (nb::python_error&) {  // an object without a representation
+    return "an object of type " + type_of(object);
+  }
+}
+
+std::string shown(const Leftover& first, const nb::args& args, const nb::kwargs& kwargs) {
+  std::string out = first.value.is(nb::ellipsis()) ? "" : shown(first.value);
+  for (const nb::handle value : args) out += (out.empty() ? "" : ", ") + shown(value);
+  for (const auto& [name, value] : kwargs) out += (out.empty() ? "" : ", ") + text(name) + "=" + shown(value);
+  return out;
+}
+
+// The signatures in a docstring of nanobind: `Load(mass: float)`, joined by `or`.
+std::string signatures_of(nb::handle function, const std::string& name) {
+  std::string out;
+  for (const nb::handle line : text(function.attr("__doc__")).empty() ? nb::list() : nb::list(function.attr("__doc__").attr("split")("\n"))) {
+    std::string one = text(line);
+    if (one.empty()) break;
+    one = one.substr(0, one.rfind(" -> "));
+    for (const char* noise : {"self, ", "self", "tauext._core."})
+      for (std::size_t at; (at = one.find(noise)) != std::string::npos;) one.erase(at, std::string(noise).size());
+    out += (out.empty() ? "" : " or ") + name + one.substr(std::min(one.find('('), one.size()));
+  }
+  return out;
+}
+
+// Adds a signature that takes any arguments and throws Error.
+void refuse_others(nb::handle owner, nb::handle function, const std::string& name, const std::string& shown_name) {
+  const std::string help = "def " + name + "(...)";
+  const std::string takes = function.is_none() ? "no call; other functions return it" : signatures_of(function, shown_name);
+  const auto refuse = [=](const Leftover& first, const nb::args& args, const nb::kwargs& kwargs) {
+    throw Error(shown_name + "(" + shown(first, args, kwargs) + ") must be " + takes);
+  };
+  const auto define = [&](const auto& call, const auto&... extra) {
+    nb::cpp_function_def(call, nb::scope(owner), nb::sig(help.c_str()), nb::arg("first").none() = nb::ellipsis(), nb::arg("args"),
+                         nb::arg("kwargs"), extra...);
+  };
+  const bool is_method = function.is_none() || text(function.type().attr("__name__")) == "nb_method";
+  if (is_method)
+    define([=](nb::handle, const Leftover& first, const nb::args& args, const nb::kwargs& kwargs) { refuse(first, args, kwargs); },
+           nb::is_method());
+  else
+    define(refuse);
+}
+
+// What is no member of an enumeration throws Error, too.
+void refuse_others(const nb::object& enumeration, const std::string& name) {
+  const std::string members = text(nb::str(", ").attr("join")(enumeration.attr("__members__")));
+  const auto refuse = [=](const nb::args& given) {
+    throw Error(name + "(" + shown(given[given.size() - 1]) + ") must be the number of one of " + members);
+  };
+  enumeration.attr("_missing_") = nb::module_::import_("builtins").attr("classmethod")(nb::cpp_function(refuse));
+}
 
 std::string shape_of(std::size_t rows, std::size_t columns) {
   return "(" + std::to_string(rows) + ", " + std::to_string(columns) + ")";
@@ -104,8 +190,31 @@ void read_whole(nb::handle object, std::int64_t& value, std::string& problem) no
 void read_number(nb::handle object, double& value, std::string& problem) noexcept {
   value = PyFloat_AsDouble(object.ptr());
   if (!PyErr_Occurred()) return;
+  const bool is_too_large = PyErr_ExceptionMatches(PyExc_OverflowError) != 0;
   PyErr_Clear();
-  problem = "is of type " + type_of(object) + "; it must be a number";
+  problem = is_too_large ? "is beyond 1.8e308, the largest number" : "is of type " + type_of(object) + "; it must be a number";
+}
+
+void refuse_wrong_arguments(nb::module_& m) {
+  for (const nb::handle item : nb::cast<nb::dict>(m.attr("__dict__")).items()) {  // a copy: functions are replaced
+    const std::string name = text(item[0]);
+    const nb::object value = item[1];
+    if (name.starts_with("_")) continue;
+    if (nb::hasattr(value, "__members__")) refuse_others(value, name);
+    else if (text(value.type().attr("__name__")) == "nb_func") refuse_others(m, value, name, name);
+    if (!PyType_Check(value.ptr()) || !nb::type_check(value)) continue;
+    nb::dict own;
+    own.update(value.attr("__dict__"));
+    if (text(own["__init__"].type().attr("__name__")) != "nb_method") refuse_others(value, nb::none(), "__init__", name);
+    for (const nb::handle pair : own.items()) {
+      const nb::object function = pair[1];
+      const std::string of = text(pair[0]), kind = text(function.type().attr("__name__"));
+      const bool is_function = kind == "nb_method" || kind == "nb_func";
+      // step is called a thousand times a second, and all of its arguments take any object.
+      if (is_function && of == "__init__") refuse_others(value, function, of, name);
+      else if (is_function && of != "step" && !of.starts_with("_")) refuse_others(value, function, of, name + "." + of);
+    }
+  }
 }
 
 void expect_temperatures(std::span<const double> celsius, std::size_t joints) {

@@ -69,6 +69,10 @@ nb::object numpy_of(nb::handle object, std::string_view type, int dimensions, st
 void read_whole(nb::handle object, std::int64_t& value, std::string& problem) noexcept;
 void read_number(nb::handle object, double& value, std::string& problem) noexcept;
 
+// Whatever a public function or constructor takes by none of its signatures throws Error in one sentence, instead of a
+// TypeError with a list of signatures.
+void refuse_wrong_arguments(nb::module_& m);
+
 // Moves a vector to NumPy without a copy.
 template <class T>
 nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {

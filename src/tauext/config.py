@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
+import numbers
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
 from tauext.recipes import RECIPES, Recipe, recipe_of
@@ -74,6 +78,7 @@ class ObserverConfig:
     """Below this joint speed, [rad/s], a joint counts as near stiction and has a limit of its own."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         numbers = {"gain_per_s": self.first_gain_per_s}
         numbers |= {name: getattr(self, name) for name in ("network_period_s", "window_s", "near_stiction_rad_s")}
         for name, value in numbers.items():
@@ -107,6 +112,7 @@ class FreeMotionConfig:
     """Time left out after a labelled contact, until it has left filters and windows, [s]."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         for name in ("before_s", "after_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
 
@@ -146,6 +152,7 @@ class AlarmConfig:
     half a second, which would otherwise sometimes count as another contact."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
         require(0 <= self.friction_reserve <= 1, "friction_reserve", self.friction_reserve, "0 to 1")
@@ -188,6 +195,7 @@ class PriorConfig:
     """Let friction follow recorded joint temperatures if that helps on held-out motion."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         for name in ("widths_rad", "coulomb_speeds_rad_s"):
             values = getattr(self, name)
             rising = all(a < b <= 1e3 for a, b in zip((0.0, *values), values, strict=False))
@@ -224,6 +232,7 @@ class DriftConfig:
     (0: never; at most 1). It occurs on a cold morning. Needs limits that follow the error."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         time_s = self.time_constant_s
         require(time_s == 0 or 1 <= time_s <= 1e6, "time_constant_s", time_s, "0 (no tracker) or 1 to 1e6")
         for name in ("size_share", "least_size_nm"):
@@ -247,6 +256,7 @@ class FilterConfig:
     """Cut-off of the first-order low-pass of recipe bandpass, [1/s]; above the observer's gain, itself a low-pass."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         for name in ("high_pass_per_s", "low_pass_per_s"):
             require(0 < getattr(self, name) <= 1e6, name, getattr(self, name), "> 0, at most 1e6")
         require(
@@ -267,6 +277,7 @@ class EventsConfig:
     """Time before and after an event's label in which an alarm counts for the event, [s]."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         for name in ("shortest_event_s", "tolerance_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
 
@@ -341,6 +352,7 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
@@ -406,7 +418,93 @@ def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:
 def require(ok: bool, name: str, value: object, rule: str) -> None:
     """Raise ConfigError `name = value must be rule` unless ok."""
     if not ok:
-        raise ConfigError(f"{name} = {value} must be {rule}")
+        raise ConfigError(f"{name} = {brief(value, str)} must be {rule}")
+
+
+MOST_SHOWN = 60
+"""Letters of a value in a message."""
+
+
+def brief(value: object, as_text: Callable[[object], str] = repr) -> str:
+    """The value for a message, in one line, shortened."""
+    try:
+        text = " ".join(as_text(value).split())
+    except Exception:  # an object without a text, a whole number of more digits than Python prints
+        text = f"an object of type {type(value).__name__}"
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]} ..."
+
+
+# --- Values of a wrong type, refused before they are used. TOML files and callers in Python have the same rules.
+
+
+NUMBERS = {bool: "true or false", int: "a whole number", float: "a number"}
+NUMBER_KINDS: Mapping[type, type] = {int: numbers.Integral, float: numbers.Real}
+"""NumPy's numbers are numbers, too."""
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether the value is of the type of an annotation; of containers, every value."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(fits(value, one) for one in inner)
+    if origin is Literal:
+        return isinstance(value, str) and value in inner
+    if origin is not None and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(fits(k, inner[0]) and fits(v, inner[1]) for k, v in value.items())
+    if origin is tuple and inner[-1] is not Ellipsis:
+        same = isinstance(value, tuple) and len(value) == len(inner)
+        return same and all(map(fits, value, inner))
+    if origin is not None and issubclass(origin, Collection):
+        whole = isinstance(value, origin) and not isinstance(value, str | bytes)
+        return whole and all(fits(one, inner[0]) for one in value)
+    if hint in NUMBER_KINDS:
+        return isinstance(value, NUMBER_KINDS[hint]) and not isinstance(value, bool)
+    if getattr(hint, "_is_protocol", False):
+        return all(callable(getattr(value, name, None)) for name in vars(hint) if not name.startswith("_"))
+    kind = origin or (NoneType if hint is None else hint)
+    return isinstance(value, kind) if isinstance(kind, type) else True
+
+
+def described(hint: Any) -> str:
+    """The type of an annotation for a message."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(described(choice) for choice in inner if choice is not NoneType)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, inner))}"
+    if origin is tuple and inner[-1] is Ellipsis:
+        return f"a list ({described(inner[0])} each)"
+    if origin is not None and inner:
+        return f"{origin.__name__} of {', '.join(map(described, inner))}"
+    name = getattr(hint, "__name__", str(hint))
+    return NUMBERS.get(hint) or {"str": "text", "Path": "a path"}.get(name, name)
+
+
+@functools.cache
+def _hints(thing: Any) -> dict[str, Any]:
+    return get_type_hints(thing)
+
+
+def expect_types(values: Mapping[str, Any], of: Any, before: str = "") -> None:
+    """Raise ConfigError unless each value is of the type that its annotation in a class or function states."""
+    hints = _hints(of)
+    for name, value in values.items():
+        if name in hints and not fits(value, hints[name]):
+            raise ConfigError(f"{before}{name} = {brief(value)} must be {described(hints[name])}")
+
+
+def checked(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """A public function whose arguments are of the types of their annotations, or ConfigError names the first other."""
+    takes = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        expect_types(takes.bind(*args, **kwargs).arguments, function, f"{function.__name__}: ")
+        return function(*args, **kwargs)
+
+    return call
 
 
 def require_seed(seed: int) -> None:

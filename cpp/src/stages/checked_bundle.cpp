@@ -172,7 +172,12 @@ void save_bundle(const Bundle& bundle, const std::string& path) {
       throw Error(path + ": cannot be written");
     }
   }
-  std::filesystem::rename(temporary, path);
+  std::error_code problem;
+  std::filesystem::rename(temporary, path, problem);
+  if (problem) {
+    std::remove(temporary.c_str());
+    throw Error((path.empty() ? "''" : path) + ": cannot be written as a bundle (" + problem.message() + ")");
+  }
 }
 
 Bundle load_bundle(const std::string& path) {

@@ -8,6 +8,7 @@ from typing import Any
 
 from tauext import _core
 from tauext.bundle.loss_history import LossHistory
+from tauext.config import checked
 from tauext.errors import BundleError, ConfigError
 from tauext.files.atomic_write import atomic_files
 from tauext.files.copies import local_file, written_as
@@ -20,6 +21,7 @@ from tauext.progress import WallTimes
 # --- Bundles from their files.
 
 
+@checked
 def load_bundle(path: Place | str) -> _core.Bundle:
     """The bundle in a file NAME.tauext, checked and its reference replayed; `Bundle.save` writes one.
 

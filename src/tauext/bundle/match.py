@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from tauext import _core
+from tauext.config import checked
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description
 from tauext.data.servo import FROM_AMPERES, servo_facts
 from tauext.errors import BundleError
 
 
+@checked
 def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None:
     """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing.
 

@@ -30,7 +30,7 @@ from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import provenance
 from tauext.files.synced_file import write_synced
 from tauext.train.calibrate import no_freeze, set_limits, write_calibrated
-from tauext.train.held_peaks import collect_peaks
+from tauext.train.held_peaks import PeakCollector, collect_peaks
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 
 THREADS = 1
@@ -41,6 +41,8 @@ TURN_S = 1800.0
 """Calibration motion in memory at a time, [s]."""
 Place = tuple[str, int, int, int]
 """Name, epoch, first and last stamp of a motion in the peaks."""
+STATE = tuple[list[PeakCollector], list[str], list[Place], int, float, set[int], set[int], dict[int, tuple[int, int]]]
+"""Fields of a Ledger in its file."""
 
 
 class Ledger:
@@ -64,7 +66,7 @@ class Ledger:
     @classmethod
     def load(cls, folder: CommissionFolder, base: str) -> Ledger:
         made = cls(folder, base)
-        if (state := made._checkpoint.load()) is not None:
+        if (state := made._checkpoint.load(STATE)) is not None:
             (made.collectors, made.names, made.places, made.learned) = state[:4]
             (made.limits_h, made.counted, made.limited, made.forgotten) = state[4:]
             made.names = made.names[: len(made.places)]
@@ -72,8 +74,8 @@ class Ledger:
 
     def put(self) -> None:
         """Keep the state, then allow the recorder to drop what was learned."""
-        peaks = [self.collectors, self.names, self.places, self.learned]
-        self._checkpoint.put([*peaks, self.limits_h, self.counted, self.limited, self.forgotten])
+        peaks = (self.collectors, self.names, self.places, self.learned)
+        self._checkpoint.put((*peaks, self.limits_h, self.counted, self.limited, self.forgotten))
         write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
 
     @property

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from tauext.config import checked
 from tauext.data.recording import Recording
 from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
@@ -250,6 +251,7 @@ class Dataset:
         raise ConfigError(f"{self.folder}: it has no {' or '.join(ROBOT_FILES)}; give one with --robot")
 
 
+@checked
 def load_dataset(folder: Place | str) -> Dataset:
     """The dataset in a folder that `tauext simulate` or `tauext import` made; no recording is read yet.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tauext.config import checked
 from tauext.data.labels import epoch_of, has_labels, overlay, read_labels
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError
@@ -79,6 +80,7 @@ class Description:
     provenance: dict[str, Any]
 
 
+@checked
 def save_recording(recording: Recording, path: Place | str) -> None:
     """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
 
@@ -123,6 +125,7 @@ def save_recording(recording: Recording, path: Place | str) -> None:
     )
 
 
+@checked
 def load_recording(
     path: Place | str, signals: Collection[str] | None = None, rows: tuple[int, int] | None = None
 ) -> Recording:

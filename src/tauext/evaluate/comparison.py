@@ -204,7 +204,7 @@ def evaluate(
     expect_work(bundles, test, collisions, keep_free_estimates)
     for name in bundles:
         (estimates_dir / name).mkdir(parents=True, exist_ok=True)
-    comparison, done = (kept.load() if kept else None) or (None, 0)
+    comparison, done = (kept.load(tuple[Comparison, int]) if kept else None) or (None, 0)
     if comparison is None:
         own_nm = own_limits(load() for load in quiet)
         own = None if own_nm is None else OwnTorque(own_nm, events)

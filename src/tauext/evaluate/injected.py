@@ -15,6 +15,7 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates, lacking
 from tauext.bundle.match import expect_fit
 from tauext.bundle.units import left_out, of_all
+from tauext.config import checked
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision, judge_latched
@@ -27,6 +28,7 @@ from tauext.train.hits import Point, points
 # --- Run bundles on recordings by the same chain as the monitor's.
 
 
+@checked
 def estimate_recording(
     bundle: _core.Bundle, recording: Recording, threads: int = 0, contacts: Contacts = ()
 ) -> Estimates:

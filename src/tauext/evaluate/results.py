@@ -742,6 +742,8 @@ def results_of(content: dict[str, Any], path: str) -> Results:
     size = len(joints) if isinstance(joints, list) else 0
     read: Results = JsonReader(size).object(Results, content, path)
     for k, bundle in enumerate(read.bundles):
+        if len(bundle.estimate_units) != size:
+            raise ConfigError(f"{path}, bundles[{k}]: 'estimate_units' must be a list of {size} texts, one a joint")
         regions = bundle.error_against_sigma
         if regions and any(len(regions.get(name, ())) != size for name in ("sliding", "near_stiction")):
             where = f"{path}, bundles[{k}], error_against_sigma"

@@ -15,7 +15,7 @@ from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
 from tauext.check.before_training import WORTH_A_WARNING
-from tauext.config import EventsConfig
+from tauext.config import EventsConfig, checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
@@ -27,6 +27,7 @@ from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 
 
+@checked
 def evaluate_bundles(
     dataset: Dataset,
     bundles: Mapping[str, Place],

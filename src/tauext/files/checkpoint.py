@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tauext.config import fits
 from tauext.files.atomic_write import atomic_write
 
 EVERY_S = 20.0
@@ -52,8 +53,12 @@ class Checkpoint:
         self._path, self._key, self._outside = path, key, dict(outside or {})
         self._written = time.monotonic()
 
-    def load(self) -> Any | None:
-        """The state that was offered last for this key; None: no usable state."""
+    def load(self, of: Any) -> Any | None:
+        """The state that was offered last for this key; None: no usable state.
+
+        Args:
+            of: type of the state, such as tuple[Comparison, int].
+        """
         try:
             with self._path.open("rb") as file:
                 key, state = _Reader(file, self._outside).load()
@@ -61,7 +66,7 @@ class Checkpoint:
             return None
         except (pickle.UnpicklingError, MemoryError):
             return None
-        return state if key == self._key else None
+        return state if key == self._key and fits(state, of) else None
 
     def offer(self, state: Any) -> None:
         """Write the state where the last writing is EVERY_S ago; the folder is there."""

@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from tauext.config import described
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.kind import is_bundle
@@ -200,7 +201,6 @@ def write_template(path: Path, content: str) -> None:
 
 
 Settings = TypeVar("Settings")
-PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 
 
 def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mapping[str, str] | None = None) -> Settings:
@@ -323,18 +323,6 @@ def converted(value: Any, hint: Any) -> Any:
     if hint in (bool, str) and isinstance(value, hint):
         return value
     raise TypeError
-
-
-def described(hint: Any) -> str:
-    """The type of a field for a message."""
-    origin = get_origin(hint)
-    if origin in (Union, UnionType):
-        return " or ".join(described(choice) for choice in get_args(hint) if choice is not NoneType)
-    if origin is Literal:
-        return f"one of {', '.join(map(str, get_args(hint)))}"
-    if origin is tuple:
-        return f"a list ({described(get_args(hint)[0])} each)"
-    return PLAIN.get(hint, str(hint))
 
 
 def plain(settings: Any) -> dict[str, Any]:

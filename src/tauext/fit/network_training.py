@@ -203,6 +203,11 @@ def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
         )
 
 
+def is_as(one: np.ndarray, parameters: np.ndarray) -> bool:
+    """Whether these are finite numbers, as many as the parameters."""
+    return one.dtype.kind == "f" and one.shape == parameters.shape and bool(np.isfinite(one).all())
+
+
 def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
     """The state of an interrupted run with these settings, or None without a checkpoint.
 
@@ -216,14 +221,17 @@ def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
         with np.load(path, allow_pickle=False) as stored:
             theirs = json.loads(str(stored["settings"]))
             running = float(stored["running_loss"])
+            parameters, m, v, best = (stored[name] for name in ("parameters", "m", "v", "best"))
+            if not isinstance(theirs, dict) or not all(is_as(one, parameters) for one in (parameters, m, v, best)):
+                raise ValueError("its settings or parameters are of the wrong kind")
             state = TrainState(
-                (stored["parameters"], Adam(stored["m"], stored["v"], int(stored["steps"]))),
+                (parameters, Adam(m, v, int(stored["steps"]))),
                 [(int(step), float(loss), float(validation)) for step, loss, validation in stored["history"]],
-                stored["best"],
+                best,
                 float(stored["seconds"]),
                 None if np.isnan(running) else running,
             )
-    except (OSError, KeyError, ValueError, BadZipFile) as error:
+    except (OSError, EOFError, KeyError, TypeError, AttributeError, OverflowError, ValueError, BadZipFile) as error:
         raise ConfigError(f"{path}: this checkpoint cannot be read ({error}); {advice}") from error
     differing = sorted(key for key in settings.keys() | theirs.keys() if settings.get(key) != theirs.get(key))
     if differing:

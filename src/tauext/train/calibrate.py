@@ -19,7 +19,7 @@ from tauext.bundle.history_file import expect_journal
 from tauext.bundle.loss_history import read_loss_history
 from tauext.bundle.match import expect_fit
 from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
-from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.config import AlarmConfig, FreeMotionConfig, checked
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
 from tauext.data.labels import labels_key, read_labels
@@ -44,6 +44,7 @@ NO_CALIBRATION = (
 )
 
 
+@checked
 def recalibrate(
     bundle: Place,
     dataset: Dataset,

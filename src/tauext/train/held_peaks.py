@@ -38,7 +38,7 @@ class KeptPeaks:
         self._checkpoint = checkpoint
         self.collectors: list[Any]
         self.names: list[str]
-        self.collectors, self.names = checkpoint.load() or ([], [])
+        self.collectors, self.names = checkpoint.load(tuple[list[PeakCollector], list[str]]) or ([], [])
         self._taken = len(self.names)
 
     def offer(self, collectors: list[Any], names: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ from tauext.bundle.estimates import number
 from tauext.bundle.loss_history import read_loss_history
 from tauext.bundle.match import expect_fit
 from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
-from tauext.config import FreeMotionConfig
+from tauext.config import FreeMotionConfig, checked
 from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
 from tauext.data.recording import Recording, TorqueTiming
@@ -333,6 +333,7 @@ class Span:
         return within(recording, self.from_s + start_s, end_s + start_s, recording.name)
 
 
+@checked
 def refit_bundle(
     bundle: Place,
     data: Place,
@@ -397,6 +398,7 @@ def refit_bundle(
     return refitted
 
 
+@checked
 def refit_recordings(
     bundle: _core.Bundle,
     recordings: Sequence[Recording],
@@ -447,6 +449,7 @@ def expected_of(found: _core.Refit, days: np.ndarray) -> tuple[np.ndarray, np.nd
     return expectations(factor, error, np.array([one.moved_s for one in found.joints]), days)
 
 
+@checked
 def refit_motion(
     bundle: _core.Bundle,
     motion: Mapping[str, np.ndarray],
@@ -456,16 +459,17 @@ def refit_motion(
     """Make the result of a refit from `Monitor.finish_refit`.
 
     Raises:
+        ConfigError: a signal is missing.
         TrainingError: see refit_bundle().
     """
-    observer = bundle.observer
+    observer, signals = bundle.observer, ("t_ns", "q", "dq", "tau")
+    if missing := [signal for signal in signals if signal not in motion]:
+        raise ConfigError(f"motion has no {', '.join(missing)}; it must be what Monitor.finish_refit() returned")
+    kept: dict[str, Any] = {signal: motion[signal] for signal in signals}
     recording = Recording(
         name="morning",
         joints=tuple(link.joint_name for link in bundle.links),
-        t_ns=motion["t_ns"],
-        q=motion["q"],
-        dq=motion["dq"],
-        tau=motion["tau"],
+        **kept,
         rate_hz=1e9 / observer.sample_period_ns,
         torque_timing=cast(TorqueTiming, observer.timing.name),
         source="a monitor's refit",

@@ -10,7 +10,7 @@ from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import expect_journal
 from tauext.check.before_training import Rejected, expect_codes
-from tauext.config import PAPER_CASES, CaseName, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, TrainConfig, checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import Label, read_labels
 from tauext.data.recording import Recording
@@ -137,6 +137,7 @@ def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[
 # --- One bundle from recordings of free motion: prepare, observe, fit, gate, calibrate, write.
 
 
+@checked
 def train_bundle(
     dataset: Dataset,
     out: Place | str,

@@ -22,6 +22,7 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
+from tauext.files import journal
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.sink import Verdict
@@ -174,6 +175,34 @@ def test_an_alarm_that_stands_since_another_clock_keeps_its_label(tmp_path):
     folder = Script(tmp_path / "cell").go(5).go(1, 1, 5.0).end()
     before = folder.labels()
     assert Script(folder.path).stand(1).go(2, 1, 5.0).end().labels() == before
+
+
+@pytest.mark.parametrize("answer", ["touched", None])
+def test_a_touch_that_goes_on_after_a_restart_is_neither_written_each_sample_nor_asked_about_again(answer, tmp_path):
+    script = Script(tmp_path / "cell").go(5).go(1, 1, 5.0)
+    if answer:
+        script.answer(answer, 1)
+    path = script.end().path  # as after kill -9: the touch has not ended
+    before = len(journal.read(path).lines)
+    script = Script(path, start_ns=10**12).stand(1).go(20, 1, 5.0)
+    script.end()
+    added = [one["kind"] for one in journal.read(path).lines[before:]]
+    assert added.count("event") <= 1, added
+    asked = [note for note in script.notes if note.startswith("alarm 1:")]
+    assert not asked if answer else len(asked) <= 1
+    assert script.keeper.event(1)["answer"] == answer
+
+
+def test_stamps_that_go_back_and_forth_during_a_touch_write_no_line_each_sample(tmp_path):
+    script = Script(tmp_path / "cell").go(5).go(1, 1, 5.0)
+    before = len(journal.read(script.folder.path).lines)
+    for _ in range(100):
+        script.t_ns -= 30_000_000_000
+        script.go(0.04, 1, 5.0)
+        script.t_ns += 30_000_000_000
+        script.go(0.04, 1, 5.0)
+    events = [one for one in journal.read(script.end().path).lines[before:] if one["kind"] == "event"]
+    assert len(events) < 20
 
 
 def test_long_standstill_is_dropped_and_reported(tmp_path):

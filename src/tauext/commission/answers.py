@@ -183,7 +183,8 @@ class EpisodeKeeper:
             facts |= {"wall": wall(), "epoch": self._now[0], "answer": None, "flight": None}
         elif known.get("epoch") != self._now[0]:  # the touch goes on under another clock
             facts = {key: value for key, value in facts.items() if key not in ("t_ns", "held_ns", "over")}
-        self._waiting.put(self._put(one.number, **facts))
+        if known is None or known | facts != known:
+            self._waiting.put(self._put(one.number, **facts))
 
     # The keeper's thread.
 
@@ -200,7 +201,8 @@ class EpisodeKeeper:
                 owed[event["id"]] = event
                 if event.get("level") not in (None, levels.get(event["id"])):
                     levels = {event["id"]: event["level"]}
-                    self._note(question(event))
+                    if not event.get("answer"):
+                        self._note(question(event))
             for number, event in list(owed.items()):
                 try:
                     self._folder.append_event(event)

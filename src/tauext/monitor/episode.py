@@ -96,11 +96,12 @@ class EpisodeFinder:
                 self._over = np.fmax(self._over, share) if len(self._over) else share
             self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][0]))
             is_touched = not estimates["touch_over"][0]
-            lasts = is_touched and self._touch_t_ns > one.touch_t_ns + LASTS_NS
-            was_set_back = q is not None and t_ns < self._last_ns  # what follows is of another clock
+            so_far = self._so_far()
+            lasts = is_touched and so_far.touch_t_ns > one.touch_t_ns + LASTS_NS
+            was_set_back = q is not None and t_ns < self._last_ns and so_far != one  # what follows is of another clock
             self._last_ns = self._last_ns if q is None else t_ns
             if one.number in news or lasts or was_set_back or (one.is_touched and not is_touched):
-                self.standing = news[one.number] = replace(self._so_far(), is_touched=is_touched)
+                self.standing = news[one.number] = replace(so_far, is_touched=is_touched)
             elif is_touched and not one.is_touched:  # again; its end is news
                 self.standing = replace(one, is_touched=True)
         return tuple(news.values())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest import mock
+from zlib import crc32
 
 import numpy as np
 
@@ -37,6 +39,22 @@ def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> Comm
 
 def add_event(folder: CommissionFolder, **content) -> None:
     folder.append_event(content)
+
+
+def forge(path: Path, kind: str, content: dict) -> None:
+    """Append a line that the journal itself refuses, as another program could."""
+
+    def line(content: dict) -> bytes:
+        body = json.dumps(content).encode()  # NaN, too
+        return journal.CHECK % crc32(body) + body[1:] + b"\n"
+
+    journal.read(path)  # with its rules
+    with (
+        mock.patch("tauext.files.journal.why_unusable", lambda line: ""),
+        mock.patch("tauext.files.journal._line", line),
+    ):
+        journal.append(path, kind, content)
+    journal._seen.clear()
 
 
 def words(folder: CommissionFolder) -> list[str]:

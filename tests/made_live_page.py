@@ -155,7 +155,7 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
         "bytes_most": 5e9, "needs_s": 40.0, "joints": cover,
     })  # fmt: skip
     if early:
-        write(folder, "trainer.json", {"doing": "training b0001 on 1 min of motion", "share": 0.4})
+        write(folder, "trainer.json", {"doing": "training b0001 on 1 min of motion"})
         return
     lines = []
     for k in range(4):

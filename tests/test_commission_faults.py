@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import errno
+import importlib
 import json
 import os
 import re
 import shutil
+import socket
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from made_bundles import JOINTS, pushed
-from made_commission import cut_journal
-from made_faults import ANSWERS, BACKUP, FAULTS, ROBOT, alone, faults, files_of, outcome, prepare
+from made_commission import cut_journal, forge
+from made_faults import ANSWERS, BACKUP, FAULTS, ROBOT, alone, begin, end, faults, files_of, outcome, prepare, wait
 
 from tauext import _core
-from tauext.bundle.history_file import expect_journal, left_out, read_events, read_history, read_question
+from tauext.bundle.history_file import active_bundle, expect_journal, left_out, read_events, read_history, read_question
 from tauext.cli import main
+from tauext.commission import history
 from tauext.commission.connect import restore_arm
 from tauext.commission.folder import CommissionFolder, Segment
-from tauext.commission.history import describe_folder
+from tauext.commission.history import arm_row, describe_folder
 from tauext.commission.keep import repaired, trim_damaged
 from tauext.commission.run import free_sockets
 from tauext.commission.trainer import Trainer
@@ -286,6 +292,210 @@ def test_a_name_in_pending_json_leads_nowhere_else(content, copy):
     trainer = Trainer(folder)
     assert trainer._pending() == {} and trainer.facts().unseen_s is None
     assert outside.is_file() and len(list(folder.bundles.glob("*.tauext"))) == 2
+
+
+# --- Forged lines: whole by their checksum, and written by another program.
+
+
+NAMES_OUTSIDE = ("../x", "../../x", "sub/x", "..", ".", "", "x\0y", "/tmp/tauext-forged", "C:x", 5, None)
+
+
+def tree_of(path: Path) -> dict[str, bytes]:
+    return {str(one.relative_to(path)): one.read_bytes() for one in sorted(path.rglob("*")) if one.is_file()}
+
+
+@pytest.mark.parametrize("name", NAMES_OUTSIDE)
+def test_a_forged_file_name_writes_nothing_outside_of_the_folder(name, copy):
+    forge(copy, "file", {"name": name, "text": "forged"})
+    around = {one: text for one, text in tree_of(copy.parent).items() if not one.startswith("cell/")}
+    folder = start(copy)
+    assert {one: text for one, text in tree_of(copy.parent).items() if not one.startswith("cell/")} == around
+    assert not Path("/tmp/tauext-forged").exists() and b"forged" not in b"".join(
+        text for one, text in tree_of(copy).items() if not one.startswith(("journal", "log."))
+    )
+    assert folder.lost() == 1 and "its name" in describe_folder(copy)["unusable_lines"]
+    assert folder.fall_back().stem == "b0002"  # it monitors all the same
+
+
+@pytest.mark.parametrize("name", ["commission.json", "trainer.json", "journal.jsonl", "seg-000001.parquet", "new.txt"])
+def test_a_forged_file_line_writes_no_file_but_those_of_the_description(name, copy):
+    forge(copy, "file", {"name": name, "text": "forged"})
+    (copy / name).unlink(missing_ok=True)
+    start(copy)
+    assert not (copy / name).is_file() or (copy / name).read_bytes() != b"forged"
+
+
+@pytest.mark.parametrize("name", ["../outside", "../../outside", "*", "b0001/../../outside", 5, None, "b٣"])
+def test_a_forged_activation_chooses_no_bundle_outside_of_the_folder(name, copy, capsys):
+    shutil.copyfile(copy / "bundles" / "b0001.tauext", copy / "outside.tauext")
+    shutil.copyfile(copy / "bundles" / "b0001.tauext", copy.parent / "outside.tauext")
+    forge(copy, "activation", {"bundle": name, "words": "x", "seconds": 1.0, "wall": ""})
+    assert active_bundle(copy).stem == "b0002" and start(copy).fall_back().stem == "b0002"
+    assert main(["show", str(copy)]) == 0
+    assert "line" in (printed := capsys.readouterr().out) and "the name of a bundle of this folder" in printed
+
+
+DEEP: list = []
+for _ in range(50):
+    DEEP = [DEEP]
+ODD_VALUES = (
+    None, True, -1, 10**12, 10**30, 1e300, float("nan"), float("-inf"), "x", "../x", "\x1b[2J\x00\n", "\ud800",
+    "x" * 5000, [], {}, [[1]], [[2, 1]], [float("nan")], {"b0002": "x"}, {"joints": 5}, DEEP,
+)  # fmt: skip
+KINDS = ("facts", "file", "activation", "event", "label", "training", "promise", "step", "reply", "repair", "compacted")
+ALSO = {
+    "training": {"bundle": "b0002", "words": "x", "seconds": 1.0, "minutes": 1.0, "passed": True, "hits": 0.5,
+                 "error": [0.1, 0.2], "units": ["N m", "N m"], "per_hour": 0.1, "wall": "2026-01-01T00:00:00Z"},
+    "promise": {"bundle": "b0002", "words": "x", "seconds": 1.0, "promised_per_hour": 1.0, "hours": 1.0, "alarms": 0,
+                "kept": True, "sentence": "x", "wall": "2026-01-01T00:00:00Z"},
+    "step": {"words": "another tool?", "seconds": 1.0, "segment": 1, "learned": True, "wall": ""},
+    "reply": {"answer": "leave", "by": "page", "wall": ""},
+    "repair": {"lost": [[1000, 1001]], "words": "x", "seconds": 1.0},
+    "compacted": {"dropped": [[1000, 1001]], "unanswered": {"b0002": 1}, "wall": ""},
+    "event": {"id": 3, "epoch": 1, "t_ns": 3, "held_ns": 3, "level": "collision", "wall": "", "bundle": "b0002",
+              "over": [1.2, 0.4], "flight": "x.parquet", "sentence": "x", "details": "x", "joint": "shoulder"},
+}  # fmt: skip
+"""A line of each kind that the prepared folder has not, or not with every key."""
+
+
+def damaged_lines(path: Path, kind: str) -> list[dict]:
+    """The newest line of a kind with each of its values replaced by each odd one, and with each key missing."""
+    there = journal.read(path).kinds.get(kind) or [{}]
+    good = {key: value for key, value in there[-1].items() if key not in ("number", "kind", "format", "journal")}
+    good |= ALSO.get(kind, {})
+    made = [good | {key: value} for key in good for value in ODD_VALUES]
+    return made + [{key: value for key, value in good.items() if key != gone} for gone in good]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_forged_lines_end_in_sentences(kind, copy, prepared, tmp_path, capsys):
+    shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "log.parquet")
+    for one in damaged_lines(copy, kind):
+        forge(copy, kind, one)
+    around = {one for one in tree_of(tmp_path) if not one.startswith("cell/")}
+    with alone():
+        made = end(begin(copy))
+        assert all(isinstance(one, ConfigError) for one in made.errors), made.errors
+        assert not [line for line in made.lines if "Error" in line], made.lines
+        folder = CommissionFolder.open(copy, create=True)
+        assert Trainer(folder).step() in ("nothing", "answer", "check", "judge", "train", "promise")
+    assert {one for one in tree_of(tmp_path) if not one.startswith("cell/")} == around
+    for words in (["show", str(copy)], ["show", str(copy), "--json"]):
+        assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed.partition("{")[0] and "is not used: " in printed
+    assert main(["report", str(copy), "--out", str(tmp_path / "page")]) == 0
+    assert main(["report", str(copy), str(copy), "--out", str(tmp_path / "arms")]) == 0
+    assert "its files are damaged" not in capsys.readouterr().out
+
+
+ODD_COVERAGE = (
+    "", "{", "[]", "deleted", '{"seconds": "x", "kept_s": [], "bytes": NaN, "joints": 5}',
+    '{"joints": [5, {"joint": 3}], "monitored": {"b0002": [1e-300, 1e-300]}}',
+    '{"seconds": -5, "journal": 1e9, "needs_s": "x", "monitored_hour": {}}',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("content", ODD_COVERAGE)
+def test_without_a_coverage_file_an_arm_is_shown_and_reported(content, copy, tmp_path, capsys):
+    (copy / "coverage.json").unlink()
+    if content != "deleted":
+        (copy / "coverage.json").write_text(content)
+    assert main(["show", str(copy)]) == 0 and "b0002" in capsys.readouterr().out
+    assert main(["report", str(copy), "--out", str(tmp_path / "one")]) == 0
+
+
+def test_the_fault_of_one_arm_stays_in_its_row(copy, prepared, tmp_path, capsys, monkeypatch):
+    (copy / "coverage.json").unlink()
+    shutil.copytree(prepared, tmp_path / "whole")
+    whole = arm_row(tmp_path / "whole")
+    real = history.describe_folder
+
+    def raises(folder):
+        if folder.name == "cell":
+            raise ZeroDivisionError("a fault that nobody has foreseen")
+        return real(folder)
+
+    monkeypatch.setattr(history, "describe_folder", raises)
+    assert main(["report", str(copy), str(tmp_path / "whole"), "--out", str(tmp_path / "arms")]) == 0
+    assert "cell: its files are damaged (ZeroDivisionError: a fault that nobody" in capsys.readouterr().out
+    assert arm_row(tmp_path / "whole") == whole
+
+
+# --- A folder that cannot be written.
+
+
+@contextmanager
+def unwritable(path: Path, number: int):
+    """Every change of a file below this folder raises this error, as on a file system that is read-only or full; root
+    ignores permissions."""
+    whole = str(path.resolve())
+
+    def refused(real, *flags):
+        def call(at, *others, **options):
+            names = [str(one) for one in (at, *others[:1]) if isinstance(one, str | os.PathLike)]
+            inside = any(os.path.abspath(one).startswith(whole) for one in names)
+            mode = str(options.get("mode", others[0] if others else "r"))
+            writes = (
+                others[0] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC) if "flags" in flags
+                else set(mode) & set("wax+") if "mode" in flags
+                else os.path.lexists(at) or "make" in flags
+            )  # fmt: skip
+            if inside and writes:
+                raise OSError(number, os.strerror(number), str(at))
+            return real(at, *others, **options)
+
+        return call
+
+    def bind(self, address, real=socket.socket.bind):
+        if str(address).startswith(whole):
+            raise OSError(number, os.strerror(number))
+        return real(self, address)
+
+    with ExitStack() as stack:
+        for target, *flags in (
+            ("io.open", "mode"), ("builtins.open", "mode"), ("os.open", "flags"), ("os.mkdir", "make"), ("os.unlink",),
+            ("os.rename",), ("os.replace",), ("os.truncate",), ("os.rmdir",),
+        ):  # fmt: skip
+            module, name = target.split(".")
+            real = getattr(importlib.import_module(module), name)
+            stack.enter_context(mock.patch(target, refused(real, *flags)))
+        stack.enter_context(mock.patch.object(socket.socket, "bind", bind))
+        stack.enter_context(mock.patch("tauext.files.journal.os.access", lambda at, mode: not mode & os.W_OK))
+        yield
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOSPC])
+@pytest.mark.parametrize("damage", ["", "bundles/b0002.tauext", "commission.json", "coverage.json", "robot.urdf"])
+def test_an_arm_whose_folder_cannot_be_written_is_monitored(number, damage, copy, prepared, tmp_path):
+    shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "log.parquet")
+    if damage:
+        (copy / damage).write_bytes(b"")
+    (copy / ".reserve").unlink()  # a full disk has used it up
+    before = tree_of(copy)
+    with alone():
+        with unwritable(copy, number):
+            made = begin(copy)
+            assert not made.errors, made.errors
+            wait(lambda: any("monitors the arm" in line for line in made.lines), str(made.lines))
+            with pytest.raises(ConfigError, match=f"not stored: {os.strerror(number)}"):
+                made.control[0]._keeper.answer("touched", "test")
+        assert tree_of(copy) == before
+        printed = "\n".join(made.lines)
+        assert os.strerror(number) in printed and "nothing is recorded, trained or stored" in printed, printed
+        assert ("b0001" if damage.startswith("bundles") else "b0002") + " monitors the arm" in printed
+        wait(lambda: any("can be written again" in line for line in made.lines), str(made.lines))
+        made.control[0]._keeper.answer("touched", "test")  # stored again, without a restart
+        end(made)
+    assert any(one.id < 0 and one.answer == "touched" for one in CommissionFolder(copy).labels())
+
+
+def test_a_new_folder_that_cannot_be_written_is_refused_in_one_sentence(tmp_path, prepared):
+    shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "log.parquet")
+    with alone(), unwritable(tmp_path / "cell", errno.EROFS):
+        made = begin(tmp_path / "cell")
+    (error,) = made.errors
+    assert isinstance(error, ConfigError) and "cannot be written" in str(error)
 
 
 def odd_log(kind: str, folder: Path) -> Path:

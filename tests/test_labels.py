@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from made_commission import forge
 
 from tauext.check.before_training import check_calibration
 from tauext.data.free_motion import free_pieces, free_samples
@@ -107,8 +108,10 @@ def test_the_last_label_of_an_id_counts_and_damaged_lines_do_not(tmp_path):
         file.write(b'{"crc32": "00000000", "id": 3, "epo')
     assert [one.answer for one in read_labels(tmp_path)] == ["touched"]
     append_label(tmp_path, label(4, 6, 7, "nothing"))
-    for damaged in ({"id": "x"}, {"answer": "maybe"}):
-        journal.append(tmp_path, KIND, damaged)
+    for damaged in ({"id": "x"}, asdict(label(1, 2, 3, "touched")) | {"answer": "maybe"}):
+        with pytest.raises(OSError, match="the journal takes no such line: 'label': its "):
+            journal.append(tmp_path, KIND, damaged)
+        forge(tmp_path, KIND, damaged)
     with (tmp_path / journal.NAME).open("ab") as file:
         file.write(b"[1]\n\xff\xfe\n")
     assert [one.id for one in read_labels(tmp_path)] == [1, 4]

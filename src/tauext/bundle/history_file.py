@@ -11,6 +11,7 @@ from typing import Any
 from tauext.data.labels import ALARM, labels_of
 from tauext.errors import ConfigError
 from tauext.files.journal import COMPACTED, Contents, read
+from tauext.files.journal_lines import is_bundle_name, is_number, is_text, is_whole
 from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
@@ -21,6 +22,8 @@ BUNDLES = "bundles"
 COVERAGE = "coverage.json"
 RESULTS = "results"
 FINDINGS = "findings.json"
+SHOWN_LINES = 3
+"""Lines of the journal whose damage is printed."""
 
 
 def is_commissioned(folder: Place) -> bool:
@@ -58,26 +61,52 @@ def lost_lines(folder: Place, noted: int | None = None) -> int:
 
 def noted_in(content: dict[str, Any]) -> int:
     """Number of a recent line of the journal, as commission.json and coverage.json note it."""
-    return number if isinstance(number := content.get(NOTED), int) else 0
+    number = content.get(NOTED, 0)
+    return int(number) if is_whole(number, least=0) else 0
 
 
 def expect_journal(folder: Place) -> None:
     """Raise ConfigError if lines of a commissioned folder's journal are lost: they may have been answers."""
     if is_commissioned(folder) and (lost := lost_lines(folder)):
         raise ConfigError(
-            f"{folder}: {lost_words(lost)}; nothing is trained on it before `tauext commission --out {folder} --repair`"
+            f"{folder}: {lost_words(lost, unusable_words(folder))}; nothing is trained on it before "
+            f"`tauext commission --out {folder} --repair`"
         )
 
 
-def lost_words(lost: int) -> str:
-    return f"journal: at least {lost} confirmed line{'s are' if lost != 1 else ' is'} lost"
+def lost_words(lost: int, unusable: str = "") -> str:
+    """How many lines of the journal are lost.
+
+    Args:
+        unusable: see unusable_words().
+    """
+    why = f" ({unusable})" if unusable else ""
+    return f"journal: at least {lost} confirmed line{'s are' if lost != 1 else ' is'} lost{why}"
+
+
+def unusable_words(folder: Place) -> str:
+    """Lines of the journal that are not used, the first ones with their reasons; empty: all are."""
+    found = read(folder).unusable
+    more = f"; and {len(found) - SHOWN_LINES} more" if len(found) > SHOWN_LINES else ""
+    return "; ".join(found[:SHOWN_LINES]) + more
+
+
+def bundle_file(folder: Place, name: object) -> Place | None:
+    """File of a bundle of the folder; None: it is missing, or the name leads to another folder."""
+    path = folder / BUNDLES / f"{name}.tauext" if is_bundle_name(name) else None
+    return path if path is not None and path.is_file() else None
 
 
 def active_bundle(folder: Place) -> Place | None:
     """File of the bundle that was put in charge last; None: none yet, or it is missing."""
     begun = read(folder).kinds.get("activation")
-    path = folder / BUNDLES / f"{begun[-1].get('bundle')}.tauext" if begun else None
-    return path if path is not None and path.is_file() else None
+    return bundle_file(folder, begun[-1]["bundle"]) if begun else None
+
+
+def received_s(folder: Place) -> float:
+    """Samples received so far, [s]: of coverage.json, or of the newest line of the history where that is lost."""
+    history = read_history(folder)
+    return max(float(read_coverage(folder).get("seconds", 0.0)), float(history[-1]["seconds"]) if history else 0.0)
 
 
 def read_history(folder: Place) -> list[dict[str, Any]]:
@@ -136,22 +165,47 @@ def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
     begun = [one for one in history if one["kind"] == "exchange"]
     begun = begun or [one for one in history if one["kind"] == "activation"]
     for one, following in zip(begun, [*begun[1:], None], strict=False):  # no line at all: only the None is left
-        end = now_s if following is None else float(following.get("seconds") or 0.0)
-        yield Watch(str(one.get("bundle")), float(one.get("seconds") or 0.0), end)
+        begin = float(one["seconds"])
+        end = now_s if following is None else float(following["seconds"])
+        yield Watch(str(one.get("bundle")), begin, max(begin, end))
 
 
 def read_coverage(folder: Place) -> dict[str, Any]:
-    """Content of coverage.json; empty where it is missing or damaged."""
+    """Content of coverage.json without damaged entries; empty where the file is missing or damaged."""
+    content: Any = None
     with suppress(OSError, ValueError):
-        if isinstance(content := json_of(read_text(folder / COVERAGE)), dict):
-            return content
-    return {}
+        content = json_of(read_text(folder / COVERAGE))
+    if not isinstance(content, dict):
+        return {}
+    joints = content.get("joints")
+    whole = [one for one in joints if _is_joint(one)] if isinstance(joints, list) else []
+    numbers = {key: value for key, value in content.items() if key in COVERAGE_NUMBERS and is_number(value, 0.0)}
+    others = {key: content[key] for key in (NOTED, "monitored") if key in content}
+    return {**numbers, **others, "joints": whole}
+
+
+COVERAGE_NUMBERS = ("seconds", "kept_s", "dropped_s", "bytes", "bytes_most", "needs_s", "monitored_hour")
+"""Entries of coverage.json that are numbers of at least 0."""
+
+
+def _is_joint(one: Any) -> bool:
+    """Whether this is the entry of a joint in coverage.json."""
+    if not isinstance(one, dict) or not is_text(one.get("joint")):
+        return False
+    missing = one.get("missing", [])
+    return isinstance(missing, list) and all(map(is_text, missing))
 
 
 def read_findings(folder: Place) -> list[dict[str, Any]]:
     """Findings of the last check of the stream, from findings.json; empty where it is missing or damaged."""
     with suppress(OSError, ValueError, LookupError, TypeError):
-        return [one for one in json_of(read_text(folder / FINDINGS))["findings"] if isinstance(one, dict)]
+        found = json_of(read_text(folder / FINDINGS))["findings"]
+        return [
+            one
+            for one in found
+            if isinstance(one, dict)
+            and all(one.get(key) is None or is_text(one[key]) for key in ("code", "joint", "severity", "words"))
+        ]
     return []
 
 

@@ -12,7 +12,7 @@ import tyro
 
 from tauext.bundle.history_file import is_commissioned
 from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
-from tauext.cli.progress import Terminal, aligned
+from tauext.cli.progress import Terminal, aligned, in_plain_letters
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
@@ -197,8 +197,9 @@ def report_commissioned(folders: Sequence[Place], out: Place) -> None:
             write_history(local_folder(folders[0]), staging)
         else:
             rows = write_arms(folders, staging)
-            print("\n".join(aligned([row[:-1] for row in rows])))
-            print(*(f"{name}: {warnings}\n" for name, *_, warnings in rows[1:] if warnings), sep="", end="")
+            printed = aligned([row[:-1] for row in rows])
+            printed += [f"{name}: {warnings}" for name, *_, warnings in rows[1:] if warnings]
+            print("\n".join(map(in_plain_letters, printed)))
     print(page)
 
 

@@ -103,6 +103,7 @@ def show(
 
 def show_folder(folder: Place, as_json: bool) -> None:
     """Print the state and the history of a commissioned arm."""
+    from tauext.cli.progress import in_plain_letters
     from tauext.commission.history import describe_folder
 
     content = describe_folder(folder)
@@ -110,12 +111,9 @@ def show_folder(folder: Place, as_json: bool) -> None:
         print(json.dumps(content, indent=1))
         return
     history, missing = content.pop("history"), content.pop("missing")
-    print("\n".join(lines(content)))
-    for joint, words in missing.items():
-        print(f"{joint}: {'; '.join(words)}")
-    print("\nhistory")
-    for one in history:
-        print(f"  {one['wall']}  {one['words']}")
+    rows = [*lines(content), *(f"{joint}: {'; '.join(words)}" for joint, words in missing.items())]
+    rows += ["", "history", *(f"  {one['wall']}  {one['words']}" for one in history)]
+    print("\n".join(in_plain_letters(row) for row in rows))
 
 
 def lines(content: Content) -> list[str]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,8 @@ from tauext.bundle.history_file import (
     read_coverage,
     read_facts,
     read_history,
+    received_s,
+    unusable_words,
 )
 from tauext.data.dataset import FILE_NAME as SPLIT
 from tauext.data.dataset import Split
@@ -39,6 +40,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, stretch_of
 from tauext.errors import ConfigError, TauextError
 from tauext.files import journal
+from tauext.files.journal_lines import is_bundle_name, is_whole, why_unusable
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import write_json
@@ -152,12 +154,14 @@ MOST_ALARMS = 5000
 """Alarms and suspects without an answer that the journal keeps, beside those whose recordings are there."""
 COMPACT_LINES = 20_000
 """Lines that the journal grows by until it is compacted while the command runs."""
+LONGEST_NUMBER = 12
+"""Digits of a recording's number."""
 LARGEST_LOG = 10_000_000
 """Size of log.txt from which it becomes log.old.txt, [bytes]."""
 NEAR_NS = 30_000_000_000
 """Distance of a label within which a recording is dropped last, and without which its label is."""
-LASTING = {"created": str, "source": str, "epoch": int, "first": int, "arm": dict, "learn_from": int, "running": str}
-"""Entries of commission.json that are lines of the journal, too, and their types."""
+LASTING = ("created", "source", "epoch", "first", "arm", "learn_from", "running")
+"""Entries of commission.json that are lines of the journal, too."""
 WRITTEN = (
     "split.json", "coverage.json", "coverage.npz", "findings.json", "trainer.json", "pending.json", "learned.json",
     "peaks.state", "carried.bin", "log.txt", "lock", "trainer.lock", ".facts.lock", ".reserve", ".trial.sock",
@@ -178,6 +182,8 @@ class CommissionFolder:
         """The bundle that waits to be judged, and what it was trained on."""
         self.shown = 0
         """Lines of the history when the folder was opened: later ones are news."""
+        self.unwritable = ""
+        """Why nothing can be written since the folder was opened; empty: it can."""
         self._compacted = 0
         """Lines of the journal when it was compacted."""
         self._known: dict[str, tuple[tuple[int, int], Segment | None]] = {}
@@ -187,10 +193,11 @@ class CommissionFolder:
         """The folder of an arm.
 
         Args:
-            create: make a new one where the path does not exist or is empty, and mend what is damaged.
+            create: make a new one where the path does not exist or is empty, and mend what is damaged. A folder with a
+                whole bundle that cannot be written is opened as it is: see `unwritable`.
 
         Raises:
-            ConfigError: it is no such folder, cannot be written, or holds something else.
+            ConfigError: it is no such folder, holds something else, or cannot be written and has no whole bundle.
         """
         folder = cls(path)
         if not create:
@@ -213,9 +220,21 @@ class CommissionFolder:
                 folder.save(created=wall(), epoch=0)
             folder._mend()
         except OSError as error:
-            raise ConfigError(f"{error.filename or path}: cannot be written ({error.strerror or error})") from error
+            folder.unwritable = f"{error.filename or path}: cannot be written ({error.strerror or error})"
+            if is_new or is_lost or folder.fall_back() is None:
+                raise ConfigError(folder.unwritable) from error
         reserve(path)
         return folder
+
+    def try_again(self) -> None:
+        """Mend a folder that could not be written when it was opened; the folder is as usual on return.
+
+        Raises:
+            OSError: it still cannot be written.
+        """
+        self._mend()
+        reserve(self.path)
+        self.unwritable = ""
 
     def is_lost(self) -> bool:
         """Whether journal and commission.json are both gone or damaged, and a whole bundle is left."""
@@ -268,10 +287,10 @@ class CommissionFolder:
         with suppress(OSError):  # a full disk
             self.note("note", self.seconds(), words)
 
-    def progress(self, doing: str, share: float = 0.0) -> None:
+    def progress(self, doing: str) -> None:
         """Show what the training process does; empty: nothing."""
         with suppress(OSError):
-            write_json({"doing": doing, "share": round(share, 3)}, self.progress_file)
+            write_json({"doing": doing}, self.progress_file)
 
     @contextmanager
     def locked(self, name: str = "lock") -> Iterator[None]:
@@ -282,9 +301,16 @@ class CommissionFolder:
         """
         import fcntl
 
-        with (self.path / name).open("a") as file:
+        with ExitStack() as stack:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                file = stack.enter_context((self.path / name).open("r" if self.unwritable else "a"))
+            except OSError:
+                if not self.unwritable:
+                    raise
+                file = None  # nobody can write: there is nothing to hold
+            try:
+                if file is not None:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise ConfigError(f"{self.path}: another `tauext commission` uses this folder") from error
             yield
@@ -299,7 +325,7 @@ class CommissionFolder:
             ConfigError: both are damaged, or the file has another format.
         """
         content, damage = self._facts()
-        if damage is not None:
+        if damage is not None and not self.unwritable:
             self.save()
             self.report(f"{FACTS} was missing or damaged, and is written again")
         return content
@@ -310,7 +336,7 @@ class CommissionFolder:
             lasting |= {key: one[key] for key in LASTING if key in one}
         try:
             content = read_facts(self.path)
-            odd = [key for key, kind in LASTING.items() if key in content and not isinstance(content[key], kind)]
+            odd = [key for key in LASTING if key in content and why_unusable({"kind": "facts", key: content[key]})]
             return {key: value for key, value in content.items() if key not in odd} | lasting, None
         except ConfigError as error:
             with suppress(OSError, ValueError, AttributeError):
@@ -399,7 +425,8 @@ class CommissionFolder:
         """Accept the loss of lines of the journal: training begins again with the next recording; what was done."""
         gaps = journal.read(self.path).lost(self.noted())
         if gaps:
-            words = f"{lost_words(sum(b - a + 1 for a, b in gaps))}; a person accepts it, and training begins again"
+            lost = lost_words(sum(b - a + 1 for a, b in gaps), unusable_words(self.path))
+            words = f"{lost}; a person accepts it, and training begins again"
             self.save(learn_from=self.next_number())
             self.note(journal.REPAIR, self.seconds(), f"{words} with the next recording", lost=gaps)
             self._append("facts", {key: value for key, value in self.facts.items() if key in LASTING})
@@ -413,17 +440,24 @@ class CommissionFolder:
 
     def restore(self, check: dict[str, Callable[[Path], object]]) -> None:
         """Write files that are missing, or whose check raises TauextError, again as they were."""
-        kept = {str(one.get("name")): str(one.get("text")) for one in journal.read(self.path).kinds.get("file", ())}
+        kept = {one["name"]: one["text"] for one in journal.read(self.path).kinds.get("file", ())}
         for name, text in kept.items():
+            if name not in check:
+                continue
             path, why = self.path / name, "it was missing"
             try:
                 if path.is_file() and check[name](path) is not None:
                     continue
             except (OSError, TauextError) as error:
                 why = str(error)
-            if os.path.lexists(path):
-                set_aside(path)
-            write_synced(path, text)
+            try:
+                if os.path.lexists(path):
+                    set_aside(path)
+                write_synced(path, text)
+            except OSError:
+                if not self.unwritable:
+                    raise
+                continue
             self.report(f"{name} is written again: {self._inside(why)}")
 
     # Recordings.
@@ -452,7 +486,7 @@ class CommissionFolder:
     def next_number(self) -> int:
         """Number of the next recording, which no earlier one had."""
         named = (name.partition(".")[0][4:] for name in os.listdir(self.path) if name.startswith("seg-"))
-        numbers = [int(number) for number in named if number.isdecimal()]
+        numbers = [int(number) for number in named if number.isdecimal() and len(number) <= LONGEST_NUMBER]
         with suppress(ConfigError):
             numbers.append(int(self._facts()[0].get("first") or 1) - 1)
         return 1 + max(numbers, default=0)
@@ -505,8 +539,8 @@ class CommissionFolder:
         unfit = {str(one.get("bundle")) for one in history if one.get("passed") is False}
         with suppress(OSError, ValueError, AttributeError):
             unfit.add(str(json_of(read_text(self.pending_file)).get("bundle")))
-        others = sorted({path.stem for path in self.bundles.glob("b*.tauext")} - unfit, reverse=True)
-        for name in dict.fromkeys((*begun, *others)):
+        others = {path.stem for path in self.bundles.glob("b*.tauext") if is_bundle_name(path.stem)} - unfit
+        for name in dict.fromkeys((*begun, *sorted(others, reverse=True))):
             path = self.bundles / f"{name}.tauext"
             try:
                 bundle = load_bundle(path)
@@ -517,15 +551,15 @@ class CommissionFolder:
             except TauextError as error:
                 why = why or str(error)
                 continue
-            if [name] != begun[:1]:
+            if [name] != begun[:1] and not self.unwritable:
                 self.activate(name, self._inside(why or "it is the newest whole bundle"), self.seconds())
             return path
         return None
 
     def next_bundle(self) -> Path:
         """File of the next bundle."""
-        numbers = [int(path.stem[1:]) for path in self.bundles.glob("b*.tauext") if path.stem[1:].isdecimal()]
-        numbers += [int(str(one["bundle"])[1:]) for one in self.history() if str(one.get("bundle"))[1:].isdecimal()]
+        numbers = [int(path.stem[1:]) for path in self.bundles.glob("b*.tauext") if is_bundle_name(path.stem)]
+        numbers += [int(one["bundle"][1:]) for one in self.history() if is_bundle_name(one.get("bundle"))]
         return self.bundles / f"b{max(numbers, default=0) + 1:04d}.tauext"
 
     def history(self) -> list[dict[str, Any]]:
@@ -549,8 +583,7 @@ class CommissionFolder:
 
     def seconds(self) -> float:
         """Samples received so far, [s]: the clock of all decisions."""
-        history = self.history()
-        return max(float(self.coverage().get("seconds") or 0.0), float(history[-1]["seconds"]) if history else 0.0)
+        return received_s(self.path)
 
     def coverage(self) -> dict[str, Any]:
         """Content of coverage.json; empty before the first recording."""
@@ -562,14 +595,11 @@ def segment_of(path: Path, size: int) -> Segment | None:
     try:
         head, from_ns, to_ns = stretch_of(path)
         about, seconds = head.provenance, head.samples / head.rate_hz
+        if not is_whole(about[EPOCH], least=0) or about["set"] not in ("train", "test", "calibration"):
+            return None
         return Segment(path.name, int(about["seq"]), about["set"], about[EPOCH], from_ns, to_ns, seconds, size)
     except (TauextError, KeyError, TypeError, ValueError):
         return None
-
-
-def is_bundle_name(name: object) -> bool:
-    """Whether it is a name of next_bundle(): none leads to another folder."""
-    return isinstance(name, str) and re.fullmatch(r"b\d+", name) is not None
 
 
 def is_bundle(path: Path) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import (
     active_bundle,
+    bundle_file,
     left_out,
     lost_lines,
     lost_words,
@@ -20,6 +21,8 @@ from tauext.bundle.history_file import (
     read_facts,
     read_findings,
     read_history,
+    received_s,
+    unusable_words,
     watches,
 )
 from tauext.errors import ConfigError, TauextError
@@ -104,15 +107,17 @@ def monitored_words(coverage: dict[str, Any]) -> str | None:
 
 def promise_of(folder: Place, bundle: str) -> tuple[float | None, str]:
     """False alarms an hour that a bundle's limits are set for, and its sentence; None, "" without a promise."""
-    try:
-        limits = json.loads(load_bundle(folder / "bundles" / f"{bundle}.tauext").provenance or "{}").get("limits") or {}
-    except (TauextError, ValueError):
+    if (path := bundle_file(folder, bundle)) is None:
         return None, ""
-    promise = limits.get("promise")
-    if not isinstance(promise, dict):
-        return None, str(limits.get("sentence") or "")
-    budget = promise["asked" if promise["supported"] else "supported_budget"]
-    return float(budget["rate_per_hour"]), str(limits.get("sentence") or "")
+    try:
+        limits = json.loads(load_bundle(path).provenance or "{}").get("limits") or {}
+        promise, sentence = limits.get("promise"), str(limits.get("sentence") or "")
+        if not isinstance(promise, dict):
+            return None, sentence
+        rate = float(promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"])
+    except (TauextError, ValueError, KeyError, TypeError, AttributeError):  # a bundle of another program
+        return None, ""
+    return (rate, sentence) if 1e-9 < rate < 1e9 else (None, sentence)
 
 
 # --- A folder for `tauext show`.
@@ -126,8 +131,7 @@ def describe_folder(folder: Place) -> dict[str, Any]:
     """
     facts, history, events = read_facts(folder), read_history(folder), read_events(folder)
     coverage = read_coverage(folder)
-    seconds = float(coverage.get("seconds") or 0.0)
-    active = active_bundle(folder)
+    seconds, active = received_s(folder), active_bundle(folder)
     content: dict[str, Any] = {
         "source": facts.get("source"),
         "created": facts.get("created"),
@@ -139,11 +143,12 @@ def describe_folder(folder: Place) -> dict[str, Any]:
         "trainings": sum(one["kind"] == "training" for one in history),
         "bundles_in_charge": sum(one["kind"] == "activation" for one in history),
         "lost_lines": lost_lines(folder),
+        "unusable_lines": unusable_words(folder),
         "alarms": len(events),
         "touched": sum(one.get("answer") == "touched" for one in events),
         "nothing": sum(one.get("answer") == "nothing" for one in events),
         "unanswered": sum(one.get("answer") is None for one in events),
-        "missing": {one["joint"]: one["missing"] for one in coverage.get("joints", []) if one.get("missing")},
+        "missing": {one["joint"]: one["missing"] for one in coverage.get("joints", ()) if one.get("missing")},
         "monitored": monitored_words(coverage),
         "promise": None if active is None else kept_of(folder, active.stem, seconds).words(),
         "history": [{key: one.get(key) for key in ("wall", "kind", "words")} for one in history],
@@ -160,10 +165,17 @@ COLUMNS = ("arm", "since", "monitored", "promise", "alarms", "false", "last trai
 def arm_row(folder: Place) -> tuple[str, ...]:
     """A commissioned arm in words, by COLUMNS; of a damaged folder its name and the damage."""
     try:
-        content, history = describe_folder(folder), read_history(folder)
+        return _arm_row(folder)
     except TauextError as error:
-        return (folder.name, *[""] * (len(COLUMNS) - 2), str(error))
-    since = next((one["wall"] for one in history if one["kind"] in ("exchange", "activation")), "")
+        why = str(error)
+    except Exception as error:  # whatever is wrong with one arm, the others have their rows
+        why = f"its files are damaged ({type(error).__name__}: {error})"
+    return (folder.name, *[""] * (len(COLUMNS) - 2), why)
+
+
+def _arm_row(folder: Place) -> tuple[str, ...]:
+    content, history = describe_folder(folder), read_history(folder)
+    since = next((one.get("wall") for one in history if one["kind"] in ("exchange", "activation")), "")
     trained = [one for one in history if one["kind"] == "training"]
     active, promise = active_bundle(folder), "no bundle yet"
     if active is not None:
@@ -177,15 +189,17 @@ def arm_row(folder: Place) -> tuple[str, ...]:
         if one.get("severity") in ("fault", "warning")
     ]
     if lost := content["lost_lines"]:
-        warnings.insert(0, lost_words(lost))
+        warnings.insert(0, lost_words(lost, content["unusable_lines"]))
     return (
         folder.name,
-        str(since)[:10],
+        str(since or "")[:10],
         content["monitored"] or "",
         promise,
         str(content["alarms"]),
         str(content["nothing"]),
-        f"{trained[-1]['wall'][:10]} {'passed' if trained[-1].get('passed') else 'did not pass'}" if trained else "",
+        f"{str(trained[-1].get('wall'))[:10]} {'passed' if trained[-1].get('passed') else 'did not pass'}"
+        if trained
+        else "",
         "; ".join(warnings),
     )
 

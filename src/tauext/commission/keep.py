@@ -310,12 +310,12 @@ class KeepSink(RecordSink):
         budget_bytes: float,
         bundle_name: Callable[[], str] = lambda: "",
     ):
-        super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name, least_bytes=0)
+        super().__init__(folder.path, arm, source, SEGMENT_S, bundle_name, is_expected=False)
         self._kept = folder
         self._budget = budget_bytes
-        self.is_losing = False
-        """Whether the newest recording could not be written."""
         self.epoch = 0
+        self._begun = 0
+        """Number of the first recording of this run while the folder does not hold it yet; 0: it does."""
         self._monitored: dict[str, list[float]] = {}
         """Seconds that each bundle monitored, and seconds that were counted."""
         self._report = Monitored()
@@ -326,7 +326,9 @@ class KeepSink(RecordSink):
         known = [int(folder.facts.get("epoch") or 0), *(one.epoch for one in self._segments)]  # lines may be lost
         self.epoch = self._writing = max(known) + 1
         self._number = folder.next_number() - 1
-        folder.save(epoch=self.epoch, first=self._number + 1)
+        self._begun = self._number + 1
+        with suppress(OSError):  # the arm is monitored all the same
+            self._begin_epoch()
         self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
         self._is_lost = not self._coverage.visited.any() and bool(self._segments)
         if self._is_lost:
@@ -336,6 +338,12 @@ class KeepSink(RecordSink):
         with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
             self._tidy()
         super().open(joints, control)
+
+    def _begin_epoch(self) -> None:
+        """Keep the epoch and the number of the first recording, before there is one."""
+        if self._begun:
+            self._kept.save(epoch=self._writing, first=self._begun)
+            self._begun = 0
 
     # The loop's thread.
 
@@ -399,8 +407,11 @@ class KeepSink(RecordSink):
         of_set = set_of(self._number, is_news, motion_s(self._kept, self._segments))
         facts = {"command": "tauext commission", "epoch": self._writing, "seq": self._number, "set": of_set}
         columns = {name: values for name, values in segment.items() if name != "contact"}
-        self.is_losing = self._save(columns, path, facts) is None
-        if self.is_losing:
+        try:
+            self._begin_epoch()
+        except OSError as error:
+            self._lose(columns, str(error.strerror or error))
+        if self._begun or self._save(columns, path, facts) is None:
             self._number -= 1
             return
         self._coverage.keep(flat)
@@ -472,7 +483,7 @@ def repaired(folder: CommissionFolder) -> list[Segment]:
             load_recording(folder.path / one.name)
             whole.add(one.name)
     for path in sorted(folder.path.glob("seg-*.parquet")):
-        if path.name not in whole:
+        if path.name not in whole and not folder.unwritable:
             folder.set_aside(path, "it cannot be read")
     good = [one for one in segments if one.name in whole]
     with suppress(OSError):  # a full disk: what was there before serves as well

@@ -27,6 +27,7 @@ from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
+from tauext.files.journal_lines import is_bundle_name
 from tauext.files.provenance import provenance
 from tauext.files.synced_file import write_synced
 from tauext.train.calibrate import no_freeze, set_limits, write_calibrated
@@ -203,7 +204,8 @@ def base_of(folder: CommissionFolder, bundle: str) -> str:
         facts = json.loads(load_bundle(folder.bundles / f"{bundle}.tauext").provenance or "{}")
     except (TauextError, ValueError):
         return bundle
-    return str((facts.get("calibrated") or {}).get("base") or bundle)
+    base = (facts.get("calibrated") or {}).get("base")
+    return str(base) if is_bundle_name(base) else bundle
 
 
 def meets(one: Segment, label: Label) -> bool:

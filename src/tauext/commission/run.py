@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tauext import _core
-from tauext.bundle.history_file import is_commissioned, lost_words, read_question
+from tauext.bundle.history_file import is_commissioned, lost_words, read_question, unusable_words
 from tauext.commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
 from tauext.commission.connect import (
     ARM_FILES,
@@ -35,7 +35,7 @@ from tauext.commission.connect import (
     sentence_of,
     write_arm,
 )
-from tauext.commission.folder import CommissionFolder, is_bundle, is_bundle_name
+from tauext.commission.folder import CommissionFolder, is_bundle
 from tauext.commission.keep import KeepSink, repaired
 from tauext.commission.live import LiveSink
 from tauext.commission.processes import Child
@@ -43,6 +43,7 @@ from tauext.commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
+from tauext.files.journal_lines import is_bundle_name
 from tauext.files.synced_file import set_aside, write_reserved, write_synced
 from tauext.monitor.control_lines import CONTROL, ControlSocket
 from tauext.monitor.exchange import Exchanged
@@ -74,6 +75,11 @@ AGAIN_S = 600.0
 """Time after which a bundle that could not take over is tried again, [s]."""
 HOW_TO_ANSWER = " y or `learn yes`: train again from this change on; x or `learn no`: keep the bundle."
 CARRIED = "carried.bin"
+NOT_KEPT = (
+    "nothing is recorded, trained or stored, answers neither; the newest whole bundle monitors; writing is tried again "
+    "each second"
+)
+"""What a folder that cannot be written means."""
 LONGEST_SOCKET = 100
 """Longest path of a socket, [bytes]; systems allow 103 to 107."""
 
@@ -215,7 +221,9 @@ class Commission:
         self._children: list[Child] = []
         control = ControlSocket(at / "control.sock", self.steering, self._origin)
         stack.callback(control.close)
-        folder.save(source=text, control=str(at / "control.sock"), live=str(at / "live.sock"), process=os.getpid())
+        self._own: dict[str, Any] = {"source": text, "control": str(at / "control.sock"), "live": str(at / "live.sock")}
+        self._own["process"] = os.getpid()
+        self._save_own()
         if options.page is not None:
             arguments = (
                 folder.path,
@@ -247,6 +255,16 @@ class Commission:
         self._carried_s, self._carried_alarm, self._alarm_s = 0.0, 0, -SETTLED_S
         self._live.remedy = how_to_hold_the_rate(options.core, options.priority)
         self._watched, self._lost_s = MonitoredNews(self._live.remedy), -math.inf
+
+    def _save_own(self) -> None:
+        """Write what other programs need of this run; a folder that takes nothing is tried again by _open_folder()."""
+        try:
+            if not self._folder.unwritable:
+                return self._folder.save(**self._own)
+        except OSError as error:  # full since it was opened
+            self._folder.unwritable = f"{self._folder.path}: cannot be written ({error.strerror or error})"
+        self._echo(f"{self._folder.unwritable}: {NOT_KEPT}")
+        self._echo(f"control lines go to {self._own['control']}")
 
     def _origin(self, process: int) -> str:
         """Origin of a control line from this process, for the log."""
@@ -429,12 +447,32 @@ class Commission:
                 child.end()
 
     def _tend(self) -> None:
-        for child in (*self._children, *([self._trainer] if self._loop is not None else [])):
+        """Each task once, whatever another one raises; then the first error."""
+        tasks = (self._tend_children, self._keep_folder, self._show_news, self._show_state, self._tend_loop)
+        failed: list[Exception] = []
+        for task in tasks:
+            try:
+                task()
+            except Exception as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
+
+    def _tend_children(self) -> None:
+        is_training = self._loop is not None and not self._folder.unwritable
+        for child in (*self._children, *([self._trainer] if is_training else [])):
             if text := child.tend():
                 self._note(text)
-        self._folder.sync()
-        self._show_news()
-        self._show_state()
+
+    def _keep_folder(self) -> None:
+        """Mend the journal where another program changed it; try again to write a folder that could not be written."""
+        if not self._folder.unwritable:
+            return self._folder.sync()
+        self._folder.try_again()
+        self._folder.save(**self._own | {"state": self._live.state})
+        self._note(f"{self._folder.path}: can be written again; recording, answers and training go on")
+
+    def _tend_loop(self) -> None:
         self._show_monitored(bool(self._live.lost), time.monotonic())
         if (loop := self._loop) is None:
             return
@@ -536,21 +574,23 @@ class Commission:
             live.message = lost
         if (record := self._record) is not None and record.is_losing:
             live.message = f"RECORDING LOSES SAMPLES: {record.count.error.replace(f'{self._folder.path}/', '')}"
+        if self._folder.unwritable:
+            live.message = f"{self._folder.unwritable}: {NOT_KEPT}"
         if state != live.state:
             before, live.state = live.state, state
-            self._folder.save(state=state)
             self._folder.log(f"state: {state}")
             if state in ("learning", "connecting"):
                 self._echo(f"{state}: NOTHING IS MONITORED")
             elif before == "connecting":
                 self._echo(f"{live.bundle} monitors the arm" if live.bundle else "NOTHING IS MONITORED")
+            if not self._folder.unwritable:
+                self._folder.save(state=state)
 
     def _show_lost(self) -> str:
         """Report lines of the journal that are lost; returns the words for the page."""
         lost, path = self._folder.lost(), self._folder.path
-        words = (
-            f"{lost_words(lost)}; nothing is trained before `tauext commission --out {path} --repair`" if lost else ""
-        )
+        words = f"{lost_words(lost, unusable_words(path))}; " if lost else ""
+        words += f"nothing is trained before `tauext commission --out {path} --repair`" if lost else ""
         if words != self._lost:
             self._lost = words
             self._note(words or "journal: the loss is accepted")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
-import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -34,7 +33,7 @@ from tauext.commission.connect import (
     settled,
 )
 from tauext.commission.course import Facts, next_step
-from tauext.commission.folder import CommissionFolder, Segment, is_bundle_name, up_to, wall
+from tauext.commission.folder import CommissionFolder, Segment, up_to, wall
 from tauext.commission.keep import motion_s, segments_of_arm
 from tauext.commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
@@ -46,10 +45,11 @@ from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.results import EvaluatedBundle
 from tauext.evaluate.results_folder import write_results
 from tauext.files.journal import REPAIR
+from tauext.files.journal_lines import is_bundle_name
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
 from tauext.files.synced_file import write_synced
-from tauext.progress import SILENT, Show, Silent
+from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.preparation import Given
@@ -227,8 +227,7 @@ class Trainer:
             expect_memory(size, f"training on {minutes:g} min")
             given = Given(robot, PAPER_CASES[case], recordings, labels=folder.labels())
             given, checked = self._checked(given, config)
-            report = Share(lambda share: self.folder.progress(f"training {out.stem}", share))
-            put_suspects(folder, train_on_recordings(given, config, out, report, checked), out.stem)
+            put_suspects(folder, train_on_recordings(given, config, out, SILENT, checked), out.stem)
         except TauextError as error:
             if any(os.strerror(one) in str(error) for one in (errno.ENOSPC, errno.EDQUOT)):  # it is tried again
                 raise
@@ -400,21 +399,6 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool =
 
 
 # --- The process.
-
-
-class Share(Silent):
-    """Passes the share of a training that is done. Discards all messages."""
-
-    def __init__(self, show: Callable[[float], None]):
-        self._show, self._shown = show, time.monotonic()
-
-    def progress(self, title: str) -> AbstractContextManager[Show]:
-        def show(done: int, total: int, note: str) -> None:
-            if time.monotonic() > self._shown + 1:
-                self._shown = time.monotonic()
-                self._show(done / max(1, total))
-
-        return nullcontext(show)
 
 
 POLL_S = 1.0

@@ -7,16 +7,16 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.config import FreeMotionConfig
 from tauext.files.journal import Contents, is_journal, read
+from tauext.files.journal_lines import LabelAnswer
 from tauext.files.places import Place
 
 if TYPE_CHECKING:
     import numpy as np
 
-LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
 KIND, ALARM = "label", "event"
 """Kinds of lines in the journal of a folder: of an answer, and of an alarm, whose stamps its label has."""
 MARGINS = FreeMotionConfig()

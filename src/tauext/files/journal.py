@@ -7,6 +7,7 @@ lines that newer ones replace; a line names their numbers.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -22,6 +23,7 @@ from secrets import token_hex
 from typing import Any
 from zlib import crc32
 
+from tauext.files.journal_lines import is_whole, why_unusable
 from tauext.files.places import Place, is_stored
 from tauext.files.plain_file import FORMAT, expect_file, json_of
 from tauext.files.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
@@ -33,6 +35,9 @@ REPAIR = "repair"
 """Kind of the line with which a person accepts that numbers are lost: `lost` holds their first and last."""
 COMPACTED = "compacted"
 """Kind of the line that names lines that were left out on purpose: `dropped` holds first and last of each range."""
+UNUSABLE = "unusable"
+"""Kind of a line whose values break a rule of journal_lines.py: `why` holds the reason, its content is left out. It
+counts as lost, as it may have been an answer."""
 TAIL = 64
 """Bytes before the end of what was read, by which a grown file is told from another one."""
 Line = dict[str, Any]
@@ -59,9 +64,18 @@ class Contents:
 
     @cached_property
     def gaps(self) -> list[tuple[int, int]]:
-        """First and last number of each run of missing lines before the newest one."""
-        edges = [0, *(int(one["number"]) for one in self.lines)]
+        """First and last number of each run of lines that are missing before the newest one, or cannot be used."""
+        edges = [0, *(int(one["number"]) for one in self.lines if one.get("kind") != UNUSABLE), self.last + 1]
         return [(a + 1, b - 1) for a, b in pairwise(edges) if b > a + 1]
+
+    @cached_property
+    def unusable(self) -> list[str]:
+        """Why lines cannot be used, a sentence each; those that a person has accepted with `--repair` are left out."""
+        return [
+            f"line {one['number']} is not used: {one['why']}"
+            for one in self.kinds.get(UNUSABLE, ())
+            if not self._is_accepted((one["number"], one["number"]))
+        ]
 
     def lost(self, noted: int = 0) -> list[tuple[int, int]]:
         """First and last number of each gap that no person has accepted; asked once a second.
@@ -187,10 +201,10 @@ def _grown(folder: Place, seen: _Seen, stamps: tuple[Any, ...]) -> _Seen | None:
 def _whole(folder: Place, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
     """All lines of both files, and those that this process has read before from the same journal."""
     raw, copy = (_bytes(folder / name) for name in (NAME, COPY))
-    lines = _lines(raw) if raw == copy else _lines(copy) | _lines(raw)
+    lines = _lines(raw) if raw == copy else _joined(_lines(copy), _lines(raw))
     before = seen.contents.lines if seen else ()
     if before and before[0].get("journal") == lines.get(1, before[0]).get("journal"):
-        lines = {int(one["number"]): one for one in before} | lines if _is_there(folder) else lines
+        lines = _joined({int(one["number"]): one for one in before}, lines) if _is_there(folder) else lines
     for first, last in dropped_ranges(lines[number] for number in sorted(lines)):
         for number in range(first, last + 1) if last - first < len(lines) else [n for n in lines if first <= n <= last]:
             lines.pop(number, None)  # the other file, or this process, still has it
@@ -220,15 +234,22 @@ def _lines(raw: bytes) -> dict[int, Line]:
     return {int(one["number"]): one for one in map(_parsed, raw.split(b"\n")) if one}
 
 
+def _joined(lines: dict[int, Line], newer: dict[int, Line]) -> dict[int, Line]:
+    """Lines of two origins: of each number the newer one, unless that alone cannot be used."""
+    kept = {number for number, one in newer.items() if one.get("kind") == UNUSABLE and number in lines}
+    return lines | {number: one for number, one in newer.items() if number not in kept}
+
+
 def _parsed(line: bytes) -> Line | None:
-    """The object of a line; None: the line is damaged."""
+    """The object of a line, or a line of kind UNUSABLE in its place; None: the line is damaged."""
     body = b"{" + line[len(CHECK % 0) :]
     if not line.startswith(CHECK % crc32(body)):
         return None
     with suppress(ValueError):
         one = json_of(body)
-        if isinstance(one, dict) and isinstance(one.get("number"), int):
-            return one
+        if isinstance(one, dict) and is_whole(one.get("number"), least=1):
+            why = why_unusable(one)
+            return {"number": one["number"], "kind": UNUSABLE, "why": why} if why else one
     return None
 
 
@@ -254,6 +275,9 @@ def append(folder: Path, kind: str, content: Mapping[str, Any], after: int = 0) 
         contents = read(folder)
         first = {} if contents.lines else {"format": FORMAT, "journal": token_hex(8)}
         line = _line({"number": max(contents.last, after) + 1, "kind": kind} | first | dict(content))
+        if (found := _parsed(line[:-1])) is None or found["kind"] == UNUSABLE:  # it would not count
+            why = "it has no number" if found is None else str(found["why"])
+            raise OSError(errno.EINVAL, f"the journal takes no such line: {why}")
         write_reserved(folder, lambda: _add(folder / NAME, line))
         with suppress(OSError):  # the next append refills it
             write_reserved(folder, lambda: _add(folder / COPY, line))
@@ -346,7 +370,11 @@ def _mend(folder: Path) -> str:
             write_synced(path, text.decode())
         if not is_late or path.name == NAME or missing > 1:  # else a process was killed between the two files
             other = COPY if path.name == NAME else NAME
-            words.append(f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled from {other}")
+            words.append(
+                f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled from {other}"
+                if missing
+                else f"{path.name} is written again without what cannot be used"
+            )
     _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], contents, True)
     return "; ".join(words)
 

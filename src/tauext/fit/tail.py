@@ -440,7 +440,8 @@ ROUNDINGS: dict[str, Callable[[float], int]] = {
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:
     """Format a time to about three digits: `8 h`, `6.67 minutes`, `24 s`."""
     unit, factor = next(((u, f) for u, f in UNITS if hours * f >= 1), UNITS[-1])
-    value = hours * factor
+    if not (value := hours * factor) > 1e-9:
+        return f"0 {unit}"
     digits = min(1, 2 - math.floor(math.log10(value))) if value >= 10 else 2 - math.floor(math.log10(value))
     return f"{ROUNDINGS[rounding](value * 10**digits) / 10**digits:.6g} {unit}"
 

@@ -61,18 +61,21 @@ class RecordSink:
         source: str,
         segment_s: float = 25.0,
         bundle_name: Callable[[], str] = lambda: "",
-        least_bytes: float = LEAST_ROOM,
+        is_expected: bool = True,
     ):
         """source: name of the source, for file names and provenance. bundle_name: name of the bundle that monitors.
-        least_bytes: free space without which no recording is begun."""
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
-        expect_folder(folder, least_bytes)
+        is_expected: whether a folder without write access or space is refused; else its recordings are lost."""
+        if is_expected:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
+            expect_folder(folder, LEAST_ROOM)
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
-        self._reported = 0
+        self.is_losing = False
+        """Whether the newest recording could not be written."""
+        self._reported = self._lost_at_end = 0
         self._folder, self._arm, self._source, self._bundle_name = folder, arm, source, bundle_name
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._names: tuple[str, ...] = ()
@@ -137,7 +140,11 @@ class RecordSink:
         lost = self.count.lost
         if lost > self._reported:
             self._reported = lost
-            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error})")
+            remedy = "; recording goes on by itself once the disk has room and can be written" if self.is_losing else ""
+            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error}){remedy}")
+        elif self._reported > self._lost_at_end and not self.is_losing:
+            self._lost_at_end = self._reported
+            self.note(f"recording works again; {lost:,} samples were lost so far")
 
     def close(self) -> None:
         """Write the remaining samples and wait for the disk."""
@@ -201,12 +208,18 @@ class RecordSink:
             )
             save_recording(recording, path)
         except Exception as error:  # continue with the next segment
-            self.count.lost += len(segment["t_ns"])
-            self.count.error = self.count.error or str(error)
+            self._lose(segment, str(error))
             return None
+        self.is_losing = False
         self.count.files += 1
         self.count.samples += recording.samples
         return recording
+
+    def _lose(self, segment: dict[str, np.ndarray], why: str) -> None:
+        """Count a segment that cannot be written."""
+        self.is_losing = True
+        self.count.lost += len(segment["t_ns"])
+        self.count.error = self.count.error or why
 
 
 def file_name(text: str) -> str:

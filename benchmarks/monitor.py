@@ -11,7 +11,7 @@ Of a number the median over the rounds is shown, of a maximum the largest and of
 --arms: bundles as tauext train writes them (recipe prior, with error scale, coverage, settable load, forces, places) on
 the simulated arms' own motion, also during a contact, while weighing and while a load is expected. OUT gets bundles and
 motions, which a later run uses again.
-What is not installed is left out: pip install 'tauext[bench]' brings ONNX Runtime, 'tauext[torch]' PyTorch.
+What is not installed is left out: pip install onnx onnxruntime torch brings ONNX Runtime and PyTorch.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from common import ROOT, about_run, arguments, compiler_flags, head, other_proce
 TOLERANCE = 1e-5
 """Of outputs, scaled: each library has its own sigmoid, tanh and order of additions."""
 OPSET, IR_VERSION = 17, 8
-"""Old enough for every ONNX Runtime that 'tauext[bench]' allows."""
+"""Old enough for every ONNX Runtime that the extra `bench` allows."""
 PRIORITY = 80
 WARM_UP_CALLS = 200
 QUANTILES = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
@@ -196,7 +196,7 @@ def onnx_runtime() -> Library | str:
     try:
         onnx, ort = importlib.import_module("onnx"), importlib.import_module("onnxruntime")
     except ImportError:
-        return "not installed, not measured (pip install 'tauext[bench]')"
+        return "not installed, not measured (pip install onnx onnxruntime)"
     helper, numpy_helper = importlib.import_module("onnx.helper"), importlib.import_module("onnx.numpy_helper")
 
     def session_of(nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
@@ -250,7 +250,7 @@ def pytorch() -> Library | str:
     try:
         torch = importlib.import_module("torch")
     except ImportError:
-        return "not installed, not measured (pip install 'tauext[torch]')"
+        return "not installed, not measured (pip install torch)"
     torch.set_num_threads(1)
 
     def ways(network: Network) -> dict[str, Way]:

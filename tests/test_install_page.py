@@ -1,4 +1,4 @@
-"""docs/install.md: its commands fit together; `make test-dist` runs them in the sdist."""
+"""README.md and docs/install.md: their commands fit together; `make test-dist` runs them in the sdist."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,9 +20,14 @@ FOR_DEVELOPERS = {"dev", "docs", "bench", "browser"}
 
 
 @pytest.fixture
-def block(monkeypatch) -> list[str]:
+def install_block(monkeypatch) -> Callable[[str], str]:
     monkeypatch.syspath_prepend(str(ROOT / "wheels"))
-    return importlib.import_module("try_wheels").install_block(PAGE)
+    return importlib.import_module("try_wheels").install_block
+
+
+@pytest.fixture
+def block(install_block) -> list[str]:
+    return [line.strip() for line in install_block(PAGE).splitlines()]
 
 
 def made_wheel(folder: Path) -> None:
@@ -47,6 +53,11 @@ def test_the_block_makes_an_environment_a_wheel_and_installs_it(block):
     assert f"`{wheel}`" in (ROOT / "CONTRIBUTING.md").read_text()
 
 
+def test_readme_prints_the_same_commands(block, install_block):
+    shorter = install_block((ROOT / "README.md").read_text()).replace(" && ", "\n").splitlines()
+    assert [line.strip() for line in shorter] == block[:-1]
+
+
 def test_pip_takes_the_wheel_as_the_block_names_it(block, tmp_path):
     (install,) = (line for line in block if line.startswith("pip install "))
     made_wheel(tmp_path / re.search(r"-w (\S+)", "\n".join(block))[1])
@@ -58,9 +69,14 @@ def test_pip_takes_the_wheel_as_the_block_names_it(block, tmp_path):
 
 
 def test_every_extra_for_users_is_in_the_table_and_no_other():
-    (table,) = re.findall(r"^\| extra \| adds \|\n(.*?)\n\n", PAGE, re.MULTILINE | re.DOTALL)
-    named = {name for row in table.splitlines()[1:] for name in re.findall(r"`(\w+)`", row.split("|")[1])}
-    assert named == set(PROJECT["optional-dependencies"]) - FOR_DEVELOPERS
+    (table,) = re.findall(r"^\| extra \| library \| adds \|\n(.*?)\n\n", PAGE, re.MULTILINE | re.DOTALL)
+    named = {cells[1].strip(" `"): cells[2].strip() for cells in (row.split("|") for row in table.splitlines()[1:])}
+    extras = {
+        name: re.match(r"\w+", requirement)[0]
+        for name, (requirement, *_) in PROJECT["optional-dependencies"].items()
+        if name not in FOR_DEVELOPERS
+    }
+    assert named == extras
 
 
 def test_every_make_target_of_the_page_is_there():

@@ -188,12 +188,12 @@ def test_what_cannot_fit_is_refused(ur, franka, constants):
         FrankaSource("h").open(seven)
 
 
-def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, constants):
+def test_a_library_that_is_not_installed_is_named_as_pip_finds_it(monkeypatch, constants):
     for module in ("rtde_receive", "pylibfranka"):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ConfigError, match=r"pip install 'tauext\[ur\]'"):
+    with pytest.raises(ConfigError, match=r"source ur needs ur_rtde: pip install 'ur_rtde'"):
         UrSource("h", constants).open(SourceSettings(UR_JOINTS, 2_000_000))
-    with pytest.raises(ConfigError, match=r"pip install 'tauext\[franka\]'"):
+    with pytest.raises(ConfigError, match=r"pip install 'pylibfranka'"):
         FrankaSource("h").open(SourceSettings(FRANKA_JOINTS, 1_000_000))
 
 

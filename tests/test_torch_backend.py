@@ -97,7 +97,7 @@ def test_without_pytorch_one_line_says_how_to_install_it(monkeypatch):
     setup, _, windows = prepared([recording(1)])
     monkeypatch.setitem(sys.modules, "torch", None)  # what a missing module looks like
     monkeypatch.delitem(sys.modules, BACKEND, raising=False)
-    with pytest.raises(ConfigError, match=r"backend = torch.*pip install 'tauext\[torch\]'") as raised:
+    with pytest.raises(ConfigError, match=r"backend = torch needs torch: pip install 'torch'") as raised:
         train_network(
             setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch")
         )

@@ -14,7 +14,7 @@ from tauext.report.trace_packing import Buckets, Plan, Traced, pack, trace
 from tauext.report.traces import section
 
 pytestmark = pytest.mark.slow
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not here; pip install 'tauext[browser]'")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not here; pip install playwright")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 if CHROMIUM is None:
     pytest.skip("there is no chromium or google-chrome on the path", allow_module_level=True)

@@ -15,7 +15,7 @@ from tauext.sources import reader
 from tauext.sources.lasting import LastingSource
 from tauext.sources.ur import JOINTS, RTDE_PORT, VARIABLES, UrSource
 
-pytest.importorskip("rtde_receive", reason="the extra tauext[ur] is not installed")
+pytest.importorskip("rtde_receive", reason="ur_rtde is not installed")
 WAIT_S = 20.0
 
 

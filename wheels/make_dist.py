@@ -17,7 +17,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 import zipfile
 from pathlib import Path
 
@@ -91,8 +90,7 @@ def sdist(tools: Path) -> Path:
 def unpacked(archive: Path) -> Path:
     """Its one folder, somewhere without a repository around it that could lend a missing file."""
     shutil.rmtree(WORK / "sources", ignore_errors=True)
-    with tarfile.open(archive) as opened:
-        opened.extractall(WORK / "sources", filter="data")
+    shutil.unpack_archive(archive, WORK / "sources")
     return WORK / "sources" / archive.name.removesuffix(".tar.gz")
 
 

@@ -2,9 +2,9 @@
 
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
-For every Python that is there (pythons.py): installs the wheel, runs `tauext --help`, the experiment at smoke scale and
-`tauext commission` of a simulated arm until it learns. With the first of these Pythons it also follows docs/install.md
-in the unpacked sdist, where a compiler is there: the block of commands as printed. Times are printed only.
+For every Python that is there (pythons.py): with a compiler, follows README.md and docs/install.md in the unpacked
+sdist, as printed; without one, installs the wheel of dist/, runs `tauext --help`, the experiment at smoke scale and
+`tauext commission` of a simulated arm until it learns. Times are printed only.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tarfile
 import threading
 import time
 from pathlib import Path
@@ -26,6 +25,7 @@ from pythons import find_python, pyenv_root
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "dist" / "try"
 PYTHONS = ["3.11", "3.12", "3.13"]
+PAGES = ("docs/install.md", "README.md")
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
 LONGEST_START_S = 120.0
@@ -40,8 +40,7 @@ def main() -> None:
     for version in arguments.parse_args().pythons:
         python = find_python(version)
         if python:
-            if not tried:
-                try_install_page(version, python)
+            try_pages(version, python)
             try_wheel(version, python, wheel_of(version))
             tried += 1
         else:
@@ -77,32 +76,34 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
     commission(version, tauext, folder, settings)
 
 
-def install_block(page: str) -> list[str]:
-    """The commands of docs/install.md that make a wheel of the source tree and install it."""
-    part = page.partition("## From a source tree")[2].partition("\n## ")[0]
-    return [line for line in re.findall(r"^    (\S.*)$", part, re.MULTILINE) if not line.startswith("sudo ")]
+def install_block(page: str) -> str:
+    """The commands of README.md or docs/install.md that make a wheel of the source tree and install it."""
+    (part,) = re.findall(r"^## (?:Install|From a source tree)\n(.*?)^## ", page, re.MULTILINE | re.DOTALL)
+    return re.search(r"^(?: {4}\S.*\n)+", part, re.MULTILINE)[0]
 
 
-def try_install_page(version: str, python: str) -> None:
-    """The commands of docs/install.md in the unpacked sdist, with a home of its own."""
+def try_pages(version: str, python: str) -> None:
+    """The commands of each page in the unpacked sdist, with a home of its own."""
     archives = sorted((ROOT / "dist").glob("tauext-*.tar.gz"))
     if not archives:
         sys.exit("dist/ has no sdist: make dist")
-    folder = WORK / "page"
+    folder = WORK / f"pages-{version}"
     shutil.rmtree(folder, ignore_errors=True)
-    for name in ("home", "bin"):
-        (folder / name).mkdir(parents=True)
-    with tarfile.open(archives[-1]) as opened:
-        opened.extractall(folder, filter="data")
+    (folder / "bin").mkdir(parents=True)
+    shutil.unpack_archive(archives[-1], folder)
     sources = folder / archives[-1].name.removesuffix(".tar.gz")
     (folder / "bin" / "python3").write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     (folder / "bin" / "python3").chmod(0o755)
-    settings = os.environ | {"HOME": str(folder / "home"), "PATH": f"{folder / 'bin'}:{os.environ['PATH']}"}
-    settings |= {"PIP_CONSTRAINT": str(ROOT / "constraints.txt"), "PYENV_ROOT": pyenv_root()}
+    settings = os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYENV_ROOT": pyenv_root()}
+    settings["PIP_CONSTRAINT"] = str(ROOT / "constraints.txt")
     settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
-    commands = install_block((sources / "docs" / "install.md").read_text())
-    timed(version, "docs/install.md", ["sh", "-ec", "\n".join(commands)], sources, settings)
-    commission(version, folder / "home" / "tauext-env" / "bin" / "tauext", folder, settings)
+    for page in PAGES:
+        home = folder / f"home of {Path(page).stem}"
+        home.mkdir()
+        commands = install_block((sources / page).read_text())
+        timed(version, page, ["sh", "-ec", commands], sources, settings | {"HOME": str(home)})
+        tauext = [home / "tauext-env" / "bin" / "tauext", "--version"]
+        timed(version, "tauext --version", tauext, folder, settings | {"HOME": str(home)})
 
 
 def bare(folder: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Plug-ins: sources and commands that packages of their own add, found by their entry points.
+"""What is installed beside tauext: plug-ins, found by their entry points, and libraries that one part needs.
 
 A package adds a robot or a command in its pyproject.toml:
 
@@ -12,9 +12,10 @@ A package adds a robot or a command in its pyproject.toml:
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
 
@@ -52,6 +53,23 @@ def how_to_add(name: str) -> str | None:
     """Which package adds this command or source; None: it is installed, or no package of this repository adds it."""
     folder = None if name in installed(SOURCES) | installed(COMMANDS) else FOLDERS.get(name)
     return folder and f"'{name}' is a plug-in: pip install ./integrations/{folder} in the source folder of tauext"
+
+
+def optional_library(module: str, who: str, package: str) -> Any:
+    """Import a module of a library that only one part needs.
+
+    Raises:
+        ConfigError: the library is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise not_installed(who, package) from error
+
+
+def not_installed(who: str, package: str) -> ConfigError:
+    """The error of a library that is not installed. It names the library: no registry has tauext's extras yet."""
+    return ConfigError(f"{who} needs {package}: pip install '{package}'")
 
 
 def load(entry: EntryPoint, kind: type[Added]) -> Added:

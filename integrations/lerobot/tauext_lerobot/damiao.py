@@ -14,8 +14,9 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.plugins import optional_library
 from tauext.sources.describing import chosen_joints, learnt_period_ns
-from tauext.sources.reader import ReaderSource, Unreachable, optional_library
+from tauext.sources.reader import ReaderSource, Unreachable
 from tauext_lerobot.bus_source import TRIES, WAIT_S, BusSource, shortest_period_ns
 
 # --- The bus file: ids, zeros and directions of the motors by joint.
@@ -181,7 +182,7 @@ class DamiaoSource(BusSource):
         self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
 
     def connect(self) -> None:
-        library = self._library = optional_library("can", "source damiao", "python-can", "python-can")
+        library = self._library = optional_library("can", "source damiao", "python-can")
         rates: dict[str, Any] = {"bitrate": self._file.baud}
         if self._file.fd_baud is not None:
             rates |= {"fd": True, "data_bitrate": self._file.fd_baud}

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tauext.sources.reader import Unreachable, optional_library
+from tauext.plugins import optional_library
+from tauext.sources.reader import Unreachable
 from tauext_lerobot.servo_series import Series
 
 BITS_A_BYTE = 10
@@ -47,7 +48,7 @@ class ServoPort:
 
     def open(self) -> None:
         """Open the port. Raises Unreachable: no such port, no permission, or in use by another process."""
-        serial = optional_library("serial", "a bus of serial servos", "pyserial", "pyserial")
+        serial = optional_library("serial", "a bus of serial servos", "pyserial")
         if users := users_of(self.path):
             raise Unreachable(f"the port is in use by another process: {users}; a bus serves one process at a time")
         try:
@@ -178,7 +179,7 @@ class ServoBus:
 
     def __init__(self, port: ServoPort, series: Series):
         self.port, self.series = port, series
-        library = optional_library(series.library, f"source {series.kind}", series.package, series.package)
+        library = optional_library(series.library, f"source {series.kind}", series.package)
         self._handler = library.PacketHandler(series.protocol)
         self.lock = threading.Lock()
         """Held during a transaction. A thread that drives the arm through the same port must hold it too."""

@@ -20,15 +20,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from tauext import _core
-from tauext.errors import ConfigError, TrainingError
+from tauext.errors import TrainingError
 from tauext.fit.core_backend import CoreBackend
 from tauext.fit.network_weights import CORE_ORDER
 from tauext.fit.training_set import Setup, WindowSet
+from tauext.plugins import not_installed
 
 try:
     import torch
 except ImportError as missing:
-    raise ConfigError(f"backend = torch needs PyTorch ({missing}): pip install 'tauext[torch]'") from missing
+    raise not_installed("backend = torch", "torch") from missing
 
 WINDOWS_AT_ONCE = 1000  # in predict
 

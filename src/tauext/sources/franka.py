@@ -10,8 +10,9 @@ import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.plugins import optional_library
 from tauext.sources.describing import joint_names
-from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
+from tauext.sources.reader import ReaderSource, Unreachable, sample_of
 
 RATE_HZ = 1000.0
 JOINTS = tuple(f"joint{number}" for number in range(1, 8))
@@ -49,7 +50,7 @@ class FrankaSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka", "tauext[franka]")
+        library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka")
         try:  # reading needs no real-time kernel
             self._robot = library.Robot(self._host, library.RealtimeConfig.kIgnore)
         except library.FrankaException as error:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -83,21 +81,6 @@ def refusal(name: str, error: Unreachable) -> ConfigError:
     """The error of a source of this name that cannot be described or opened."""
     kind = ConfigError if isinstance(error, Misfit) else AwayError
     return kind(f"{name}: {error}")
-
-
-def optional_library(module: str, who: str, package: str, install: str) -> Any:
-    """Import a module of a library that only one source needs.
-
-    Args:
-        install: what pip installs the library with: `tauext[ur]`.
-
-    Raises:
-        ConfigError: the library is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ConfigError(f"{who} needs {package}: pip install '{install}'") from error
 
 
 class ReaderSource(ABC):

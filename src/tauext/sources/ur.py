@@ -15,8 +15,9 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
+from tauext.plugins import optional_library
 from tauext.sources.describing import LEARNT_STEPS, joint_names, learnt_period_ns
-from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
+from tauext.sources.reader import ReaderSource, Unreachable, sample_of
 from tauext.sources.ur_dashboard import PORT, Dashboard, DashboardError
 
 # --- Torque constants of an arm that reports motor currents, from a file.
@@ -129,7 +130,7 @@ class UrSource(ReaderSource):
         self._connect(1e9 / self.settings.period_ns)
 
     def _connect(self, rate_hz: float) -> None:
-        library = optional_library("rtde_receive", "source ur", "ur_rtde", "tauext[ur]")
+        library = optional_library("rtde_receive", "source ur", "ur_rtde")
         expect_controller(self._host)
         try:
             self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)

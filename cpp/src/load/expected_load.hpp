@@ -27,8 +27,9 @@ struct Bundle;
 // rest. An alarm that tau_ext itself would raise is held back, and ends in one of two ways:
 //   - the load is set: over two stretches of kStretch_s the fits agree, and fit well;
 //   - the alarm is raised: the fit fell by a third, neither settled nor grew for kDecide_s, or exceeds kLongest_s.
-// After the window nothing is held back. Where the stamps jump, the window ends and an alarm that is held back is raised. The estimate of a set load is refined for kWeigh_s, since a few poses do not
-// determine the centre of mass. Meanwhile limits are higher by kRaise standard errors of its torques.
+// After the window nothing is held back. Where the stamps jump, the window ends and an alarm that is held back is raised.
+// The estimate of a set load is refined for kWeigh_s, since a few poses do not determine the centre of mass. Meanwhile
+// limits are higher by kRaise standard errors of its torques.
 // After the first load was set, the window accepts more load (a table releases slowly). It accepts less only within the
 // error of the first estimate: a load that gets lighter is a push that ends.
 class ExpectedLoad {

@@ -65,7 +65,10 @@ WITH_MODEL = {
 
 @pytest.fixture(scope="module")
 def bundle() -> _core.Bundle:
-    return planar_arm_bundle()
+    planar = planar_arm_bundle()
+    planar.largest_torque_nm = [10.0, 10.0]  # its drives hold PUSH_N
+    planar.answer_reference()
+    return planar
 
 
 def moving(bundle: _core.Bundle):

@@ -208,11 +208,11 @@ std::string DeclaredContacts::unmonitored(const DeclaredContact& contact) const 
 }
 
 // The largest force at the contact's point, or moment, that the drives can exert: along the best of some directions in the best of
-// some poses, that at which the first joint gives way. Infinite where no joint has a lever.
+// some poses, that at which the first joint gives way. Infinite where no joint has a lever. A line has no bound of its own: it
+// points in any direction of the arm, as the pose changes.
 double DeclaredContacts::most_exerted(const DeclaredContact& contact, bool moment) const noexcept {
-  constexpr double kDirections[][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1},  {1, 1, 0},  {1, -1, 0},  {1, 0, 1}, {1, 0, -1},
+  static constexpr double kDirections[][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1},  {1, 1, 0},  {1, -1, 0},  {1, 0, 1}, {1, 0, -1},
                                        {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
-  const bool line = !moment && cone_of(contact).line();
   const auto n = static_cast<std::size_t>(joints_), first = moment ? 3 * n : 0;
   std::array<double, kPoses * std::size(kDirections)> gives_way;  // the largest share of a drive that 1 N takes, or 1 N m
   std::size_t count = 0;
@@ -221,9 +221,9 @@ double DeclaredContacts::most_exerted(const DeclaredContact& contact, bool momen
     JointVector q;
     for (std::size_t j = 0; j < n; ++j) q[j] = 0.4 + (0.7 + 0.9 * pose) * static_cast<double>(j + 1);
     std::array<double, 6 * kMaxJoints> all;
-    wrench_->columns(contact.frame, std::span(q).first(n), contact.point, contact.axes, all);
-    for (std::size_t k = 0; k < (line ? 1 : std::size(kDirections)); ++k) {
-      const Vector3 u = unit(line ? contact.axis : std::array<double, 3>{kDirections[k][0], kDirections[k][1], kDirections[k][2]});
+    wrench_->columns(contact.frame, std::span(q).first(n), contact.point, WrenchAxes::frame, all);
+    for (const auto& direction : kDirections) {
+      const Vector3 u = unit({direction[0], direction[1], direction[2]});
       double share = 0;
       for (std::size_t j = 0; j < n; ++j) {
         const double lever = dot(u, {all[first + j], all[first + n + j], all[first + 2 * n + j]});

@@ -500,6 +500,10 @@ void what_is_hidden_is_stated() {
   CHECK(w.monitor.why_no_contact(all, 1).empty());  // six directions of seven joints
   const std::string said = w.monitor.unmonitored(all);
   CHECK(said.find("joint7") != std::string::npos && said.find("joint2") == std::string::npos);
+  DeclaredContact grip;
+  grip.joint = 2;
+  grip.at_most_nm = 1.5;
+  CHECK(w.monitor.unmonitored(grip) == "within its bound of 1.5 N m, nothing is monitored on joint 'joint3' meanwhile");
   Bundle mixed = Watch::limited(7, 3);
   mixed.units.given = TorqueUnit::ampere;
   mixed.units.unknown = {0, 0, 0, 0, 1, 0, 0};

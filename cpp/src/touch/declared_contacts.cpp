@@ -188,7 +188,9 @@ std::string DeclaredContacts::words(ContactFault fault, const DeclaredContact& c
 
 std::string DeclaredContacts::unmonitored(const DeclaredContact& contact) const {
   if (fault(contact, 1.0) != ContactFault::none) return "";
-  if (!contact.at_frame()) return "";
+  if (!contact.at_frame())
+    return "within its bound of " + to_text(contact.at_most_nm) + " N m, nothing is monitored on joint '" +
+           wrench_->links()[static_cast<std::size_t>(contact.joint)].joint_name + "' meanwhile";
   TorqueSpan explained;
   add_explained(contact, explained);
   std::string hidden, unknown;

@@ -19,14 +19,15 @@ from made_commission import active, add_event, cut_journal, filled, question, wo
 from tauext import _core
 from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import active_bundle, read_history
+from tauext.bundle.history_file import active_bundle, read_findings, read_history
 from tauext.cli import main
 from tauext.commission import arm_change, course, keep, promises, trainer
 from tauext.commission.arm_change import named_steps
+from tauext.commission.connect import HELD, Remark, as_entries
 from tauext.commission.folder import CommissionFolder
 from tauext.commission.history import describe_folder, kept_of
 from tauext.commission.promises import Ledger
-from tauext.commission.trainer import Trainer, why_not
+from tauext.commission.trainer import Trainer, why_not, why_worse
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
@@ -520,6 +521,49 @@ def test_a_bundle_is_replaced_by_none_that_is_worse(new, why):
     assert why_not(new, judged(1, 80)) == why
     assert why_not(judged(1, 50), judged(1, 80), is_broken=True) == ""  # higher limits repair a broken promise
     assert why_not(judged(1, 40), judged(1, 80), is_broken=True) == "it detects 40% of the hits, old 80%"
+
+
+@pytest.mark.parametrize(
+    ("new", "broken", "ratio", "why"),
+    [
+        (judged(1, 80), False, 1.0, ""),
+        (judged(0, 85), False, 0.9, ""),
+        (judged(1, 76), False, 1.0, "it detects 76.0% of the hits, old 80.0%: up to 5% of the hits less are accepted"),
+        (judged(1, 50, promised=2.0), False, 1.0, "it detects 50.0% of the hits, old 80.0%: it promises rarer false"),
+        (judged(1, 50), True, 1.0, "it detects 50.0% of the hits, old 80.0%: old does not keep its promise"),
+        (judged(0, 70), False, 1.0, "it detects 70.0% of the hits, old 80.0%: it has fewer false alarms"),
+        (judged(2, 80), False, 1.0, "it has 2 false alarms, old 1: one more may be chance"),
+        (judged(1, 80), False, 1.2, "its error is 1.20 times that of old"),
+    ],
+)
+def test_in_what_a_bundle_that_replaces_another_is_worse_is_stated(new, broken, ratio, why):
+    assert why_not(new, judged(1, 80), broken) == ""
+    words = why_worse(new, judged(1, 80), broken, ratio)
+    assert words.startswith(why) and bool(words) == bool(why)
+
+
+def test_the_line_of_an_activation_states_in_what_its_bundle_is_worse(copy, monkeypatch):
+    worse = "it detects 76.0% of the hits, b0001 80.0%"
+    monkeypatch.setattr(Trainer, "_judged", lambda *_: ({"test_minutes": 1.0, "worse": worse}, ""))
+    monkeypatch.setattr("tauext.commission.trainer.search", lambda *_: [])
+    (copy.bundles / "b0002.tauext").write_bytes((copy.bundles / "b0001.tauext").read_bytes())
+    copy.pending_file.write_text(json.dumps({"bundle": "b0002", "minutes": 2, "trained_on": []}))
+    Trainer(copy)._judge_bundle()
+    assert copy.history()[-1]["words"] == f"b0002 is chosen: it passed on 60 s outside its training; {worse}"
+
+
+def test_a_finding_that_later_motion_does_not_show_is_withdrawn(copy):
+    other = Remark(
+        "robot-file-other", "fault", None, "the robot file seems to be of another arm", "give that of this arm"
+    )
+    held = Remark(HELD, "warning", None, "this computer took the samples late", "")  # not judged again
+    copy.findings_file.write_text(json.dumps({"findings": as_entries([other, held])}))
+    one, before = Trainer(copy), words(copy)
+    one._report([other], read_findings(copy.path))
+    assert words(copy) == before
+    one._report([], read_findings(copy.path))
+    gone = "no longer found in the newest motion: fault: the robot file seems to be of another arm"
+    assert words(copy) == [*before, gone]
 
 
 def test_steps_are_named_beyond_what_earlier_days_differ():

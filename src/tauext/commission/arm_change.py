@@ -218,7 +218,8 @@ class Days:
         words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
         folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
         if not why:
-            folder.activate(name, "friction of the first strokes of the day", folder.seconds())
+            worse = f"; {facts['worse']}" if facts.get("worse") else ""
+            folder.activate(name, f"friction of the first strokes of the day{worse}", folder.seconds())
         folder.pending_file.unlink(missing_ok=True)
 
     def _ask(self, words: str, facts: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ LEAST_TEST_S = 60.0
 LIMITS_AT_H = (0.25, 0.5, 1, 2, 3, 4, 6, 8, 12, 16, 24, 48)
 """Hours of learned calibration after which limits are found again; then after each further day."""
 DAY_H = 24.0
-CHECKS_S = (10.0, 30.0, 60.0, 180.0)
+CHECKS_S = (10.0, 30.0, 60.0, 180.0, 600.0, 1800.0, 3600.0)
 """Received motion after which the stream is checked, [s]."""
 PROMISE_S = 3600.0
 """Time between two comparisons of the promise with what happened, [s] of received motion."""

@@ -323,7 +323,8 @@ class Promises:
             for path in folder.bundles.glob(f"{out.stem}.*"):
                 path.unlink(missing_ok=True)
             return ledger.renewed()
-        folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work", folder.seconds())
+        worse = f"; {found['worse']}" if found.get("worse") else ""
+        folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work{worse}", folder.seconds())
         folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
         ledger.renewed()  # last: after a kill, the limits are found again
 

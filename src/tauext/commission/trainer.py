@@ -196,8 +196,15 @@ class Trainer:
         self._checked_s = max(seconds, self._checked_s)
 
     def _report(self, lives: Sequence[Remark], known: Sequence[dict[str, Any]]) -> None:
-        """Add faults and warnings that the last check did not find to the history."""
+        """Add faults and warnings that the last check did not find to the history, and those that are gone since."""
         before = {(one.get("code"), one.get("joint"), one.get("severity")) for one in known}
+        now = {(live.code, live.joint) for live in lives if live.severity in ("fault", "warning")}
+        for one in known:
+            was_bad = one.get("severity") in ("fault", "warning") and one.get("code") != HELD
+            if was_bad and (one.get("code"), one.get("joint")) not in now:
+                joint = f"{one['joint']}: " if one.get("joint") else ""
+                words = f"no longer found in the newest motion: {one['severity']}: {joint}{one.get('words')}"
+                self.folder.note("finding", self.folder.seconds(), words)
         for live in lives:
             if live.severity in ("fault", "warning") and (live.code, live.joint, live.severity) not in before:
                 self.folder.note("finding", self.folder.seconds(), sentence_of(live))
@@ -293,11 +300,11 @@ class Trainer:
             return
         passed = not why
         words = f"{name}, trained on {minutes:g} min of motion, " + ("passed" if passed else f"did not pass: {why}")
+        worse = f"; {facts['worse']}" if facts.get("worse") else ""
         folder.note("training", folder.seconds(), words, bundle=name, minutes=minutes, passed=passed, why=why, **facts)
         if passed:
-            folder.activate(
-                name, f"it passed on {60 * facts['test_minutes']:.0f} s outside its training", folder.seconds()
-            )
+            reason = f"it passed on {60 * facts['test_minutes']:.0f} s outside its training{worse}"
+            folder.activate(name, reason, folder.seconds())
         folder.pending_file.unlink(missing_ok=True)
 
     def _judged(self, name: str, unseen: Sequence[Segment], is_broken: bool = False) -> tuple[dict[str, Any], str]:
@@ -341,6 +348,7 @@ class Trainer:
             facts["before"] = (old_free.false_collisions or 0) / before.free_motion.hours
             ratios = [a / b for a, b in zip(free.l2_nm, old_free.l2_nm, strict=True) if a is not None and b]
             facts["error_ratio"] = round(float(np.mean(ratios)), 4) if ratios else 1.0
+            facts["worse"] = why_worse(new, before, is_broken, facts["error_ratio"])
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"
@@ -396,6 +404,37 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool =
     if seen < (LEAST_HITS_KEPT * seen_before if may_lose else seen_before - MOST_HITS_LOST):
         return f"it detects {seen:.0%} of the hits, {old.name} {seen_before:.0%}"
     return ""
+
+
+LARGER = 1.05
+"""Ratio of two errors from which the larger one is stated."""
+
+
+def why_worse(new: EvaluatedBundle, old: EvaluatedBundle, is_broken: bool, error_ratio: float) -> str:
+    """In what a bundle that passes is worse than the old one, and why it may replace it; empty: in nothing.
+
+    Args:
+        is_broken: see why_not().
+        error_ratio: error of the new bundle, divided by that of the old one.
+    """
+    parts, free, old_free = list[str](), new.free_motion, old.free_motion
+    false, before = free.false_collisions or 0, old_free.false_collisions or 0
+    seen, seen_before = hits(new), hits(old)
+    rate, rate_before = free.promised_per_hour, old_free.promised_per_hour
+    if false > before:
+        parts.append(f"it has {false} false alarms, {old.name} {before}: one more may be chance")
+    if seen is not None and seen_before is not None and seen < seen_before:
+        may_lose = [
+            ("it has fewer false alarms", false < before),
+            ("it promises rarer false alarms", rate is not None and (rate_before is None or rate < rate_before)),
+            (f"{old.name} does not keep its promise", is_broken),
+            (f"up to {MOST_HITS_LOST:.0%} of the hits less are accepted", True),
+        ]
+        reason = next(words for words, holds in may_lose if holds)
+        parts.append(f"it detects {seen:.1%} of the hits, {old.name} {seen_before:.1%}: {reason}")
+    if error_ratio > LARGER:
+        parts.append(f"its error is {error_ratio:.2f} times that of {old.name}: hits and false alarms decide")
+    return "; ".join(parts)
 
 
 # --- The process.

@@ -98,7 +98,9 @@ NUMBERS: Rule = (_each(is_number), "a list of finite numbers")
 
 RULES: dict[str, Rule] = {
     **dict.fromkeys(("kind", "words", "wall", "sentence", "text", "by", "source", "created", "running"), TEXT),
-    **dict.fromkeys(("details", "level", "joint", "touch", "at", "on", "why", "bundle", "replaces"), MAYBE_TEXT),
+    **dict.fromkeys(
+        ("details", "level", "joint", "touch", "at", "on", "why", "worse", "bundle", "replaces"), MAYBE_TEXT
+    ),
     **dict.fromkeys(("passed", "kept", "learned", "ended"), TRUTH),
     **dict.fromkeys(("epoch", "first", "learn_from", "segment", "alarms", "format"), COUNT),
     **dict.fromkeys(("t_ns", "held_ns", "from_ns", "to_ns"), STAMP),

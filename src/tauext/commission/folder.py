@@ -223,6 +223,7 @@ class CommissionFolder:
             folder.unwritable = f"{error.filename or path}: cannot be written ({error.strerror or error})"
             if is_new or is_lost or folder.fall_back() is None:
                 raise ConfigError(folder.unwritable) from error
+            folder.shown = len(folder.history())
         reserve(path)
         return folder
 

@@ -468,7 +468,10 @@ class Commission:
         """Mend the journal where another program changed it; try again to write a folder that could not be written."""
         if not self._folder.unwritable:
             return self._folder.sync()
-        self._folder.try_again()
+        with suppress(OSError):
+            self._folder.try_again()
+        if self._folder.unwritable:
+            return
         self._folder.save(**self._own | {"state": self._live.state})
         self._note(f"{self._folder.path}: can be written again; recording, answers and training go on")
 
@@ -517,7 +520,8 @@ class Commission:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
         if self._live.alarm_number != self._carried_alarm:
             self._carried_alarm, self._alarm_s = self._live.alarm_number, now_s
-        if (now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S) and (carried := loop.carried):
+        is_due = now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S
+        if is_due and not self._folder.unwritable and (carried := loop.carried):
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
 

@@ -347,8 +347,8 @@ class Trainer:
             old_free = before.free_motion
             facts["before"] = (old_free.false_collisions or 0) / before.free_motion.hours
             ratios = [a / b for a, b in zip(free.l2_nm, old_free.l2_nm, strict=True) if a is not None and b]
-            facts["error_ratio"] = round(float(np.mean(ratios)), 4) if ratios else 1.0
-            facts["worse"] = why_worse(new, before, is_broken, facts["error_ratio"])
+            ratio = float(np.mean(ratios)) if ratios else 1.0
+            facts |= {"error_ratio": round(ratio, 4), "worse": why_worse(new, before, is_broken, ratio)}
         alarmed = sum(int((estimate_recording(bundles[name], one).held_alarm == COLLISION).sum()) for one in pieces)
         if (share := alarmed / sum(one.samples for one in pieces)) > MOST_ALARMED:
             return facts, f"it reports collisions during {share:.0%} of the motion"

@@ -1,6 +1,8 @@
 """What tauext is compared with: each method a bundle, its limits set as tauext's, from few minutes too."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +12,9 @@ import pytest
 from tauext import _core
 from tauext.cli import main
 from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
-from tauext.data.dataset import Dataset, load_dataset
+from tauext.data.dataset import load_dataset, save_split
 from tauext.errors import BundleError, ConfigError
+from tauext.fit.tail import FalseAlarmBudget, Promise
 from tauext.progress import Silent
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import estimated_model
@@ -183,7 +186,8 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
     )
     capsys.readouterr()
     out = tmp_path / "new.tauext"
-    assert calibrated(tmp_path / "bundle.tauext", dataset, out, "--false-alarms", "1", "--in-hours", "0.005") == 0
+    budget = ("--false-alarms", "1", "--in-hours", "0.005")
+    assert calibrated(tmp_path / "bundle.tauext", dataset, out, *budget, "--accept", "limit-wide") == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("At most 1 false alarm in 18 s") and said[1] == str(out)
     new, expected = _core.Bundle.load(str(out)), _core.Bundle.load(str(promised))
@@ -220,11 +224,69 @@ def test_calibrate_refuses_what_it_cannot_serve_in_words(dataset, tmp_path, caps
     assert issubclass(BundleError, Exception) and not (tmp_path / "b.tauext").exists()
 
 
-def test_calibrate_without_calibration_recordings_says_how_to_make_some(dataset, tmp_path, capsys, monkeypatch):
+def test_calibrate_without_calibration_recordings_says_how_to_get_some(dataset, tmp_path, capsys):
+    """A real arm has no simulator: its motion is recorded."""
     trained(dataset, tmp_path / "bundle.tauext", recipe="observer")
-    monkeypatch.setattr(Dataset, "stretches", lambda self, part: [])
-    assert calibrated(tmp_path / "bundle.tauext", dataset, tmp_path / "b.tauext") == 2
-    assert "`tauext simulate --calibration-hours 24` makes some" in capsys.readouterr().err
+    capsys.readouterr()
+    for name, command in (("simulated", "simulate"), ("real", "tauext import")):
+        folder = tmp_path / name
+        shutil.copytree(dataset.folder, folder)
+        save_split(replace(dataset.split, calibration=()), folder)
+        run = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps(run | {"command": command}))
+        data = replace(dataset, folder=folder)
+        assert calibrated(tmp_path / "bundle.tauext", data, tmp_path / "b.tauext") == 2
+        said = capsys.readouterr().err
+        train = ["train", "--data", str(folder), "--out", str(tmp_path / "t.tauext"), "--limits", "promised"]
+        assert main(train) == 2
+        for words in (said, capsys.readouterr().err):
+            assert ("`tauext simulate --calibration-hours 24` makes some" in words) == (name == "simulated")
+            assert ("record more of the arm's motion without touches" in words) == (name == "real")
+            assert words.count("\n") == 1
+
+
+def test_calibrate_refuses_limits_that_hardly_a_touch_exceeds(dataset, tmp_path, capsys):
+    """The plain observer's limits hold all of the friction: 76 % of the largest torque of joint 2."""
+    bundle, out = tmp_path / "bundle.tauext", tmp_path / "out" / "new.tauext"
+    trained(dataset, bundle, recipe="observer", limits="paper")
+    budget = ("--false-alarms", "1", "--in-hours", "0.005")
+    capsys.readouterr()
+    assert calibrated(bundle, dataset, out, *budget) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and "so its limits are refused" in said.err and "limit-wide (joint joint2)" in said.err
+    assert not out.parent.exists() or not [one for one in out.parent.iterdir() if "half-done" not in one.name]
+    assert calibrated(bundle, dataset, out, *budget, "--accept", "limit-wide:joint2") == 0
+    found = json.loads(_core.Bundle.load(str(out)).provenance)["limit_findings"]
+    assert [(one["code"], one["severity"], one["joint"]) for one in found] == [("limit-wide", "fault", "joint2")]
+    assert "fault: limit-wide: joint2: " in capsys.readouterr().err
+
+
+def test_a_worse_promise_replaces_a_better_one_only_if_asked_for_or_accepted(dataset, tmp_path, capsys):
+    """Of a day, by a minute that supports 1 in 19 s."""
+    good, bad, wide = tmp_path / "good.tauext", tmp_path / "bad.tauext", ("--accept", "limit-wide")
+    bundle = trained(dataset, good, recipe="observer", limits="paper")
+    assert calibrated(good, dataset, bad, *wide) == 0
+    assert "in place of" not in capsys.readouterr().err  # the paper's limits promise nothing
+    bad.unlink()
+    promise = Promise(FalseAlarmBudget(1, 8), 24.5).summary()
+    bundle.provenance = json.dumps(json.loads(bundle.provenance) | {"limits": {"promise": promise, "sentence": "x"}})
+    bundle.save(str(good))
+    assert calibrated(good, dataset, bad, *wide) == 2
+    said = capsys.readouterr().err
+    compared = r"1 in 1[89][.\d]* s from 5[.\d]+ s, in place of 1 in 8 h from 24.5 h of calibration in good.tauext"
+    assert re.search(f"promise of false alarms: {compared}\n", said), said
+    assert re.search(rf"promise-worse: [^\n]*\n      {compared}\n      -> keep the bundle, record [.\d]+ h more", said)
+    assert "--accept promise-worse" in said and not bad.exists()
+    assert calibrated(good, dataset, bad, *wide, "promise-worse") == 0
+    facts = json.loads(_core.Bundle.load(str(bad)).provenance)
+    assert "promise-worse" in [one["code"] for one in facts["limit_findings"]]
+    assert re.fullmatch(f"promise of false alarms: {compared}", facts["limits"]["replaces"])
+    capsys.readouterr()
+    assert main(["show", str(bad)]) == 0
+    assert "fault: promise-worse  " in capsys.readouterr().out
+    # A budget that this minute supports was asked for: stated beside the old one, and written.
+    assert calibrated(good, dataset, bad, "--false-alarms", "1", "--in-hours", "0.005", *wide) == 0
+    assert "1 in 18 s from 5" in capsys.readouterr().err
 
 
 # --- all of them

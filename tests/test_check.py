@@ -108,7 +108,7 @@ def test_fault_of_the_rig_is_named(rig: Case, name: str):
 
 
 CAUSES = ("position-wraps", "robot-file-other", "rows-dropped")
-OF_LIMITS = ("limit-fine", "limit-wide")
+OF_LIMITS = ("limit-fine", "limit-wide", "promise-worse")
 OF_SERVOS = {
     "backlash", "coarse-velocity", "current-signed", "effort-duty", "load-sign-bit", "supply-current", "unsigned-torque"
 }  # fmt: skip

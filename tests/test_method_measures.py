@@ -14,10 +14,11 @@ from tauext.errors import ConfigError
 from tauext.evaluate.collisions import LatchVerdict, by_strength, find_collisions
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.errors import low_pass
-from tauext.evaluate.free_motion import AfterContact, FreeMotionErrors, count_episodes, promised_per_hour
+from tauext.evaluate.free_motion import AfterContact, FreeMotionErrors, count_episodes
 from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve, held_ratio
 from tauext.evaluate.results import to_json
+from tauext.fit.tail import promised_per_hour
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.02])
@@ -85,8 +86,8 @@ def test_an_observer_of_another_gain_is_held_against_the_true_torque_at_its_own_
 def test_what_was_promised_is_compared_with_what_was_counted():
     asked, less = {"rate_per_hour": 0.125}, {"rate_per_hour": 6.0}
     promise = {"asked": asked, "supported": True, "supported_budget": less}
-    assert promised_per_hour({"limits": {"promise": promise}}) == 0.125
-    assert promised_per_hour({"limits": {"promise": promise | {"supported": False}}}) == 6.0
+    assert promised_per_hour({"promise": promise}) == 0.125
+    assert promised_per_hour({"promise": promise | {"supported": False}}) == 6.0
     assert promised_per_hour({}) is None
     # Garwood: three events in 10 h, 95 %: 0.062 to 0.877 an hour.
     counted = partial(FreeMotionErrors, 1, seconds=36000.0)
@@ -173,7 +174,21 @@ def test_detectors_that_know_nothing_show_what_a_number_is_worth(tmp_path):
     assert (never.found, never.latched, never.false_per_hour) == (0, 0, 0)
     # 30 alarms are expected in half an hour, 5.5 the standard deviation; each 0.1 s.
     assert 30 - 17 < random.false_per_hour / 2 < 30 + 17
+    assert "60 an hour in the long run" in random.worth  # the measured rate stands beside it, and differs
     assert random.time_in_alarm_share == pytest.approx(0.1 * random.false_per_hour / 3600, rel=0.1)
+
+
+def test_free_motion_that_was_not_there_is_not_measured(tmp_path):
+    """Not an error of 0 and no false alarm: with collisions alone, and with motion in which nothing was healthy."""
+    too_short = recording("short", 20)
+    for frees in ([], [lambda: too_short]):
+        results = evaluate({"o": observer_bundle()}, frees, [lambda: pushed("hit", 10.0)], tmp_path, 0, 1)
+        free = to_json(results)["bundles"][0]["free_motion"]
+        assert (free["hours"], free["samples"]) == (0.0, 0)
+        for name in ("l1_nm", "l2_nm", "near_stiction_share", "observer_peak_nm", "rmse_sliding_nm"):
+            assert free[name] == [None], name
+        for name in ("false_alarms", "false_alarms_per_hour", "false_collisions", "promise_kept"):
+            assert free[name] is None, name
 
 
 def test_results_are_plain_json_and_copy_what_the_bundle_was_trained_on(tmp_path):

@@ -28,12 +28,19 @@ def place(tmp_path, monkeypatch):
         shutil.copy("lone.parquet", tmp_path / folder / "run.parquet")
     save_split(Split(("run.parquet",), (), ()), tmp_path / "data")
     (tmp_path / "bag" / "metadata.yaml").touch()
+    (tmp_path / "half").mkdir()  # what Ctrl-C leaves of a simulation
+    shutil.copy("lone.parquet", tmp_path / "half" / "free-000.parquet")
+    (tmp_path / "half" / "run.json").write_text('{"command": "simulate"}')
     for log in (tmp_path / "x.csv", tmp_path / "logs" / "x.csv"):
         log.write_text("t,q_0\n0,1\n")
     return tmp_path
 
 
 NEXT = [
+    (
+        ("train", "--data", "half", "--out", "a.tauext"),
+        ["half: holds an interrupted simulation", "the same `tauext simulate --out half`, run again, completes it"],
+    ),
     (
         ("train", "--data", "lone.parquet", "--out", "a.tauext"),
         ["is a recording, not a dataset", "tauext import --new"],

@@ -266,6 +266,27 @@ def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
     return finding.code in accept or f"{finding.code}:{finding.joint}" in accept
 
 
+def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where: str, refused: str, how: str) -> None:
+    """Raise FaultyDataError if a fault is not accepted; the message lists all of them.
+
+    Args:
+        where: name of what has the faults, for the message.
+        refused: what is refused for them, in the plural.
+        how: line of the message above the option that accepts them.
+    """
+    faults = [one for one in findings if one.severity == "fault" and not is_accepted(one, accept)]
+    if not faults:
+        return
+    count = len(by_code(faults))
+    lines = [
+        f"{where}: {count} fault{'' if count == 1 else 's'}, so {refused} are refused",
+        *finding_lines(faults),
+        f"  {how}",
+        f"      --accept {' '.join(accepting(faults))}",
+    ]
+    raise FaultyDataError("\n".join(lines), faults)
+
+
 def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequence[str], report: Reporter) -> dict:
     """Report warnings and accepted faults, each once; returns facts of each result for provenance.
 
@@ -276,16 +297,8 @@ def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequen
         FaultyDataError: a fault is not accepted; the message lists all of them.
     """
     findings = [finding for result in results.values() for finding in result.findings]
-    refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
-    if refused:
-        count = len(by_code(refused))
-        lines = [
-            f"{where}: {count} fault{'' if count == 1 else 's'}, so these data are refused",
-            *finding_lines(refused),
-            "  `tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:",
-            f"      --accept {' '.join(accepting(refused))}",
-        ]
-        raise FaultyDataError("\n".join(lines), refused)
+    how = "`tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:"
+    expect_accepted(findings, accept, where, "these data", how)
     for entry in entries(f for f in findings if f.severity == "fault"):
         report.say(f"accepted: {sentence(entry)}")
     for entry in entries(f for f in findings if f.severity == "warning"):

@@ -43,6 +43,7 @@ CODES = {
     "position-limit": "a position exceeds the robot file's limit",
     "position-offset": "a joint's zero position differs from the robot file's",
     "position-wraps": "a position jumps by whole turns",
+    "promise-worse": "the recordings support a worse promise than that of the bundle",
     "quantised": "the torque has few levels",
     "repeated-rows": "rows repeat the row before",
     "robot-file-changed": "the robot file differs from the one recorded with",

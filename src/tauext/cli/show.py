@@ -377,7 +377,8 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     if "reason" in facts.get("gain", {}):
         rows["gain was chosen"] = facts["gain"]["reason"]
     for finding in facts.get("limit_findings", []):
-        rows[f"{finding['severity']}: {finding['code']} of {finding['joint']}"] = finding["evidence"]
+        at = f" of {finding['joint']}" if finding["joint"] else ""
+        rows[f"{finding['severity']}: {finding['code']}{at}"] = finding["evidence"]
     for moment in limits.get("one_moment", []):
         rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "

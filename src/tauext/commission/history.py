@@ -28,7 +28,7 @@ from tauext.bundle.history_file import (
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.places import Place
-from tauext.fit.tail import duration, is_kept
+from tauext.fit.tail import duration, is_kept, promised_per_hour
 from tauext.monitor.monitored_time import percent
 
 # --- The promise of the bundle in charge, and its false alarms.
@@ -111,13 +111,10 @@ def promise_of(folder: Place, bundle: str) -> tuple[float | None, str]:
         return None, ""
     try:
         limits = json.loads(load_bundle(path).provenance or "{}").get("limits") or {}
-        promise, sentence = limits.get("promise"), str(limits.get("sentence") or "")
-        if not isinstance(promise, dict):
-            return None, sentence
-        rate = float(promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"])
+        rate, sentence = promised_per_hour(limits), str(limits.get("sentence") or "")
     except (TauextError, ValueError, KeyError, TypeError, AttributeError):  # a bundle of another program
         return None, ""
-    return (rate, sentence) if 1e-9 < rate < 1e9 else (None, sentence)
+    return (rate, sentence) if rate is not None and 1e-9 < rate < 1e9 else (None, sentence)
 
 
 # --- A folder for `tauext show`.

@@ -42,7 +42,6 @@ from tauext.evaluate.free_motion import (
     FreeMotionErrors,
     LimitsHeld,
     Sanity,
-    promised_per_hour,
     sanity_detectors,
 )
 from tauext.evaluate.injected import EVENTS, Injection, estimate_recording
@@ -50,6 +49,7 @@ from tauext.evaluate.missed_curve import MissedCurve
 from tauext.evaluate.results import CollisionVerdict, EvaluatedBundle, Injected, Limits, NoticedForce, Results
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.plain_file import FORMAT
+from tauext.fit.tail import promised_per_hour
 
 # --- All measurements of one bundle, collected recording by recording.
 
@@ -134,7 +134,7 @@ class BundleMeasures:
             bundle=f"{bundle.name}.tauext",
             estimate_units=tuple(bundle.estimate_units),
             **{key: trained.get(key) for key in COPIED},
-            free_motion=self._errors.summary(promised_per_hour(trained)),
+            free_motion=self._errors.summary(promised_per_hour(trained.get("limits") or {})),
             limits=Limits(sliding, near, bundle.error_scale.follows),
             collisions=tuple(self._verdicts),
             ten_found=sum(verdict.found for verdict in self._verdicts if verdict.id in ten),

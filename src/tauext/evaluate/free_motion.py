@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -67,45 +67,35 @@ class FreeMotionErrors:
         """Errors, and whether the promised rate of false collisions was kept.
 
         promise_consistent: the promised rate lies in the 95 % interval. promise_kept: the promised rate makes this many
-        false collisions or more plausible. None without a promise, or without healthy hours.
+        false collisions or more plausible. None without a promise. Without a healthy sample of free motion nothing was
+        measured, and everything is None.
         """
         sliding = self.samples - self._near
         with np.errstate(invalid="ignore", divide="ignore"):
-            mse = self._square / self.samples
+            mean, mse, near_share = self._l1 / self.samples, self._square / self.samples, self._near / self.samples
             near_rmse = np.sqrt(self._near_square / self._near)
             sliding_rmse = np.sqrt((self._square - self._near_square) / sliding)
-        hours, false = float(self.seconds) / 3600, self.false_collisions
-        known = promised if hours else None
+        hours, false, is_measured = float(self.seconds) / 3600, self.false_collisions, self.seconds > 0
+        known = promised if is_measured else None
         return FreeMotion(
             recordings=tuple(self.recordings),
             hours=hours,
             samples=self.samples,
-            l1_nm=numbers(self._l1 / max(self.samples, 1)),
+            l1_nm=numbers(mean),
             l2_nm=numbers(np.sqrt(mse)),
             mse_nm2=numbers(mse),
             rmse_near_stiction_nm=numbers(near_rmse),
             rmse_sliding_nm=numbers(sliding_rmse),
-            near_stiction_share=numbers(self._near / max(self.samples, 1)),
-            observer_peak_nm=numbers(self._largest_r),
-            false_alarms=self.false_alarms,
-            false_alarms_per_hour=self.false_alarms / hours if hours else None,
-            false_collisions=false,
+            near_stiction_share=numbers(near_share),
+            observer_peak_nm=numbers(self._largest_r if is_measured else np.full(self.joints, np.nan)),
+            false_alarms=self.false_alarms if is_measured else None,
+            false_alarms_per_hour=self.false_alarms / hours if is_measured else None,
+            false_collisions=false if is_measured else None,
             promised_per_hour=promised,
-            false_collisions_interval_per_hour=rate_interval(false, hours) if hours else None,
+            false_collisions_interval_per_hour=rate_interval(false, hours) if is_measured else None,
             promise_consistent=None if known is None else is_consistent(false, hours, known),
             promise_kept=None if known is None else is_kept(false, hours, known),
         )
-
-
-def promised_per_hour(provenance: Mapping) -> float | None:
-    """False collisions an hour that the bundle's limits are set for, [1/h]; None if the limits have no budget.
-
-    The requested budget; if the calibration was too short for it, the smallest budget that it supports.
-    """
-    promise = (provenance.get("limits") or {}).get("promise")
-    if promise is None:
-        return None
-    return promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"]
 
 
 def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
@@ -274,7 +264,10 @@ RANDOM_S = 0.1
 WORTH = {
     "always": "in alarm at every collision, but at every other moment too: one unbroken alarm, which latches nothing",
     "never": "no false alarm, and no collision",
-    "random": f"alarms of {RANDOM_S:g} s at random times, {RANDOM_PER_HOUR:g} an hour: what is found so is chance",
+    "random": (
+        f"alarms of {RANDOM_S:g} s at random times, {RANDOM_PER_HOUR:g} an hour in the long run, which a short test "
+        "need not show: what is found so is chance"
+    ),
 }
 
 

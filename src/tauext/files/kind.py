@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 from tauext.files.places import Place
+from tauext.files.plain_file import json_of, read_text
 
 LOGS = {
     ".csv": "a CSV file",
@@ -43,6 +44,8 @@ def why_no_dataset(path: Place) -> str:
         return f"is {log_kind(path)}, not a dataset folder; {make_dataset(path)}"
     if log := first_log(path):
         return f"is no dataset but holds {log_kind(log)}; {make_dataset(log)}"
+    if is_simulated(path):
+        return f"holds an interrupted simulation; the same `tauext simulate --out {path}`, run again, completes it"
     if recording := first(path, ".parquet"):
         return f"holds recordings but no {SPLIT}, so it is no dataset; {make_dataset(recording)}"
     return ""
@@ -106,6 +109,14 @@ def first_log(folder: Place) -> Place | None:
 def first(folder: Place, *ends: str) -> Place | None:
     """The first file, by name, that ends so."""
     return min((one for one in folder.iterdir() if one.suffix in ends and one.is_file()), key=str, default=None)
+
+
+def is_simulated(folder: Place) -> bool:
+    """Whether `tauext simulate` made the folder or began to; its run.json states it."""
+    with suppress(OSError, ValueError):
+        run = json_of(read_text(folder / "run.json"))
+        return isinstance(run, dict) and run.get("command") == "simulate"
+    return False
 
 
 def is_bundle(path: Place) -> bool:

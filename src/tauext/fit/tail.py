@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
@@ -429,6 +429,20 @@ class Promise:
         }
 
 
+def promised_per_hour(limits: Mapping) -> float | None:
+    """False alarms an hour that a bundle's limits are set for, [1/h]; None: they have no budget.
+
+    The requested budget; if the calibration was too short for it, the smallest budget that it supports.
+
+    Args:
+        limits: facts of the limits, with the promise's `summary()`.
+    """
+    promise = limits.get("promise")
+    if not isinstance(promise, dict):
+        return None
+    return float(promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"])
+
+
 UNITS = (("h", 1.0), ("minutes", 60.0), ("s", 3600.0))
 ROUNDINGS: dict[str, Callable[[float], int]] = {
     "nearest": round,
@@ -443,7 +457,8 @@ def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest
     if not (value := hours * factor) > 1e-9:
         return f"0 {unit}"
     digits = min(1, 2 - math.floor(math.log10(value))) if value >= 10 else 2 - math.floor(math.log10(value))
-    return f"{ROUNDINGS[rounding](value * 10**digits) / 10**digits:.6g} {unit}"
+    number = f"{ROUNDINGS[rounding](value * 10**digits) / 10**digits:.6g}"
+    return f"{number} {'minute' if (number, unit) == ('1', 'minutes') else unit}"
 
 
 def _lower(events: int, hours: float, tail: float) -> float:

@@ -19,6 +19,7 @@ from tauext.bundle.history_file import expect_journal
 from tauext.bundle.loss_history import read_loss_history
 from tauext.bundle.match import expect_fit
 from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
+from tauext.check.finding import Finding
 from tauext.config import AlarmConfig, FreeMotionConfig, checked
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
@@ -27,6 +28,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.copies import at_home
+from tauext.files.kind import is_simulated
 from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
@@ -34,14 +36,33 @@ from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.declared_spread import Contacts, SpreadFound, put_spread, with_tool_forces
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.held_peaks import KeptPeaks, PeakStore, collect_peaks
-from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits, put_limit_findings
+from tauext.train.promised_limits import (
+    PromisedLimits,
+    apply_promised,
+    promised_limits,
+    put_limit_findings,
+    refuse_limits,
+    worse_promise,
+)
 from tauext.train.suspects import HeldStore, find_suspects, forget, suspect_facts, suspect_sentences
 
 SCALE_SHARE = 0.2
 """Share of the calibration recordings for refitting the error scale."""
-NO_CALIBRATION = (
-    "needs calibration recordings, which the dataset has none of; `tauext simulate --calibration-hours 24` makes some"
-)
+
+
+def no_calibration(folder: Place | None) -> str:
+    """End of a message: a dataset without calibration recordings, and how to get some.
+
+    Args:
+        folder: of the dataset; None: its recordings are in memory.
+    """
+    more = (
+        "`tauext simulate --calibration-hours 24` makes some"
+        if folder is not None and is_simulated(folder)
+        else "record more of the arm's motion without touches, list the recordings as calibration in [split] of the "
+        "description, and import them"
+    )
+    return f"needs calibration recordings, which the dataset has none of; {more}"
 
 
 @checked
@@ -69,7 +90,7 @@ def recalibrate(
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
 
     Raises:
-        FaultyDataError: a recording has a fault that is not accepted.
+        FaultyDataError: a recording, a limit or the promise has a fault that is not accepted; nothing is written.
         ConfigError: the dataset has no calibration recordings, or too few for refit_error_scale.
         BundleError: the bundle does not exist.
         BundleError, TrainingError: see calibrate_bundle().
@@ -86,7 +107,12 @@ def recalibrate(
     if words := rejected.warning("the calibration recordings", accept):
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
+    before = facts.get("limits") or {}
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
+    compared, worse = worse_promise(before, promised, bundle.name)
+    if compared:
+        report.say(compared)
+        facts["limits"]["replaces"] = compared
     if not _core.WrenchModel(loaded).refused:
         with report.progress("inject tool forces"):
             spread = put_spread(loaded, with_tool_forces(loaded, loaders), injected=True, threads=threads)
@@ -96,7 +122,7 @@ def recalibrate(
     if refit_error_scale:
         settings["refit_error_scale"] = True
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
-    write_calibrated(loaded, out, facts, started, history, report)
+    write_calibrated(loaded, out, facts, started, history, report, accept, worse)
     remove_checkpoint(out)
     return promised
 
@@ -107,7 +133,7 @@ def opened(
     """Calibration recordings, the bundle, its loss history and provenance, before anything is done."""
     loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
     if not loaders:
-        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
+        raise ConfigError(f"{dataset.folder}: calibrate {no_calibration(dataset.folder)}")
     expect_new_file(out)
     loaded = load_bundle(bundle)
     return loaders, loaded, read_loss_history(loaded, bundle) or [], json.loads(loaded.provenance or "{}")
@@ -156,14 +182,24 @@ def write_calibrated(
     started: float,
     history: Sequence[Any] = (),
     report: Reporter = SILENT,
+    accept: Sequence[str] | None = None,
+    promise: Sequence[Finding] = (),
 ) -> None:
     """Write a bundle with other limits, and report what is wrong with them.
 
     Args:
         facts: its provenance; receives the findings.
         started: time.monotonic() when the work began.
+        accept: codes of faults that are accepted; None: all, for a caller that judges the bundle itself.
+        promise: findings of the promise (worse_promise).
+
+    Raises:
+        FaultyDataError: a fault is not accepted; nothing is written.
     """
-    for words in put_limit_findings(bundle, facts):
+    found = put_limit_findings(bundle, facts, promise)
+    if accept is not None:
+        refuse_limits(facts, str(out), accept)
+    for words in found:
         report.say(words)
     write_bundle(bundle, out, facts, list(history), WallTimes({"calibrate": time.monotonic() - started}))
 

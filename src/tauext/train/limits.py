@@ -14,13 +14,14 @@ from tauext.config import AlarmConfig, DriftConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
+from tauext.files.places import Place
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
 from tauext.fit.fleet_prior import FleetErrors
 from tauext.fit.network_weights import LIMIT, NetworkWeights
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
-from tauext.train.calibrate import NO_CALIBRATION, calibrate_bundle
+from tauext.train.calibrate import calibrate_bundle, no_calibration
 from tauext.train.error_scale import (
     FEATURES,
     ErrorRows,
@@ -220,14 +221,22 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         job.notes.extend(put_limit_findings(bundle, job.facts))
 
 
-def limits_kind(config: TrainConfig, calibration: Sequence[object], network: NetworkWeights | None = None) -> str:
+def limits_kind(
+    config: TrainConfig,
+    calibration: Sequence[object],
+    network: NetworkWeights | None = None,
+    folder: Place | None = None,
+) -> str:
     """Return the kind of limits: promised, supported, paper, or given with a network that was trained elsewhere.
+
+    Args:
+        folder: see no_calibration().
 
     Raises:
         ConfigError: promised limits without calibration recordings.
     """
     if config.limits == "promised" and not calibration:
-        raise ConfigError(f"limits = promised {NO_CALIBRATION}")
+        raise ConfigError(f"limits = promised {no_calibration(folder)}")
     if config.limits != "auto":
         return config.limits
     if network is not None and network.limit_nm is not None:

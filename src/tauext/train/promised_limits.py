@@ -10,6 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext._core import MotionFeature
+from tauext.check.before_training import expect_accepted
 from tauext.check.finding import Finding, Severity
 from tauext.check.sensors import torque_step_nm
 from tauext.config import AlarmConfig, FreeMotionConfig
@@ -24,6 +25,7 @@ from tauext.fit.tail import (
     fit_tail,
     held_minimum,
     hold_lengths,
+    promised_per_hour,
     upper_rate,
 )
 from tauext.fit.ties import simplest
@@ -50,6 +52,8 @@ error itself, and a tail that reaches further is one that a touch or another fau
 HARD_PUSH = 3.0
 """Push for comparing hold times, as a multiple of the limit without hold time."""
 
+ROUNDED = 1e-9
+"""Share by which equal rates may differ."""
 HOLD_WORTH = 0.01
 """Share by which a longer hold time must detect that push sooner; tail fits are no more precise."""
 
@@ -455,11 +459,54 @@ def limit_findings(bundle: _core.Bundle, step_nm: Mapping[str, float]) -> list[F
     return found
 
 
-def put_limit_findings(bundle: _core.Bundle, facts: dict) -> list[str]:
-    """Set `limit_findings` in a bundle's provenance by its `torque_step_nm`; returns a line each for the user."""
-    found = limit_findings(bundle, facts.get("torque_step_nm", {}))
+def put_limit_findings(bundle: _core.Bundle, facts: dict, promise: Sequence[Finding] = ()) -> list[str]:
+    """Set `limit_findings` in a bundle's provenance by its `torque_step_nm`; returns a line each for the user.
+
+    Args:
+        promise: findings of the promise (worse_promise), stored beside those of the limits.
+    """
+    found = [*limit_findings(bundle, facts.get("torque_step_nm", {})), *promise]
     facts["limit_findings"] = [asdict(one) for one in found]
-    return [f"{one.severity}: {one.code}: {one.joint}: {one.evidence}; {one.advice}" for one in found]
+    return [
+        f"{one.severity}: {': '.join(filter(None, (one.code, one.joint)))}: {one.evidence}; {one.advice}"
+        for one in found
+    ]
+
+
+def refuse_limits(facts: Mapping, where: str, accept: Sequence[str]) -> None:
+    """Raise FaultyDataError if the limits have a fault, in `limit_findings`, that is not accepted.
+
+    Args:
+        where: name of the bundle to write, for the message.
+    """
+    found = [Finding(**one) for one in facts.get("limit_findings", [])]
+    how = "Nothing is written. To write the bundle all the same, accept the faults; the bundle records it:"
+    expect_accepted(found, accept, where, "its limits", how)
+
+
+def worse_promise(before: Mapping, promised: PromisedLimits, name: str) -> tuple[str, list[Finding]]:
+    """The promise that limits replace beside theirs, in a sentence, and a fault if it is worse and not asked for.
+
+    A budget that the recordings support was asked for; the smallest that they support, in place of it, was not.
+
+    Args:
+        before: facts of the limits that are replaced; without a promise, there is nothing to compare.
+        name: of the bundle that has them.
+    """
+    rate = promised_per_hour(before)
+    if rate is None:
+        return "", []
+    old_hours, new = before["promise"]["calibration_hours"], promised.promise
+    then = f"1 in {duration(1 / rate)} from {duration(old_hours, 'down')} of calibration"
+    now = f"1 in {duration(1 / promised.budget.rate_per_hour, 'down')} from {duration(new.hours, 'down')}"
+    words = f"promise of false alarms: {now}, in place of {then} in {name}"
+    if new.is_supported or promised.budget.rate_per_hour <= rate * (1 + ROUNDED):
+        return words, []
+    advice = (
+        f"keep the bundle, record {duration(new.missing_hours, 'up')} more of free motion, or ask for a budget that "
+        "these recordings support (--false-alarms, --in-hours)"
+    )
+    return words, [Finding("promise-worse", "fault", None, f"{now}, in place of {then} in {name}", advice)]
 
 
 def torque_steps_nm(bundle: _core.Bundle, recordings: Sequence[Recording]) -> dict[str, float]:

@@ -74,12 +74,17 @@ BYTES_A_SEQUENCE = 3 * 8
 
 
 def accepted_settings(
-    config: TrainConfig, calibration: Sequence[object], like: FleetPrior | None, network: NetworkWeights | None = None
+    config: TrainConfig,
+    calibration: Sequence[object],
+    like: FleetPrior | None,
+    network: NetworkWeights | None = None,
+    folder: Place | None = None,
 ) -> TrainConfig:
     """Resolve the settings of a training and refuse impossible ones before any recording is read.
 
     Args:
         calibration: the calibration recordings, which promised limits need.
+        folder: of the dataset, for messages; None: its recordings are in memory.
 
     Raises:
         ConfigError: see network_settings, expect_size, limits_kind and like_settings.
@@ -87,7 +92,7 @@ def accepted_settings(
     config = network_settings(config, network)
     if network is None:
         expect_size(config)
-    limits_kind(config, calibration, network)
+    limits_kind(config, calibration, network, folder)
     return like_settings(config, like)
 
 
@@ -181,7 +186,7 @@ def train_bundle(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
     own = None if network is None else load_network(place_of(network))
-    config = accepted_settings(config, dataset.split.calibration, like, own)
+    config = accepted_settings(config, dataset.split.calibration, like, own, dataset.folder)
     robot_file = dataset.robot_file(robot)
     expect_meshes(robot_file, meshes)
     case, note = chosen_case(case, robot_file)
@@ -234,8 +239,7 @@ def train_on_recordings(
 
     Raises:
         ConfigError: the case or the recordings do not allow the settings.
-        TrainingError: too little motion for the
-        recipe, a monitor rejects the motion, or the loss diverges.
+        TrainingError: too little motion for the recipe, a monitor rejects the motion, or the loss diverges.
     """
     times = WallTimes() if times is None else times
     job, setup, fit = fitted(given, config, out, report, like, times)

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from made_bundles import LIMIT_NM, TOOL_M, planar_tool_bundle, pushed, watching_bundle
 
+from tauext.cli import main
+from tauext.data.dataset import Split, save_split
+from tauext.data.recording_file import save_recording
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
 from tauext.evaluate.results import results_of, to_json
@@ -115,6 +118,24 @@ def test_the_curve_counts_what_is_detected_and_finds_where_it_is_sure():
     assert one.delay_median_s == one.delay_p95_s == 0.03
     assert sum(b.events for b in one.bins) == 100 and sum(b.latched for b in one.bins) == 61
     assert curve("tool", "press", [(peak, False, False, None) for peak, *_ in rows]).nine_of_ten is None
+
+
+@pytest.mark.parametrize(
+    ("test", "words"),
+    [((), ", and the dataset has no test recording; record some"), (("short.parquet",), "test recording; record some")],
+)
+def test_forces_that_cannot_be_added_are_refused_in_one_sentence(tmp_path, capsys, test, words):
+    """No test recording, or one that is too short: nothing was added, and nothing was printed about it."""
+    watching_bundle().save(str(tmp_path / "o.tauext"))
+    save_recording(pushed(), tmp_path / "hit.parquet")
+    save_recording(pushed(seconds=3.0, pushes=()), tmp_path / "short.parquet")
+    save_split(Split((), (), test, ("hit.parquet",)), tmp_path)
+    given = ["evaluate", "--data", str(tmp_path), "--bundles", str(tmp_path / "o.tauext"), "--out", str(tmp_path / "r")]
+    assert main([*given, "--inject"]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert "inject added no force: it needs free motion of 5 s or more without a contact in a test recording" in line
+    assert words in line and not (tmp_path / "r" / "results.json").exists()
+    assert main(given) == 0
 
 
 def test_what_was_touched_gets_no_further_touch():

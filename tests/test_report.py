@@ -46,7 +46,7 @@ from tauext.report.style import (
     bundle_strokes,
     name_lines,
 )
-from tauext.report.tables import methods
+from tauext.report.tables import NOT_MEASURED, method_errors, methods
 from tauext.report.three_collisions import choose, draw_three_collisions
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
@@ -330,8 +330,27 @@ def test_numbers_that_do_not_exist_are_dashes(copied):
     change(copied[0], edit)
     page = words_of(page_of(copied[0]))
     assert "exact joint1 – 0.402 – 0.661" in page
-    assert "false collisions: no free motion tested" in page
+    assert "false collisions: not measured, no free motion tested" in page
     assert "exact – no collisions tested" in page
+
+
+def test_a_dataset_without_free_motion_is_reported_as_not_measured(copied):
+    def edit(content):
+        for bundle in content["bundles"]:
+            free = bundle["free_motion"]
+            n = len(free["l1_nm"])
+            free |= {name: [None] * n if isinstance(value, list) else None for name, value in free.items()}
+            free |= {"recordings": [], "hours": 0.0, "samples": 0, "false_collisions_interval_per_hour": None}
+
+    change(copied[0], edit)
+    page = page_of(copied[0])
+    plain = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", page))
+    assert "L1 not measured" in plain and "false collisions: not measured, no free motion tested" in plain
+    assert "0.00 to 0.00" not in plain and "0 false collisions" not in plain
+    results = load_results(copied[0])
+    assert set(methods(results).rows[0].cells[1:2]) == {NOT_MEASURED}
+    assert set(method_errors(results).rows[0].cells[1:7]) == {NOT_MEASURED}
+    assert all(cell != NOT_MEASURED for cell in method_errors(results).rows[0].cells[7:])  # limits are known
 
 
 def test_results_without_collisions_say_so(copied):

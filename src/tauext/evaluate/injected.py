@@ -77,6 +77,8 @@ EVENTS = 2400
 MOST_COPIES = 12
 SLOT_S = 3.5
 """Time from one event to the next: the longest event, the release of a latched alarm, and the observer's decay."""
+FIRST_S = 1.5
+"""Time of the first event of a recording: filters and the network's window have filled."""
 QUIET_S = 0.5
 """Free motion before an event."""
 SCALE = (0.25, 12.0)
@@ -128,7 +130,7 @@ class Injection:
         free = free_samples(recording)
         times, length = recording.time_s, max(SHAPES.values())
         starts = []
-        for at in np.arange(1.5, recording.duration_s - SLOT_S, SLOT_S):
+        for at in np.arange(FIRST_S, recording.duration_s - SLOT_S, SLOT_S):
             first, last = np.searchsorted(times, [at - QUIET_S, at + SLOT_S])
             if free[first:last].all():
                 starts.append(at)

@@ -19,12 +19,22 @@ from tauext.config import EventsConfig, checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
+from tauext.errors import ConfigError
 from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.injected import FIRST_S, SLOT_S
 from tauext.evaluate.results import EvaluatedBundle, Results, to_json
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
+
+
+def why_nothing_injected(dataset: Dataset) -> str:
+    """Message: why no force could be added to free motion, and what to do."""
+    needed = f"free motion of {FIRST_S + SLOT_S:g} s or more without a contact in a test recording"
+    if not dataset.split.test:
+        needed += ", and the dataset has no test recording"
+    return f"{dataset.folder}: inject added no force: it needs {needed}; record some, or evaluate without --inject"
 
 
 @checked
@@ -64,9 +74,11 @@ def evaluate_bundles(
 
     Raises:
         BundleError: a bundle cannot be read, or a recording does not fit it.
-        ConfigError: nothing to evaluate, or a damaged run file beside a bundle.
+        ConfigError: nothing to evaluate, no free motion to inject forces into, or a damaged run file beside a bundle.
     """
     started = time.monotonic()
+    if inject and not dataset.split.test:
+        raise ConfigError(why_nothing_injected(dataset))
     loaded = {name: load_bundle(path) for name, path in bundles.items()}
     work = {
         "seed": seed,
@@ -94,6 +106,9 @@ def evaluate_bundles(
             kept,
             inject,
         )
+    if inject and not any(one.injected and one.injected.events for one in results.bundles):
+        kept.end()
+        raise ConfigError(why_nothing_injected(dataset))
     judged = [*dataset.split.test, *dataset.split.collisions]
     recordings = {name.removesuffix(".parquet"): fingerprint(dataset.folder / name) for name in judged}
     source = {"command": command, "dataset": dataset.folder.name, "scale": scale, "recordings": recordings}

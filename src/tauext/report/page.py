@@ -185,7 +185,7 @@ def false_alarms(bundle: EvaluatedBundle) -> Glance:
     free = bundle.free_motion
     count, hours = free.false_collisions, free.hours
     if count is None or not hours:
-        return Glance(tables.NONE, false_collisions_words(free))
+        return Glance(tables.NOT_MEASURED, false_collisions_words(free))
     low, high = free.false_collisions_interval_per_hour or (None, None)
     if count == 0:
         rate = f"fewer than {plain(NO_ALARMS_BELOW / hours)} an hour, the bound of a test this short"
@@ -433,7 +433,7 @@ def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
 def false_collisions_words(free: FreeMotion) -> str:
     """`false collisions in 5.93 minutes of free motion`, without the count."""
     if free.false_collisions is None or not free.hours:
-        return "false collisions: no free motion tested"
+        return "false collisions: not measured, no free motion tested"
     return f"false collision{'' if free.false_collisions == 1 else 's'} in {duration(free.hours)} of free motion"
 
 
@@ -447,7 +447,7 @@ def short_list(values: Numbers, unit: str = "Nm") -> str:
     """Two or three joints' numbers in full, more as their range."""
     known = [value for value in values if value is not None]
     if not known:
-        return "not available"
+        return tables.NOT_MEASURED
     if len(values) <= 3:
         return " / ".join(tables.decimals(value, 2) for value in values) + f" {unit}"
     return f"{min(known):.2f} to {max(known):.2f} {unit}"

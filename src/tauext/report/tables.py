@@ -31,6 +31,8 @@ from tauext.report import paper
 
 
 NONE = "–"
+NOT_MEASURED = "not measured"
+"""In free motion, of which the dataset has none."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,18 @@ def plural(count: int, word: str) -> str:
     return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
-def decimals(value: float | None, digits: int = 3) -> str:
-    """A number with so many decimals, a dash where there is none."""
-    return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
+def decimals(value: float | None, digits: int = 3, missing: str = NONE) -> str:
+    """A number with so many decimals; `missing`, a dash, where there is none."""
+    return missing if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 
-def whole(value: int | None) -> str:
-    return NONE if value is None else f"{value:,}"
+def whole(value: int | None, missing: str = NONE) -> str:
+    return missing if value is None else f"{value:,}"
+
+
+def free_of(bundle: EvaluatedBundle) -> str:
+    """What stands for a missing number of free motion: a dash, or NOT_MEASURED where there was no free motion."""
+    return NOT_MEASURED if bundle.free_motion.hours == 0 else NONE
 
 
 def milliseconds(value_s: float | None, signed: bool = False) -> str:
@@ -110,6 +117,7 @@ class Measure:
     published: Mapping[str, tuple[float | None, ...]] | None = None
     digits: int = 3
     factor: float = 1.0
+    of_free_motion: bool = True
 
 
 def by_joint(
@@ -135,7 +143,8 @@ def by_joint(
         found = [results.joints[joint]]
         for measure, known in zip(measures, published, strict=True):
             ours = measure.ours(bundle)[joint]
-            found.append(decimals(None if ours is None else measure.factor * ours, measure.digits))
+            missing = free_of(bundle) if measure.of_free_motion else NONE
+            found.append(decimals(None if ours is None else measure.factor * ours, measure.digits, missing))
             if known is not None:
                 found.append(
                     decimals(
@@ -205,9 +214,18 @@ def regions(results: Results) -> Table:
                 "share near stiction, %", lambda bundle: bundle.free_motion.near_stiction_share, digits=1, factor=100.0
             ),
             Measure(
-                f"{limit} sliding, {unit}", lambda bundle: bundle.limits.sliding_nm, paper.LIMIT_SLIDING_NM, digits=2
+                f"{limit} sliding, {unit}",
+                lambda bundle: bundle.limits.sliding_nm,
+                paper.LIMIT_SLIDING_NM,
+                digits=2,
+                of_free_motion=False,
             ),
-            Measure(f"{limit} near stiction, {unit}", lambda bundle: bundle.limits.near_stiction_nm, digits=2),
+            Measure(
+                f"{limit} near stiction, {unit}",
+                lambda bundle: bundle.limits.near_stiction_nm,
+                digits=2,
+                of_free_motion=False,
+            ),
         ),
     )
 
@@ -241,8 +259,8 @@ def alarms(results: Results) -> Table:
         cells = [bundle.label, whole(bundle.ten_found), *([whole(known)] if show_paper else []), found_of(bundle)]
         cells += [
             duration_or_dash(bundle.free_motion.hours),
-            whole(bundle.free_motion.false_alarms),
-            decimals(bundle.free_motion.false_alarms_per_hour, 1),
+            whole(bundle.free_motion.false_alarms, free_of(bundle)),
+            decimals(bundle.free_motion.false_alarms_per_hour, 1, free_of(bundle)),
         ]
         cells += [bundle.recipe or NONE, whole(bundle.epochs), whole(bundle.batch), whole(bundle.steps)]
         rows.append(Row(tuple(cells), bundle.name, opens=True))
@@ -323,27 +341,30 @@ def method_errors(results: Results) -> Table:
 
 def error_cells(bundle: EvaluatedBundle, apart: bool) -> tuple[str, ...]:
     """apart: every joint has a cell."""
-    cells = [bundle.label]
-    for values, digits in (
-        (bundle.free_motion.l1_nm, 3),
-        (bundle.free_motion.rmse_sliding_nm, 3),
-        (bundle.free_motion.rmse_near_stiction_nm, 3),
-        (bundle.limits.sliding_nm, 2),
-        (bundle.limits.near_stiction_nm, 2),
+    cells, free, limits = [bundle.label], bundle.free_motion, bundle.limits
+    for values, digits, missing in (
+        (free.l1_nm, 3, free_of(bundle)),
+        (free.rmse_sliding_nm, 3, free_of(bundle)),
+        (free.rmse_near_stiction_nm, 3, free_of(bundle)),
+        (limits.sliding_nm, 2, NONE),
+        (limits.near_stiction_nm, 2, NONE),
     ):
-        cells += [decimals(value, digits) for value in values] if apart else [number_range(values, digits)]
+        cells += (
+            [decimals(value, digits, missing) for value in values] if apart else [number_range(values, digits, missing)]
+        )
     return tuple(cells)
 
 
-def number_range(values: Numbers, digits: int) -> str:
+def number_range(values: Numbers, digits: int, missing: str = NONE) -> str:
     known = [value for value in values if value is not None]
-    return f"{decimals(min(known), digits)} to {decimals(max(known), digits)}" if known else NONE
+    return f"{decimals(min(known), digits)} to {decimals(max(known), digits)}" if known else missing
 
 
 def method_cells(bundle: EvaluatedBundle) -> tuple[str, ...]:
     free, latched = bundle.free_motion, bundle.latched
     low, high = free.false_collisions_interval_per_hour or (None, None)
-    cells = [bundle.label, whole(free.false_collisions), interval(low, high), rate(free.promised_per_hour), kept(free)]
+    cells = [bundle.label, whole(free.false_collisions, free_of(bundle)), interval(low, high)]
+    cells += [rate(free.promised_per_hour), kept(free)]
     if latched is None or not latched.collisions:
         return (*cells, NONE, NONE, NONE, NONE)
     cells += [f"{latched.latched} of {latched.collisions}", f"{latched.strong_latched} of {latched.strong}"]

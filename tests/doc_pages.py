@@ -6,7 +6,8 @@ import re
 import shlex
 from pathlib import Path
 
-from tauext.cli import main, understood
+from tauext.cli import command_of, main, overview, understood
+from tauext.errors import ConfigError
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -27,6 +28,11 @@ class Page:
         lines = re.findall(rf"^    (?:[^# \n][^#\n]* )?{re.escape(program)} (.*)$", joined, flags=re.MULTILINE)
         return [shlex.split(line, comments=True) for line in lines]
 
+    def mentioned(self, program: str = "tauext") -> list[list[str]]:
+        """Words of each command within a sentence, `tauext train --like`, which may leave out what it needs."""
+        found = re.findall(rf"(?<!`)`{re.escape(program)}\s+([^`]+)`", self.text)
+        return [shlex.split(words.replace("...", "")) for words in found]
+
     def blocks(self, language: str) -> list[str]:
         """Contents of the fenced blocks of a language."""
         return re.findall(rf"^```{language}\n(.*?)^```$", self.text, flags=re.DOTALL | re.MULTILINE)
@@ -43,3 +49,20 @@ def parses(command: list[str], monkeypatch) -> bool:
     with monkeypatch.context() as patch:
         patch.setattr("tauext.cli.understood", parse)
         return main(command) == 0 and len(parsed) == 1
+
+
+def complaint(command: list[str]) -> str:
+    """What the command line's own parser finds wrong with a command that may lack arguments; empty: nothing."""
+    if command == ["--version"] or overview(command):
+        return ""
+    try:
+        prog, called = command_of(command)
+        understood(called, prog, command[len(prog.split()) - 1 :])
+    except ConfigError as error:
+        found = str(error).rpartition("; see `")[0]
+        return (
+            ""
+            if re.fullmatch(r"(missing: [^;]*|a command is missing: [^;]*|--\S+ needs a value)", found)
+            else str(error)
+        )
+    return ""

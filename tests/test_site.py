@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page, complaint, parses
 
 import tauext
 from tauext.cli.commands import all_commands
@@ -220,11 +220,29 @@ def test_every_page_is_in_the_contents():
             assert page.resolve() in listed, name
 
 
-@pytest.mark.parametrize(
-    "page", sorted(p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md") if "made" not in p.parts)
-)
+PAGES = sorted(p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md") if "made" not in p.parts)
+
+
+@pytest.mark.parametrize("page", ["../README.md", *PAGES])
 def test_every_command_on_a_page_is_one_that_the_command_line_accepts(page, monkeypatch, capsys):
     for command in Page(page).commands():
         if page.startswith("results/") and command[0] not in all_commands():
             continue  # an option of a benchmark, such as --only tauext paper
         assert command == ["--version"] or parses(command, monkeypatch), f"{command}: {capsys.readouterr().err}"
+
+
+@pytest.mark.parametrize("page", ["../README.md", *PAGES])
+def test_every_command_within_a_sentence_is_one_that_the_command_line_accepts(page):
+    """It may leave out what it needs, and no more: no option that does not exist, no path without its option."""
+    if page != "reference/cli.md":  # `tauext COMMAND --help`
+        assert [found for command in Page(page).mentioned() if (found := complaint(command))] == []
+
+
+def test_a_command_that_does_not_exist_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr("doc_pages.DOCS", tmp_path)
+    (tmp_path / "page.md").write_text(
+        "`tauext calibrate BUNDLE --data TASK --out OUT`, `tauext train --likes`, `tauext trian`, "
+        "`tauext\ntrain --like X`"
+    )
+    found = [complaint(command) for command in Page("page.md").mentioned()]
+    assert [bool(one) for one in found] == [True, True, True, False], found

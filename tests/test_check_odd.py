@@ -11,9 +11,12 @@ import pytest
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import Drive, made_motion
 
+from tauext.check import odd_torque
 from tauext.check.arrangement import with_load
 from tauext.check.examine import examine
 from tauext.check.finding import Finding
+from tauext.check.joint_fit import rows_of
+from tauext.check.motion import stretches
 from tauext.data.drive_signal import Play
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
@@ -108,6 +111,28 @@ def test_odd_recording_is_named_without_a_model(planar, told):
     recordings = [replace(r, **WITHOUT_MODEL[told](r)) if k == ODD else r for k, r in enumerate(planar)]
     (found,) = odd(recordings)
     assert found.recording == planar[ODD].name and told in found.evidence
+
+
+@pytest.mark.parametrize(("scale", "told"), [(1.1, "1.1"), (0.9, "0.9"), (-1.0, ""), (1.0, None)])
+def test_a_torque_constant_that_is_off_is_advised_by_its_ratio(planar, monkeypatch, scale, told):
+    """The sign of the friction alone is no proof of an inverted torque: the other recordings' torque has the same sign.
+    The vote on the sign is taken as lost, as in a servo arm whose friction the fit cannot find."""
+    motion = stretches([replace(r, tau=r.tau * [scale if k == ODD else 1.0, 1.0]) for k, r in enumerate(planar)])
+    rows = rows_of(motion, planar_arm())
+    parts = {k: rows.taken(rows.recording == k) for k in range(len(planar))}
+    parts[ODD] = replace(parts[ODD], dq=-np.sign(parts[ODD].tau) * np.abs(parts[ODD].dq))  # lowered: negative work
+    monkeypatch.setattr(odd_torque, "inverted", lambda vote: True)
+    pool = odd_torque._pool([parts[k] for k in parts if k != ODD])
+    predicted = pool.predicted(rows.taken(rows.recording == ODD))
+    monkeypatch.setattr(odd_torque.Pool, "predicted", lambda self, rows: predicted)
+    findings = odd_torque._driven(parts, pool, ("shoulder", "elbow"), list("abcd"))
+    found = [one for one in findings if one.recording == "c"]
+    if told is None:
+        assert found == []
+        return
+    (one,) = found
+    assert one.joint == "shoulder" and ("negate" in one.advice) == (scale < 0)
+    assert f"divide its torque by {told}" in one.advice if told else one.severity == "fault"
 
 
 def test_good_recordings_are_not_odd(arm, planar):

@@ -392,6 +392,8 @@ BACK_SHARE = 0.35
 """... or as a share of its error before, where the others' is very small."""
 MOST = 0.5
 """Share of the suspect joints that the correction must repair."""
+SAME_SCALE = 0.03
+"""Largest difference of a torque's scale from the other recordings' that needs no advice."""
 LEAST_DRIVEN_S = 20.0
 """Time of motion that determines a joint's friction, [s]."""
 PER_PARAMETER = 0.15
@@ -466,7 +468,7 @@ def odd_torques(
         elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k], unit)) is not None:
             found.append(unlike)
     left = {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}
-    driven = _driven(left, joints, names)
+    driven = _driven(left, pool, joints, names)
     # without a model, gravity that the sines of the angles do not fit may pass for friction
     found += driven if tree is not None else [replace(one, severity="warning") for one in driven]
     if tree is not None:
@@ -477,9 +479,10 @@ def odd_torques(
     return found if 2 * len(found) <= len(parts) else []
 
 
-def _driven(parts: dict[int, FitRows], joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
-    """Findings of inverted torques from friction, which resists motion in every recording. Unusual poses or long rests
-    may hide the sign from the other checks."""
+def _driven(parts: dict[int, FitRows], pool: Pool, joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
+    """Findings of torques that friction seems to drive, while it resists motion in every recording. Unusual poses or
+    long rests may hide the sign from the other checks. The prediction of the other recordings' fit decides between an
+    inverted torque and one of another scale."""
     inverse: dict[int, list[int]] = {}
     for k, part in parts.items():
         work = (part.tau * part.dq).mean(axis=0)
@@ -489,13 +492,26 @@ def _driven(parts: dict[int, FitRows], joints: Sequence[str], names: Sequence[st
     found = []
     for k, wrong in inverse.items():
         only = [j for j in wrong if sum(j in other for other in inverse.values()) < len(inverse) / 2]
-        if only:
+        predicted = pool.predicted(parts[k])
+        ratios = {j: _factor(parts[k].tau[:, j], predicted[:, j]) for j in only}
+        negated = [j for j in only if ratios[j] <= 0]
+        if negated:
             evidence = (
-                f"'{names[k]}': with the torque of {', '.join(joints[j] for j in only)} negated friction resists, "
+                f"'{names[k]}': with the torque of {', '.join(joints[j] for j in negated)} negated friction resists, "
                 "as it does in the other recordings"
             )
-            joint = joints[only[0]] if len(only) == 1 else None
+            joint = joints[negated[0]] if len(negated) == 1 else None
             found.append(Finding("odd-recording", "fault", joint, evidence, "negate it at import", names[k]))
+        elif only and abs(ratios[j := max(only, key=lambda j: abs(math.log(ratios[j])))] - 1) > SAME_SCALE:
+            evidence = (
+                f"'{names[k]}': the torque of {joints[j]} is {ratios[j]:.3g} times what the other recordings predict, "
+                "with their sign"
+            )
+            advice = (
+                f"if the torque constant of this joint differed, divide its torque by {ratios[j]:.3g} at import; else "
+                "leave the recording out"
+            )
+            found.append(Finding("odd-recording", "warning", joints[j], evidence, advice, names[k]))
     return found
 
 

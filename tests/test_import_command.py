@@ -328,6 +328,8 @@ def test_a_placeholder_has_no_momentum_and_no_weight(tmp_path):
 def test_an_import_that_fails_leaves_nothing_and_a_full_folder_is_refused(workplace, capsys):
     code, _, err = run(capsys, workplace, '[split]\ntrain = ["four.bag"]')
     assert code == 2 and "'four.bag' is none of the sources: one.bag, two.bag, three.bag" in err
+    code, _, err = run(capsys, workplace, '[split]\ntrain = ["one.bag", "two.bag[31:]"]')
+    assert code == 2 and "[split] 'two.bag[31:]' must begin before the end of 'two.bag', at 30" in err
     assert not [p for p in workplace.iterdir() if p.name.startswith("out")]
     (workplace / "out").mkdir()
     assert run(capsys, workplace)[0] == 0

@@ -29,7 +29,7 @@ from tauext.monitor.profiles import load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder
-from tauext.monitor.source import SourceCounts, Stoppable, settings_of
+from tauext.monitor.source import Sample, SourceCounts, Stoppable, settings_of
 from tauext.sources.reader import SampleQueue
 from tauext.sources.replay import ReplaySource
 
@@ -590,6 +590,50 @@ def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp
     contact = np.where(said["alarm"] > 0, 1, np.where(said["health"] == OK, 0, -1))
     np.testing.assert_array_equal(np.concatenate([part.contact for part in parts]), contact)
     assert parts[0].provenance["bundle"] == "watching" and parts[0].torque_timing == "held"
+
+
+WRONG_SIZES = ((1500, "q", 1), (1501, "dq", 3), (1502, "tau", 0), (1503, "q", 3))
+
+
+def with_wrong_sizes(samples: list[Sample]) -> list[Sample]:
+    for row, name, size in WRONG_SIZES:
+        samples[row] = replace(samples[row], **{name: np.zeros(size)})
+    return samples
+
+
+def test_a_sample_of_the_wrong_size_is_a_fault_and_the_next_good_one_restarts(bundle, tmp_path):
+    """As docs/loop.md promises: one joint too few or too many does not end the monitor."""
+    recording = pushed(pushes=((3.5, 0, 20.0),))
+    kept = RecordSink(tmp_path / "kept", settings_of(bundle), "script", 60.0, lambda: bundle.name)
+    recorder = _core.FlightRecorder(2, 1_000_000, 0.5, 0.01)
+    flights = FlightSink(tmp_path, bundle, recorder, "script")
+    script = with_wrong_sizes(samples_of(recording, slice(0, 4000)))
+    loop, keeper = looped(bundle, ScriptedSource(script), kept, flights, recorder=recorder)
+    said = joined(keeper.verdicts)
+    assert loop.told == [] and len(keeper.verdicts) == 4000
+    assert (said["health"][1500:1504] == FAULT).all() and (said["health"][[1499, 3000]] == OK).all()
+    assert {tuple(_core.cause_names(int(cause))) for cause in said["causes"][1500:1504]} == {("wrong size",)}
+    assert not (said["health"][1504:] == FAULT).any() and COLLISION in said["alarm"][3500:]  # the push is found
+    assert all(np.isnan(one.sample.q).all() and one.sample.q.shape == (2,) for one in keeper.verdicts[1500:1504])
+    assert (kept.count.unfit, kept.count.lost) == (4, 0)
+    assert "wrong size" in next(iter(flights.news())).path.with_suffix(".txt").read_text()
+
+
+def test_a_sample_of_the_wrong_size_is_a_fault_before_there_is_a_bundle(bundle):
+    script = with_wrong_sizes(samples_of(pushed(), slice(0, 1600)))
+    keeper = Keeper()
+    Loop(None, ScriptedSource(script), [keeper], arm=settings_of(bundle)).run()
+    health = joined(keeper.verdicts)["health"]
+    assert (health[1500:1504] == FAULT).all() and FAULT not in (*health[:1500], *health[1504:])
+
+
+def test_every_signal_of_a_sample_has_a_value_for_each_joint():
+    good = samples_of(pushed(), slice(0, 1))[0]
+    assert good.fits(2) and not good.fits(3) and not good.fits(1)
+    for name in ("q", "dq", "tau", "temperature", "q_des", "current", "duty", "voltage"):
+        assert replace(good, **{name: np.zeros(2)}).fits(2)
+        for wrong in (np.zeros(1), np.zeros(3), np.zeros((1, 2)), np.zeros(()), np.float64(1.0)):
+            assert not replace(good, **{name: wrong}).fits(2), name
 
 
 def test_recordings_of_currents_stay_currents(tmp_path):

@@ -13,8 +13,11 @@ from made_live import Keeper, ScriptedSource, samples_of
 
 from tauext import DeclaredContact, WrenchModel, _core
 from tauext.bundle.estimates import COLLISION, DECLARED, unexplained
+from tauext.cli import main
 from tauext.config import ObserverConfig
+from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.changes import AlarmChange, DeclaredChange
@@ -23,6 +26,7 @@ from tauext.monitor.events import change_facts, change_words
 from tauext.monitor.loop import Loop
 from tauext.monitor.phases import Phases, announced_of_text, read_phases
 from tauext.monitor.replay import replay
+from tauext.sources.replay import ReplaySource
 
 SAMPLES = 6000
 LIMITS_NM = [6.0, 6.0, 5.0, 2.0, 2.0, 2.0]
@@ -329,6 +333,63 @@ def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):
     assert alarms and alarms[0].row > 4000  # the force was no longer declared
     states = [c.state for one in keeper.verdicts for c in one.changes if isinstance(c, DeclaredChange)]
     assert [DECLARED[state] for state in states] == ["within", "none"]
+
+
+def during(tmp_path, pairs: str) -> Phases:
+    path = tmp_path / "phases.toml"
+    path.write_text(
+        f'[pressing]\nframe = "{TOOL}"\naxis = [0, 0, 1]\naxes = "base"\nhalf_angle_deg = 20\nat_most_n = 40\n'
+        f'during = {pairs}\n[grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
+    )
+    return read_phases(path)
+
+
+def test_a_replay_in_the_live_monitor_obeys_the_times_of_a_phase_as_run_does(arm, tool, tmp_path):
+    bundle, free = arm
+    presses = pressed(free, tool, 25.0, 2000, 5000)
+    chunks = list(replay(_core.Monitor(bundle), presses, phases=during(tmp_path, "[[1.5, 3.2], [3.3, 5.4]]")))
+    keeper, notes = Keeper(), list[str]()
+    loop = Loop(
+        bundle, ReplaySource(presses, None), [keeper], phases=during(tmp_path, "[[1.5, 3.2], [3.3, 5.4], [6, 7]]")
+    )
+    loop.note = notes.append
+    loop.run()
+    for name in ("declared", "declared_contact", "declared_nm", "held_alarm"):
+        live = np.concatenate([verdict.estimates[name] for verdict in keeper.verdicts])
+        expected = np.concatenate([chunk.estimates[name] for chunk in chunks])
+        np.testing.assert_array_equal(live, expected, err_msg=name)
+    assert COLLISION not in expected[:3200]
+    found = [c for one in keeper.verdicts for c in one.changes if isinstance(c, DeclaredChange)]
+    assert {change.phase for change in found} == {"pressing", "grip"}
+    assert notes == ["phase pressing: during = [[6, 7]] declares nothing: press ends at 5.999 s"]
+
+
+def test_times_of_a_recording_are_reported_where_a_source_is_live(arm, tmp_path):
+    bundle, free = arm
+    notes: list[str] = []
+    loop = Loop(bundle, ScriptedSource(samples_of(free, slice(0, 3))), phases=during(tmp_path, "[[1, 2]]"))
+    loop.note = notes.append
+    loop.run()
+    assert len(notes) == 1 and "phase pressing: during gives times of a recording" in notes[0]
+    assert "`contact pressing seconds=S`" in notes[0]
+
+
+def test_run_and_calibrate_report_times_beyond_the_end(arm, tmp_path, capsys):
+    bundle, free = arm
+    bundle.save(str(tmp_path / "six.tauext"))
+    save_recording(free, tmp_path / "press.parquet")
+    save_split(Split((), (), (), calibration=("press.parquet",)), tmp_path)
+    during(tmp_path, "[[5.9, 5.95], [6.0, 9.0]]")
+    common = ["--phases", str(tmp_path / "phases.toml")]
+    assert main(["run", str(tmp_path / "six.tauext"), str(tmp_path / "press.parquet"), *common]) == 0
+    said = capsys.readouterr()
+    assert (said.out + said.err).count("phase pressing: during = [[6, 9]] declares nothing: press ends at 5.999 s") == 1
+    assert (said.out + said.err).count("declares nothing") == 1
+    data = ["--bundle", str(tmp_path / "six.tauext"), "--data", str(tmp_path), "--out", str(tmp_path / "o.tauext")]
+    main(["calibrate", *data, *common])
+    said = capsys.readouterr().err
+    words = "phase pressing: during = [[6, 9]] declares nothing: the longest calibration recording ends at 6 s"
+    assert said.count(words) == 1
 
 
 def test_the_spread_is_the_least_without_a_false_collision(arm, tool):

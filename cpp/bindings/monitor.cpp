@@ -214,11 +214,12 @@ ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<
   return said.take();
 }
 
-// no_sample(); the recorder stores a row of NaN.
-ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* recorder) {
+// no_sample(), or step() for a sample of the wrong size; the recorder stores a row of NaN.
+ArrayDict run_without_values(Monitor& monitor, std::int64_t t_ns, bool came, FlightRecorder* recorder) {
   Columns said(1, static_cast<std::size_t>(monitor.joints()));
-  const Estimate& e = monitor.no_sample(now_ns);
-  if (recorder) recorder->push({now_ns, {}, {}, {}}, e);
+  const Sample empty{t_ns, {}, {}, {}};
+  const Estimate& e = came ? monitor.step(empty) : monitor.no_sample(t_ns);
+  if (recorder) recorder->push(empty, e);
   said.add(e);
   return said.take();
 }
@@ -676,9 +677,16 @@ void bind_monitor(nb::module_& m) {
       .def(
           "run_missing",
           [](Monitor& self, const Whole& now_ns, Recorder* recorder) {
-            return run_missing(self, now_ns.named("now_ns"), recorder);
+            return run_without_values(self, now_ns.named("now_ns"), false, recorder);
           },
           nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "Calls no_sample(); returns a single row as run() does.")
+      .def(
+          "run_wrong_size",
+          [](Monitor& self, const Whole& t_ns, Recorder* recorder) {
+            return run_without_values(self, t_ns.named("t_ns"), true, recorder);
+          },
+          nb::arg("t_ns"), nb::arg("recorder") = nb::none(),
+          "Calls step() for a sample without one value for each joint, a fault; returns a single row as run() does.")
       .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last estimate.")
       .def_prop_ro("joints", &Monitor::joints, "Number of joints.")
       .def_prop_ro("joint_names",

@@ -223,7 +223,8 @@ def replay_one(
     q, _ = turns.rows(recording.t_ns, recording.q)
     if q is not recording.q:
         recording = replace(recording, q=q)
-    for text in turns.notes():
+    unused = [] if settings.phases is None else settings.phases.after_the_end(recording.duration_s, recording.name)
+    for text in (*turns.notes(), *unused):
         output.note(text)
     monitor = _core.Monitor(bundle, settings.own_rate)
     tally, flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -169,6 +170,7 @@ def calibrate(
     """
     from tauext.bundle.bundle_file import load_bundle
     from tauext.data.dataset import load_dataset
+    from tauext.data.recording_file import describe
     from tauext.monitor.phases import phases_of
     from tauext.train.calibrate import calibrate_contacts, recalibrate
 
@@ -180,10 +182,13 @@ def calibrate(
         expect_another(out, bundle, "start from")
         expected, unmonitored = phases_of(phases, load_bundle(bundle))
         assert expected is not None  # of a file
+        dataset = load_dataset(data)
+        heads = map(describe, dataset.files("calibration"))
+        longest_s = max((head.samples / head.rate_hz for head in heads), default=math.inf)
         print_replaced(out)
-        for words in unmonitored:
+        for words in (*unmonitored, *expected.after_the_end(longest_s, "the longest calibration recording")):
             print(f"tauext: {words}", file=sys.stderr)
-        print(calibrate_contacts(bundle, load_dataset(data), out, expected.timed, threads, Terminal()).sentence())
+        print(calibrate_contacts(bundle, dataset, out, expected.timed, threads, Terminal()).sentence())
         print(out)
         return
     alarm = alarm_settings(config, options)

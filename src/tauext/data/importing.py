@@ -155,6 +155,8 @@ def _parsed(
         raise ConfigError(f"{arm.path}: [split] '{text}' must be NAME or NAME[t0:t1], in seconds") from error
     if not span[0] < span[1]:
         raise ConfigError(f"{arm.path}: [split] '{text}': its end must come after its beginning")
+    if span[0] >= (longest_s := max(raws[one].duration_s for one in names)):
+        raise ConfigError(f"{arm.path}: [split] '{text}' must begin before the end of '{name}', at {longest_s:.4g} s")
     return [(one, *span) for one in names]
 
 
@@ -405,6 +407,8 @@ def import_dataset(
         say(line)
     with new_folder(out) as part:
         if format == "lerobot":
+            if arm.split.named:
+                say("[split] is not used: a LeRobot dataset has no sets")
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
             say(f"{export_lerobot(recordings, part)} episodes")
         else:

@@ -52,6 +52,7 @@ class NoMonitor:
         self.limit_factors = (np.ones(n), np.ones(n))
         self._waiting = _core.no_estimate(n, _core.Health.warming_up)
         self._missing = _core.no_estimate(n, _core.Health.stale)
+        self._wrong_size = _core.no_estimate(n, _core.Health.fault)
 
     def run(self, *signals: object) -> dict[str, np.ndarray]:
         """One row, which all calls share."""
@@ -59,6 +60,9 @@ class NoMonitor:
 
     def run_missing(self, now_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
         return self._missing
+
+    def run_wrong_size(self, t_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
+        return self._wrong_size
 
     def set_temperature(self, celsius: np.ndarray) -> None:
         pass

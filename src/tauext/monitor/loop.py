@@ -53,7 +53,16 @@ from tauext.monitor.sink import (
     Sink,
     Verdict,
 )
-from tauext.monitor.source import Commanded, CountedTime, Sample, ServoStage, Source, SourceSettings, settings_of
+from tauext.monitor.source import (
+    Commanded,
+    CountedTime,
+    Recorded,
+    Sample,
+    ServoStage,
+    Source,
+    SourceSettings,
+    settings_of,
+)
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.turns import Turns
 
@@ -172,6 +181,7 @@ class Loop:
         if reason := self._why_refused(self.monitor, places):
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places, phases)
+        self._is_recorded = isinstance(source, Recorded)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
         self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
@@ -345,7 +355,7 @@ class Loop:
             if self._profiles is not None:
                 self._switch(self._profiles.start, "start")
             if isinstance(self.monitor, _core.Monitor):
-                self._changes.phases.start(self.monitor)
+                self._start_phases(self.monitor)
             for sink in self.sinks:
                 sink.open(self.joints, self)
                 opened.append(sink)
@@ -373,6 +383,18 @@ class Loop:
                     sink.close()
                 except Exception as error:
                     self.note(f"{type(sink).__name__} failed at its end: {type(error).__name__}: {error}")
+
+    def _start_phases(self, monitor: _core.Monitor) -> None:
+        """Declare what is always on; the times of a recording begin with its first sample."""
+        phases = self._changes.phases
+        if isinstance(self._source, Recorded):
+            recording = self._source.recording
+            notes = phases.after_the_end(recording.duration_s, recording.name)
+        else:
+            phases.start(monitor)
+            notes = phases.without_recording()
+        for text in notes:
+            self.note(text)
 
     def _run(self) -> None:
         started = second = time.monotonic()
@@ -407,16 +429,18 @@ class Loop:
             self.note(str(error))
 
     def _sample(self, sample: Sample) -> None:
-        sample = self._turns.made(sample)
-        if self._servo is not None:
-            sample = self._servo.made(sample)
+        is_sized = sample.fits(len(self.joints))
+        if not is_sized:  # a fault of this sample; sinks and the next bundle get NaN
+            sample = sample.without_values(len(self.joints))
+        else:
+            sample = self._turns.made(sample)
+            if self._servo is not None:
+                sample = self._servo.made(sample)
         self._time.step(sample.t_ns)
         self._acknowledge_when_due()
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)
-        estimates = self.monitor.run(
-            np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
-        )
+        estimates = self._run_monitor(sample) if is_sized else self.monitor.run_wrong_size(sample.t_ns, self._recorder)
         self._last = sample
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
@@ -429,6 +453,14 @@ class Loop:
         self.tick.add(ns)
         self._second.add(ns)
         self._watched.add(now_ns, estimates["health"][0] == OK, int(estimates["causes"][0]), ns)
+
+    def _run_monitor(self, sample: Sample) -> dict[str, np.ndarray]:
+        if self._is_recorded:
+            if not self.samples:
+                self._changes.schedule(sample.t_ns)
+            self._changes.declare_due(sample.t_ns)
+        signals = (sample.q[None], sample.dq[None], sample.tau[None])
+        return self.monitor.run(np.array([sample.t_ns]), *signals, self._recorder)
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""

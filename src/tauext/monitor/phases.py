@@ -156,6 +156,28 @@ class Phases:
 
         return sorted(each(), key=lambda one: one[2])
 
+    def after_the_end(self, duration_s: float, where: str) -> list[str]:
+        """A sentence on each time of `during` that declares nothing, since it begins after the end of a recording.
+
+        Args:
+            where: the recording, for the sentences.
+        """
+        return [
+            f"phase {phase.name}: during = [[{begin:g}, {end:g}]] declares nothing: {where} ends at {duration_s:.4g} s"
+            for phase in self.by_name.values()
+            for begin, end in phase.during
+            if begin >= duration_s
+        ]
+
+    def without_recording(self) -> list[str]:
+        """A sentence on each phase whose times of a recording declare nothing with a live source."""
+        return [
+            f"phase {phase.name}: during gives times of a recording and declares nothing with a live source; announce "
+            f"the phase with the control line `contact {phase.name} seconds=S`"
+            for phase in self.by_name.values()
+            if phase.during
+        ]
+
     def with_names(self, change: DeclaredChange) -> DeclaredChange:
         """The change with the name and the bounds of its contact."""
         from dataclasses import replace

@@ -112,6 +112,23 @@ class EventStream:
         self._next_places: PlaceFinder | None = None
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._noted: list[Change] = []
+        self._scheduled: list[tuple[str, _core.DeclaredContact, int, float]] = []
+
+    def schedule(self, first_ns: int) -> None:
+        """Declare the contacts of the phases at their times in a recording whose first stamp this is."""
+        self._scheduled = self.phases.scheduled(first_ns)
+
+    def declare_due(self, t_ns: int) -> int | None:
+        """Declare the scheduled contacts that begin by this stamp; returns the next one's begin, [ns]; None: none.
+
+        Raises:
+            CoreError: the monitor refuses a contact.
+        """
+        while self._scheduled and t_ns >= self._scheduled[0][2]:
+            assert isinstance(self.monitor, _core.Monitor)  # a NoMonitor takes no contacts
+            name, contact, _, seconds = self._scheduled.pop(0)
+            self.phases.declare(self.monitor, name, contact, seconds)
+        return self._scheduled[0][2] if self._scheduled else None
 
     def exchange(self, monitor: AnyMonitor, places: PlaceFinder) -> None:
         """Another bundle's monitor makes the estimates from here on. An alarm that stands keeps its places."""
@@ -209,17 +226,16 @@ def replay(
     wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
     due_ns, begin = None, 0
     waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
-    expected = events.phases.scheduled(int(t_ns[0])) if len(t_ns) else []
+    if len(t_ns):
+        events.schedule(int(t_ns[0]))
     while begin < len(t_ns):
-        while expected and t_ns[begin] >= expected[0][2]:
-            name, contact, _, seconds = expected.pop(0)
-            events.phases.declare(monitor, name, contact, seconds)
+        declared_ns = events.declare_due(int(t_ns[begin]))
         if due_ns is not None and t_ns[begin] >= due_ns:
             events.end_alarm(monitor.acknowledge, begin, int(t_ns[begin]))
             due_ns = None
         while waiting and t_ns[begin] >= waiting[0][0]:
             events.carry(waiting.pop(0)[1], begin, int(t_ns[begin]))
-        next_ns = (due_ns, *(load[0] for load in waiting[:1]), *(one[2] for one in expected[:1]))
+        next_ns = (due_ns, declared_ns, *(load[0] for load in waiting[:1]))
         ends = [end for end in next_ns if end is not None]
         rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))

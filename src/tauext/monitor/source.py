@@ -10,6 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext._core import RATE_TOLERANCE_RANGE, ServoSettings
+from tauext.data.recording import Recording
 
 # --- The interface of live sources: recordings, robots and networks.
 
@@ -40,6 +41,17 @@ class Sample:
     """Share of the supply voltage at its motor, -1 to 1."""
     voltage: np.ndarray | None = None
     """Supply voltage, [V]."""
+
+    def fits(self, joints: int) -> bool:
+        """Whether every signal has one value for each joint."""
+        rest = (self.temperature, self.q_des, self.current, self.duty, self.voltage)
+        signals = (self.q, self.dq, self.tau, *(one for one in rest if one is not None))
+        return all(np.shape(one) == (joints,) for one in signals)
+
+    def without_values(self, joints: int) -> Sample:
+        """NaN for each joint, with the same times."""
+        unknown = np.full(joints, np.nan)
+        return Sample(self.t_ns, unknown, unknown, unknown, self.received_ns)
 
 
 class CountedTime:
@@ -148,6 +160,13 @@ class Commanded(Protocol):
             ConfigError: an unknown command, or a bad value.
         """
         ...
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """A source whose samples are those of a recording, with their stamps."""
+
+    recording: Recording
 
 
 class Source(Protocol):

@@ -82,13 +82,13 @@ def place(tmp_path_factory, bundle) -> Path:
     folder = tmp_path_factory.mktemp("ros2_control")
     code, _, err = run("cmake", "--install", library, "--prefix", folder / "tauext")
     assert code == 0, err
-    mocked(folder / "ros")
+    mocked(folder / "ros", folder / "tauext")
     build(
         PACKAGE,
         folder / "built",
         "-DCMAKE_BUILD_TYPE=Debug",
         "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Wpedantic -Wshadow -Werror",
-        f"-DCMAKE_PREFIX_PATH={folder / 'ros'};{folder / 'tauext'}",
+        f"-DCMAKE_PREFIX_PATH={folder / 'ros'}",
     )
     code, _, err = run(
         "g++", "-std=c++20", "-Wall", "-Wextra", "-Werror", f"-I{MOCK}", PACKAGE / "tests" / "controller_manager.cpp",
@@ -99,14 +99,19 @@ def place(tmp_path_factory, bundle) -> Path:
     return folder
 
 
-def mocked(prefix: Path) -> None:
-    """CMake packages by the names and targets of ROS 2 that hold the mocked headers."""
+def mocked(prefix: Path, library: Path) -> None:
+    """CMake packages by the names and targets of ROS 2 that hold the mocked headers.
+
+    Args:
+        library: where tauext_vendor has installed the core.
+    """
     depends = [one.text for one in ElementTree.parse(PACKAGE / "package.xml").iter("depend")]
     extra = {
         "ament_cmake": "function(ament_package)\nendfunction()\n",
         "pluginlib": "function(pluginlib_export_plugin_description_file category file)\n"
         "  if(NOT EXISTS ${CMAKE_CURRENT_SOURCE_DIR}/${file})\n    message(FATAL_ERROR ${file})\n  endif()\n"
         "endfunction()\n",
+        "tauext_vendor": f'list(PREPEND CMAKE_PREFIX_PATH "{library}")\n',
     }
     for name in ("ament_cmake", *depends):
         folder = prefix / "lib" / "cmake" / name

@@ -58,14 +58,15 @@ def test_readme_prints_the_same_commands(block, install_block):
     assert [line.strip() for line in shorter] == block[:-1]
 
 
-def test_pip_takes_the_wheel_as_the_block_names_it(block, tmp_path):
-    (install,) = (line for line in block if line.startswith("pip install "))
+def test_pip_takes_the_wheel_as_the_page_names_it_with_an_extra_and_without(block, tmp_path):
     made_wheel(tmp_path / re.search(r"-w (\S+)", "\n".join(block))[1])
-    command = install.replace(
-        "pip install ", f"'{sys.executable}' -m pip install --dry-run --no-index --no-deps --target t "
-    )
-    done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0 and f"Would install tauext-{PROJECT['version']}" in done.stdout, done.stderr
+    (extra,) = re.findall(r'^    (pip install ".*whl\)\[ur\]")', PAGE, re.MULTILINE)
+    for install in (next(line for line in block if line.startswith("pip install ")), extra):
+        command = install.replace(
+            "pip install ", f"'{sys.executable}' -m pip install --dry-run --no-index --no-deps --target t "
+        )
+        done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0 and f"Would install tauext-{PROJECT['version']}" in done.stdout, done.stderr
 
 
 def test_every_extra_for_users_is_in_the_table_and_no_other():

@@ -177,7 +177,8 @@ def test_phases_of_a_file_are_declared_at_their_times_and_reported(arm, tool, tm
         '[grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
     )
     phases = read_phases(path)
-    assert phases.check(_core.Monitor(bundle)) == []
+    (hidden,) = phases.check(_core.Monitor(bundle))
+    assert hidden == "phase grip: within its bound of 0.5 N m, nothing is monitored on joint 'joint5' meanwhile"
     presses = pressed(free, tool, 25.0, 2000, 5000)
     chunks = list(replay(_core.Monitor(bundle), presses, chunk_s=0.4, phases=phases))
     events = [change for chunk in chunks for change in chunk.changes if isinstance(change, DeclaredChange)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from test_few_data import motion, trained
 
 from tauext import _core
 from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
+from tauext.data.dataset import Dataset, Split
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.train.calibrate import recalibrate
@@ -216,10 +216,8 @@ def test_every_feature_has_a_place_in_the_fit():
 def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_the_limits(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior")
     recordings = [motion(seconds=60.0, seed=seed, name=f"day{seed}") for seed in range(10)]
-    dataset = SimpleNamespace(
-        folder=tmp_path, stretches=lambda part: [lambda r=r: r for r in recordings], files=lambda part: []
-    )
-    made = {}
+    monkeypatch.setattr(Dataset, "stretches", lambda self, part: [lambda r=r: r for r in recordings])
+    dataset, made = Dataset(tmp_path, Split((), (), ())), {}
     for refit in (False, True):
         out = tmp_path / f"{refit}.tauext"
         recalibrate(tmp_path / "made.tauext", dataset, out, AlarmConfig(), refit_error_scale=refit)

@@ -70,16 +70,27 @@ std::string signatures_of(nb::handle function, const std::string& name) {
   return out;
 }
 
+// The docstring without its signatures, and "" where overloads have several: one that all overloads share is shown once.
+std::string doc_of(nb::handle function) {
+  const std::string whole = function.is_none() ? "" : text(function.attr("__doc__"));
+  const std::size_t at = whole.find("\n\n");
+  return at == std::string::npos || whole.find("\nOverloaded function.\n") != std::string::npos ? "" : whole.substr(at + 2);
+}
+
 // Adds a signature that takes any arguments and throws Error.
 void refuse_others(nb::handle owner, nb::handle function, const std::string& name, const std::string& shown_name) {
-  const std::string help = "def " + name + "(...)";
+  const std::string help = "def " + name + "(...) raises CoreError for all other arguments", doc = doc_of(function);
   const std::string takes = function.is_none() ? "no call; other functions return it" : signatures_of(function, shown_name);
   const auto refuse = [=](const Leftover& first, const nb::args& args, const nb::kwargs& kwargs) {
     throw Error(shown_name + "(" + shown(first, args, kwargs) + ") must be " + takes);
   };
   const auto define = [&](const auto& call, const auto&... extra) {
-    nb::cpp_function_def(call, nb::scope(owner), nb::sig(help.c_str()), nb::arg("first").none() = nb::ellipsis(), nb::arg("args"),
-                         nb::arg("kwargs"), extra...);
+    const auto add = [&](const auto&... more) {
+      nb::cpp_function_def(call, nb::scope(owner), nb::sig(help.c_str()), nb::arg("first").none() = nb::ellipsis(), nb::arg("args"),
+                           nb::arg("kwargs"), more...);
+    };
+    if (doc.empty()) add(extra...);
+    else add(extra..., doc.c_str());
   };
   const bool is_method = function.is_none() || text(function.type().attr("__name__")) == "nb_method";
   if (is_method)

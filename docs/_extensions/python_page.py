@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from made_pages import prose, write_page
+from rst_text import without_others
 
 import tauext
 
@@ -46,7 +47,7 @@ def members(name: str) -> list[str]:
     for _, text in of_core:
         shown, _, told = text.partition("\n")
         lines += ["", f"   .. py:staticmethod:: {shown.replace('tauext._core.', 'tauext.')}", ""]
-        lines += [f"      {line.strip()}" for line in told.strip().splitlines()]
+        lines += [f"      {line.strip()}" for line in "\n".join(without_others(told.splitlines())).strip().splitlines()]
     return lines
 
 
@@ -64,6 +65,7 @@ def page(heading: str, names: list[str]) -> list[str]:
 def first_sentence(name: str) -> str:
     """The first sentence of a name's docstring, without its full stop."""
     paragraph = (inspect.getdoc(getattr(tauext, name)) or "").partition("\n\n")[0]
+    paragraph = "\n".join(without_others(paragraph.splitlines()))
     return prose(re.split(r"\.(?:\s|$)", " ".join(paragraph.split()), maxsplit=1)[0])
 
 

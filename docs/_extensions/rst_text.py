@@ -42,6 +42,14 @@ def with_fields(lines: list[str]) -> list[str]:
     return told
 
 
+OTHERS = re.compile(r"\w+\(\.\.\.\) raises CoreError for all other arguments")
+"""Line that the C++ module adds to the signatures of its functions: it holds for all of them."""
+
+
+def without_others(lines: list[str]) -> list[str]:
+    return [line for line in lines if not OTHERS.fullmatch(line.strip())]
+
+
 def type_of(obj: object) -> str:
     """Of a property of the C++ module, which has it before its docstring; empty of anything else."""
     shown = (getattr(obj.fget, "__doc__", None) or "").partition("\n")[0] if isinstance(obj, property) else ""
@@ -52,6 +60,7 @@ def type_of(obj: object) -> str:
 def plain(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """The docstring as reStructuredText, in place."""
     kind = type_of(obj)
+    lines[:] = without_others(lines)
     if kind and lines and not OF_A_PROPERTY.match(lines[0]):
         lines[0] = f"`{kind}`. {lines[0]}"
     elif kind:  # all that it says

@@ -4,7 +4,7 @@
 
 For every Python that is there (pythons.py): with a compiler, follows README.md and docs/install.md in the unpacked
 sdist, as printed; without one, installs the wheel of dist/, runs `tauext --help`, the experiment at smoke scale and
-`tauext commission` of a simulated arm until it learns. Times are printed only.
+`tauext commission` of a simulated arm until it learns, then adds the packages of integrations. Times are printed only.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 
-from pythons import find_python, pyenv_root
+from pythons import SUPPORTED, find_python, pyenv_root
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "dist" / "try"
-PYTHONS = ["3.11", "3.12", "3.13"]
 PAGES = ("docs/install.md", "README.md")
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
@@ -35,7 +35,7 @@ LONGEST_START_S = 120.0
 def main() -> None:
     """Every Python that is there; none there, or anything that fails, is an error."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--pythons", nargs="+", choices=PYTHONS, default=PYTHONS)
+    arguments.add_argument("--pythons", nargs="+", choices=SUPPORTED, default=SUPPORTED)
     tried = 0
     for version in arguments.parse_args().pythons:
         python = find_python(version)
@@ -74,6 +74,25 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
     if not list((folder / "smoke").rglob("report.html")):
         sys.exit(f"Python {version}: no report of the experiment in {folder / 'smoke'}")
     commission(version, tauext, folder, settings)
+    try_packages(version, folder, settings)
+
+
+def try_packages(version: str, folder: Path, settings: dict[str, str]) -> None:
+    """Add the packages of integrations to the environment, and load each source and command that they bring."""
+    packages = sorted((ROOT / "dist").glob("*tauext*-py3-none-any.whl"))
+    projects = sorted(ROOT.glob("integrations/*/pyproject.toml"))
+    if len(packages) != len(projects):
+        sys.exit(f"dist/ has {len(packages)} wheels of the {len(projects)} packages in integrations: make dist")
+    pip = [folder / "venv/bin/pip", "--disable-pip-version-check", "-q", "install", "--prefer-binary"]
+    timed(version, "packages", [*pip, "-c", ROOT / "constraints.txt", *packages], folder, settings)
+    groups = [tomllib.loads(one.read_text())["project"].get("entry-points", {}) for one in projects]
+    names = sorted({name for group in groups for points in group.values() for name in points})
+    load = (
+        "from importlib.metadata import entry_points; import sys; "
+        "found = {e.name: e.load() for g in ('tauext.sources', 'tauext.commands') for e in entry_points(group=g)}; "
+        f"sys.exit(str(sorted(found)) if not {set(names)!r} <= set(found) else 0)"
+    )
+    timed(version, f"entry points {', '.join(names)}", [folder / "venv/bin/python", "-c", load], folder, settings)
 
 
 def install_block(page: str) -> str:

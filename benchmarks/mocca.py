@@ -26,8 +26,7 @@ from tauext.config import PAPER_CASES, PAPER_GAIN_PER_S, CaseName, ObserverConfi
 from tauext.data.dataset import Dataset, Split, load_dataset, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.free_motion import promised_per_hour
-from tauext.fit.tail import rate_interval
+from tauext.fit.tail import promised_per_hour, rate_interval
 from tauext.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
 from tauext.train.stage import train_bundle
 
@@ -239,7 +238,7 @@ def recipes_section(segments: list[Segment], dataset: Dataset, out: Path) -> tup
                 tested, bundles = held_out(segments, dataset, recipe, case, gain, out)
                 gains = sorted({round(bundle.observer.gain_per_s) for bundle in bundles})
                 limits = np.mean([bundle.sliding_limit_nm for bundle in bundles], axis=0)
-                rates = [promised_per_hour(json.loads(bundle.provenance)) for bundle in bundles]
+                rates = [promised_per_hour(json.loads(bundle.provenance).get("limits") or {}) for bundle in bundles]
                 promised = f"{np.mean(rates):.0f}/h" if all(rates) else "none"
                 networks = sum(bundle.has_network for bundle in bundles)
                 words = f"{recipe}, {case}, K0 {' or '.join(map(str, gains))}"

@@ -33,6 +33,7 @@ SMALLER = {
     "--calibration-hours 1": "--calibration-hours 0.03",
     "--out runs/exact.tauext": "--out runs/exact.tauext --config few.toml",
     "--recipe dense --max-steps 10000": "--recipe dense --max-steps 10 --batch 8",
+    "--in-hours 0.25": "--in-hours 0.25 --accept limit-wide",  # after 10 steps
     "--scale quick": "--scale smoke",
 }
 STEPS = 10

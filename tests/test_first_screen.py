@@ -89,7 +89,7 @@ def test_what_is_missing_is_said_to_be(results):
     bundle = free(replace(results.bundles[0], latched=None), hours=None)
     screen = first_screen(replace(results, bundles=(bundle,), collisions=()))
     assert screen.glances[0].value == "–" and "no collisions tested" in screen.glances[0].means
-    assert screen.glances[1].value == "–" and "no free motion tested" in screen.glances[1].means
+    assert screen.glances[1].value == "not measured" and "no free motion tested" in screen.glances[1].means
     assert screen.glances[2].value == "–" and "no free motion" in screen.tested and not screen.why
     assert "Record touches and label their times" in " ".join(step.words for step in screen.steps)
     nothing = replace(bundle, limits=Limits((None, None), (None, None), False))
@@ -118,7 +118,7 @@ def test_cards_and_headline_agree_where_nothing_was_tested(results):
     screen = first_screen(replace(results, bundles=(bundle,)))
     card = tile(bundle, results, "#000000")
     assert card.latched == screen.glances[0].value == "–" and screen.glances[0].means.startswith(card.of_what)
-    assert card.false_collisions == screen.glances[1].means == "false collisions: no free motion tested"
+    assert card.false_collisions == screen.glances[1].means == "false collisions: not measured, no free motion tested"
 
 
 def test_times_choose_their_unit_and_numbers_have_no_exponent():

@@ -43,7 +43,7 @@ def test_the_pythons_that_pyproject_allows_are_those_that_wheels_are_made_and_tr
     first, end = (int(version.partition(".")[2]) for version in limits_of_python())
     assert [f"3.{minor}" for minor in range(first, end)] == PYTHONS
     monkeypatch.syspath_prepend(str(ROOT / "wheels"))
-    assert __import__("try_wheels").PYTHONS == PYTHONS
+    assert __import__("pythons").SUPPORTED == PYTHONS
     (wheels,) = (step["env"] for step in read(WORKFLOW)["jobs"]["wheels"]["steps"] if "env" in step)
     assert wheels["CIBW_BUILD"].split() == [f"cp{version.replace('.', '')}-*" for version in PYTHONS]
     for page in ("docs/install.md",):

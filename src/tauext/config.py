@@ -352,7 +352,9 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
+        require(isinstance(self.recipe, str), "recipe", brief(self.recipe), f"one of {', '.join(RECIPES)}")
+        recipe_of(self.recipe)  # a package may have added it: the annotation lacks it
+        expect_types({name: value for name, value in vars(self).items() if name != "recipe"}, type(self))
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)

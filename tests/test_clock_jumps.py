@@ -46,6 +46,8 @@ def stop(samples: list[Sample], row: int = JUMP) -> list[Sample]:
 
 
 JUMPS = {"an hour back": back, "an hour ahead": ahead, "standing still": stop}
+EACH = [pytest.param(jump, marks=[pytest.mark.slow] * (jump != "an hour back")) for jump in JUMPS]
+"""A clock that was set back is tested at once, the others with the slow tests."""
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +118,7 @@ def unasked(arm) -> Callable[[str], dict[str, np.ndarray]]:
     return {name: run(bundle, jump(samples), {})[1] for name, jump in JUMPS.items()}.__getitem__
 
 
-@pytest.mark.parametrize("jump", JUMPS)
+@pytest.mark.parametrize("jump", EACH)
 @pytest.mark.parametrize("state", STATES)
 def test_after_a_jump_everything_is_as_if_it_had_never_been_requested(arm, unasked, state, jump):
     bundle, recording = arm
@@ -144,7 +146,7 @@ def test_what_is_requested_after_the_last_sample_begins_in_the_new_clock(arm, un
     assert loop.monitor.weighing if state == "weighing" else differ
 
 
-@pytest.mark.parametrize("jump", JUMPS)
+@pytest.mark.parametrize("jump", EACH)
 def test_an_alarm_that_is_held_back_for_a_load_is_raised_by_a_jump(arm, jump):
     bundle, recording = arm
     begin = PICKED + 60  # held back, and not decided yet
@@ -154,7 +156,7 @@ def test_an_alarm_that_is_held_back_for_a_load_is_raised_by_a_jump(arm, jump):
     assert found["alarm"][begin + 300] == COLLISION and found["load_phase"][begin + 300] == LoadPhase.none.value
 
 
-@pytest.mark.parametrize("jump", JUMPS)
+@pytest.mark.parametrize("jump", EACH)
 def test_an_alarm_is_acknowledged_after_so_many_samples(arm, jump):
     bundle, recording = arm
     tau = recording.tau.copy()
@@ -165,7 +167,7 @@ def test_an_alarm_is_acknowledged_after_so_many_samples(arm, jump):
     assert JUMP - 100 <= stands[0] < JUMP - 50 and abs(stands[-1] - stands[0] - 800) <= 1
 
 
-@pytest.mark.parametrize("jump", JUMPS)
+@pytest.mark.parametrize("jump", EACH)
 def test_what_lasts_without_a_time_outlives_a_jump(arm, jump):
     """A contact that is always on, the limits of a profile and the load have no end that a stamp could miss."""
     bundle, recording = arm
@@ -180,7 +182,7 @@ def test_what_lasts_without_a_time_outlives_a_jump(arm, jump):
     assert list(loop.monitor.limit_factors[0]) == [2.0] * 6
 
 
-@pytest.mark.parametrize("jump", JUMPS)
+@pytest.mark.parametrize("jump", EACH)
 def test_the_place_of_a_touch_is_found_although_the_stamps_jump_before_it_is_due(arm, jump):
     bundle, recording = arm
     tau = recording.tau.copy()

@@ -368,7 +368,10 @@ def damaged_lines(path: Path, kind: str) -> list[dict]:
     return made + [{key: value for key, value in good.items() if key != gone} for gone in good]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in ("file", "activation", "label"))) for one in KINDS],
+)
 def test_forged_lines_end_in_sentences(kind, copy, prepared, tmp_path, capsys):
     shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "log.parquet")
     for one in damaged_lines(copy, kind):
@@ -466,7 +469,9 @@ def unwritable(path: Path, number: int):
         yield
 
 
-@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOSPC])
+@pytest.mark.parametrize(
+    "number", [errno.EROFS, *(pytest.param(one, marks=pytest.mark.slow) for one in (errno.EACCES, errno.ENOSPC))]
+)
 @pytest.mark.parametrize("damage", ["", "bundles/b0002.tauext", "commission.json", "coverage.json", "robot.urdf"])
 def test_an_arm_whose_folder_cannot_be_written_is_monitored(number, damage, copy, prepared, tmp_path):
     shutil.copyfile(prepared.parent / "log.parquet", tmp_path / "log.parquet")

@@ -61,6 +61,7 @@ def judged(samples, robot=None, facts=FACTS, **changed) -> dict:
     return {live.code: live for live in lives}
 
 
+@pytest.mark.slow
 def test_a_good_stream_is_confirmed_topic_by_topic(samples, robot):
     found = judged(samples, robot)
     assert set(TOPICS) <= set(found) and {found[topic].severity for topic in TOPICS} == {"good"}

@@ -427,6 +427,7 @@ def test_a_bundle_of_another_arm_is_refused(tmp_path):
 # A load meanwhile.
 
 
+@pytest.mark.slow
 def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     bundle, picks = knowing_bundle(six_axis_tree(tmp_path))
     new = _core.Bundle.from_bytes(bundle.to_bytes())

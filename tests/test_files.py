@@ -294,7 +294,7 @@ def test_what_fails_once_is_tried_again(s3, folder, monkeypatch, fault):
         ("503", "is overloaded or failed, tried 2 times"),
         ("cut", "the connection to 127.0.0.1:.* was lost, tried 2 times"),
         ("short", "the connection to 127.0.0.1:.* was lost, tried 2 times"),
-        ("stall", "stalled, tried 2 times: nothing came for 1 s"),
+        pytest.param("stall", "stalled, tried 2 times: nothing came for 1 s", marks=pytest.mark.slow),
         ("403", "access is denied"),
     ],
 )

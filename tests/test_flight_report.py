@@ -177,7 +177,7 @@ def test_an_arm_of_seven_joints_has_its_page(tmp_path, undrawn):
     assert len(draw_flight(load_flight(path)).figure.axes) == 28
 
 
-@pytest.mark.parametrize("joints", [7, 12])
+@pytest.mark.parametrize("joints", [pytest.param(7, marks=pytest.mark.slow), 12])
 def test_long_names_of_joints_stay_beside_their_rows(joints, tmp_path):
     made = make_recording("long", joints, 6.0, True, np.random.default_rng(5))
     path = flight_of(tmp_path, replace(made, joints=LONG_NAMES[:joints]))

@@ -238,6 +238,7 @@ def week(budget: int, labels: tuple[Label, ...] = ()) -> tuple[list[Segment], in
     return kept, most
 
 
+@pytest.mark.slow
 def test_after_a_learned_change_known_motion_is_new_again(tmp_path):
     folder = Script(tmp_path / "cell").go(1500).end()
     known = folder.segments()

@@ -77,6 +77,7 @@ def test_many_at_once_that_read_no_answer_keep_nobody_out(listening):
         assert ask(call(listening, stack)) == b"ok\n"
 
 
+@pytest.mark.slow
 def test_who_takes_no_answers_is_closed(listening, monkeypatch):
     monkeypatch.setattr(control_lines, "UNREAD_S", 1)
     with ExitStack() as stack:
@@ -125,6 +126,7 @@ def test_a_recorder_that_loses_samples_says_so_while_it_runs_and_fails(place, ca
     assert line.startswith("tauext: error: 6000 of 6000 samples of the recording are lost: ")
 
 
+@pytest.mark.slow
 def test_a_recorder_that_keeps_all_ends_with_0(place, capsys):
     assert main([*RECORD, "--speed", "1000"]) == 0
     assert "LOSES" not in capsys.readouterr().out

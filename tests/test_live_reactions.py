@@ -267,6 +267,7 @@ def test_what_is_not_there_is_refused_before_the_loop_begins(module):
 # In the loop.
 
 
+@pytest.mark.slow
 def test_no_reaction_delays_or_changes_what_the_monitor_says(module, tmp_path, monkeypatch):
     monkeypatch.setattr("tauext.monitor.reactions.END_S", 0.5)
     module(

@@ -172,6 +172,7 @@ def test_no_file_advises_to_install_by_a_name_that_no_index_has():
     assert not [name for name in texts if advice.search((ROOT / name).read_text(errors="replace"))]
 
 
+@pytest.mark.slow
 def test_the_sdist_has_the_files_of_the_repository_and_nothing_beside_them(tmp_path):
     if not (ROOT / ".git").exists():
         pytest.skip("needs git's list of files")

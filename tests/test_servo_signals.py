@@ -113,6 +113,7 @@ def test_other_signals_are_those_that_all_recordings_hold(folder):
     assert other_sources([replace(one, provenance={})]) == []
 
 
+@pytest.mark.slow
 def test_training_names_the_better_signal_and_the_remedy_holds(folder, capsys):
     facts = {}
     for source in ("goal", "supply-current"):

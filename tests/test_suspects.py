@@ -91,6 +91,7 @@ def after_reversals(motion, joint, torque_nm=4.0, seconds=0.15):
     return replace(motion, tau=tau)
 
 
+@pytest.mark.slow
 def test_a_force_on_a_link_is_a_suspect_with_its_joints_and_its_link(motion, clean):
     (one,) = search(clean, [touched(motion, clean)])
     assert one.span[0] - motion.t_ns[0] < 60.15e9 and one.span[1] - motion.t_ns[0] > 60.3e9

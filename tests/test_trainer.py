@@ -124,6 +124,7 @@ def test_kill_9_during_a_training_costs_that_training_alone(copy):
     assert one.step() == "train" and one.facts().trained_min == 2
 
 
+@pytest.mark.slow
 def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
     monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
     assert Trainer(copy).step() == "train"  # two minutes are there
@@ -173,6 +174,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(keep, "TRAIN_S", 90.0)
 
 
+@pytest.mark.slow
 def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     one = Trainer(copy)
@@ -253,6 +255,7 @@ def test_motion_before_calibration_motion_that_was_dropped_meanwhile_is_not_lear
     assert one.promises.ledger().hours == 0.0
 
 
+@pytest.mark.slow
 def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypatch):
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     one = Trainer(copy)
@@ -316,6 +319,7 @@ def another_day(factor: float = 1.0, ball_kg: float = 0.0):
     return replace(made, tau_ext=None, contact=None, contact_link=None, q_des=None, tau_ext_sensor=None)
 
 
+@pytest.mark.slow
 def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()  # the second epoch of the fixture
@@ -360,6 +364,7 @@ def test_a_bundle_that_was_judged_before_a_kill_is_not_judged_again(copy):
     assert Trainer(copy).facts().unseen_s is None and not copy.pending_file.exists()
 
 
+@pytest.mark.slow
 def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
@@ -369,7 +374,7 @@ def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
     assert words(copy)[-1].startswith("the first strokes are not compared with earlier days: a refit needs 10 s")
 
 
-@pytest.mark.parametrize("answer", ["learn", "leave"])
+@pytest.mark.parametrize("answer", [pytest.param("learn", marks=pytest.mark.slow), "leave"])
 def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monkeypatch, answer):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
@@ -396,6 +401,7 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
         assert [label.answer for label in copy.labels() if label.id > 0] == ["unanswered", "touched"]
 
 
+@pytest.mark.slow
 def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, motion, monkeypatch):
     """No pause precedes the other tool. Early bundles, touches, and a change that is not learned ask nothing."""
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
@@ -446,6 +452,7 @@ def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
     assert "the motion teaches nothing" in words(copy)[-1]
 
 
+@pytest.mark.slow
 def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
@@ -455,6 +462,7 @@ def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypa
     assert named and abs(float(named[1]) - 0.3) < 0.1
 
 
+@pytest.mark.slow
 def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
@@ -474,6 +482,7 @@ def judged(false: int, seen: int, promised: float = 3.0, kept: bool = True, reje
     )
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_fault_of_its_own_is_left_out_of_training(tmp_path, motion):
     bad = cut(motion, slice(80_000, 90_000))
     tau = bad.tau.copy()

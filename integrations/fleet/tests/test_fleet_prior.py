@@ -73,6 +73,7 @@ def rms(bundle: _core.Bundle) -> np.ndarray:
     return np.sqrt(np.mean(said["tau_ext"][200:] ** 2, axis=0))
 
 
+@pytest.mark.slow
 def test_friction_of_each_arm_is_told_by_that_of_the_fleet(made):
     facts = load_fleet_prior(made[0]).facts
     healthy = np.mean([one[0] for one in FRICTION])

@@ -27,6 +27,7 @@ from tauext.sources.open import open_source
 WAIT_S = 20.0
 
 
+@pytest.mark.slow
 def test_joints_rate_and_publisher_are_found_out(request, tmp_path):
     settings = Ros2Settings(topic=own_space(request) + "/joint_states", domain=DOMAIN)
 

@@ -70,6 +70,7 @@ def test_a_good_stream_is_confirmed_topic_by_topic(samples, robot):
     assert not any(live.severity in ("fault", "warning") for live in found.values())
 
 
+@pytest.mark.slow
 def test_early_topics_wait_for_motion_and_nothing_is_a_fault(samples, robot):
     found = judged(samples[:2000], robot)
     assert found["sign"].waits and found["robot-file"].waits and found["rate"].severity == "good"

@@ -133,7 +133,9 @@ def source_of(kind: str, made, request, tmp_path):
 
 
 @pytest.mark.parametrize("how", HOW)
-@pytest.mark.parametrize("kind", ["script", "replay", "ur", "franka"])
+@pytest.mark.parametrize(
+    "kind", ["script", *(pytest.param(k, marks=pytest.mark.slow) for k in ("replay", "ur", "franka"))]
+)
 def test_estimates_are_those_of_continuous_positions(kind, how, bundle, request, tmp_path):
     clean = swinging()
     if kind in ("ur", "franka"):  # their clocks begin at 100 s
@@ -159,7 +161,7 @@ CLOCKS = {
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-@pytest.mark.parametrize("kind", ["script", "franka"])
+@pytest.mark.parametrize("kind", ["script", pytest.param("franka", marks=pytest.mark.slow)])
 def test_a_wrong_clock_is_reported_by_its_cause_and_what_is_right_again_is_healthy(
     kind, clock, bundle, request, tmp_path
 ):

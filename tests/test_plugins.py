@@ -79,6 +79,7 @@ def test_the_robot_of_the_example_is_a_source_of_the_monitor(site):
     assert code == 2 and "--speed is for source replay, not for my-arm" in err
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_example_is_commissioned(site):
     with started(site, "commission", "--source", "my-arm:cell7", "--out", "cell7", "--no-page") as process:
         lines = []

@@ -140,6 +140,7 @@ def test_results_with_too_few_units_are_refused_in_a_sentence(units, copied):
         load_results(copied[0])
 
 
+@pytest.mark.slow
 def test_no_text_of_any_figure_is_raw_mathtext(noticing, copied, tmp_path, monkeypatch):
     """With text.parse_math off, matplotlib's own labels of powers would be printed as their source."""
     figures = {}

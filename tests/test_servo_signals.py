@@ -93,6 +93,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_recording_made_again_equals_one_imported_with_that_signal(folder):
     """To the last bit, with the delay of goals that arm.toml states."""
     by_goal, by_current = (load_dataset(folder / name).training() for name in ("goal", "supply-current"))

@@ -103,6 +103,7 @@ def test_a_force_on_a_link_is_a_suspect_with_its_joints_and_its_link(motion, cle
     assert f"fits a force on the link of {one.link}" in second and repr(motion.name) in second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 1])
 def test_friction_of_one_joint_after_reversals_is_none(motion, clean, joint):
     assert len(search(clean, [after_reversals(motion, joint)])) <= len(search(clean, [motion]))

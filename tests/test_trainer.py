@@ -136,6 +136,7 @@ def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion,
     assert "failed" in words(copy)[-1] and Trainer(copy).step() == "nothing"
 
 
+@pytest.mark.slow
 def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
     cut_journal(copy, lambda line: line["kind"] != "activation")
     monkeypatch.setattr(CommissionFolder, "lost", lambda self: 0)
@@ -374,7 +375,8 @@ def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
     assert words(copy)[-1].startswith("the first strokes are not compared with earlier days: a refit needs 10 s")
 
 
-@pytest.mark.parametrize("answer", [pytest.param("learn", marks=pytest.mark.slow), "leave"])
+@pytest.mark.slow
+@pytest.mark.parametrize("answer", ["learn", "leave"])
 def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monkeypatch, answer):
     monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()

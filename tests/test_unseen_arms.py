@@ -221,6 +221,7 @@ def test_surfaces_come_back_out_of_a_robot_file(tmp_path):
         assert min(off) < 1e-9 and of_link[int(np.argmin(off))].radius_m == pytest.approx(expected.radius_m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rig", "palletizer", "so101"])
 def test_arms_at_work_repeat_programs_touches_differ_and_loads_weigh(name, monkeypatch):
     monkeypatch.setattr(working, "STRETCH_S", 20.0)

@@ -83,6 +83,7 @@ def test_friction_of_each_arm_is_told_by_that_of_the_fleet(made):
     assert facts["spread"]["shoulder"]["spread"] == pytest.approx(0.14, abs=0.08)
 
 
+@pytest.mark.slow
 def test_the_odd_joint_counts_for_less_and_is_marked(made):
     facts = load_fleet_prior(made[0]).facts
     trust = [one["trust"] for one in facts["arms"]]

@@ -68,7 +68,7 @@ def columns(path: Path) -> list[dict[str, np.ndarray]]:
     return [dict(zip(block.names, block.columns.T, strict=True)) for raw in open_raw(path) for block in raw.blocks()]
 
 
-@pytest.mark.parametrize("version", ["v3.0", "v2.1"])
+@pytest.mark.parametrize("version", [pytest.param("v3.0", marks=pytest.mark.slow), "v2.1"])
 def test_a_wall_is_found_in_old_demonstrations(place, tmp_path, version):
     report = labelled(place, tmp_path / "out", version)
     assert report.episodes == COUNT and report.frames == COUNT * FRAMES

@@ -2,9 +2,10 @@
 
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
-For every Python that is there (pythons.py): with a compiler, follows README.md and docs/install.md in the unpacked
-sdist, as printed; without one, installs the wheel of dist/, runs `tauext --help`, the experiment at smoke scale and
-`tauext commission` of a simulated arm until it learns, then adds the packages of integrations. Times are printed only.
+With the oldest and the newest Python that are there (pythons.py), and a compiler: follows README.md and
+docs/install.md in the unpacked sdist, as printed. With every one, and no compiler: installs the wheel of dist/, runs
+`tauext --help`, the experiment at smoke scale and `tauext commission` of a simulated arm until it learns, then adds the
+packages of integrations. Times are printed only.
 """
 
 from __future__ import annotations
@@ -36,17 +37,14 @@ def main() -> None:
     """Every Python that is there; none there, or anything that fails, is an error."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--pythons", nargs="+", choices=SUPPORTED, default=SUPPORTED)
-    tried = 0
-    for version in arguments.parse_args().pythons:
-        python = find_python(version)
-        if python:
-            try_pages(version, python)
-            try_wheel(version, python, wheel_of(version))
-            tried += 1
-        else:
-            print(f"Python {version}: not here", flush=True)
-    if not tried:
+    here = {version: python for version in arguments.parse_args().pythons if (python := find_python(version))}
+    if not here:
         sys.exit("no Python to try a wheel with")
+    print(f"Pythons: {', '.join(here)}", flush=True)
+    for version, python in here.items():
+        if version in (next(iter(here)), next(reversed(here))):  # the pages' commands compile
+            try_pages(version, python)
+        try_wheel(version, python, wheel_of(version))
 
 
 def wheel_of(version: str) -> Path:

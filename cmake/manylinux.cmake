@@ -13,9 +13,13 @@ set(CMAKE_C_COMPILER ${TAUEXT_ZIG} cc -target ${zig_target} -fno-sanitize=all)
 set(CMAKE_CXX_COMPILER ${TAUEXT_ZIG} c++ -target ${zig_target} -fno-sanitize=all)
 # nanobind writes to stderr and, with the stable ABI and this C++ library, nobody includes where that is declared.
 set(CMAKE_CXX_FLAGS_INIT "-include cstdio")
+# Debian's Python has a part of its headers in the folder of the processor, which zig does not search.
+if(wheel_processor STREQUAL CMAKE_HOST_SYSTEM_PROCESSOR)
+  string(APPEND CMAKE_CXX_FLAGS_INIT " -idirafter /usr/include/${wheel_processor}-linux-gnu")
+endif()
 # The system's `ar` knows one processor only.
 foreach(language C CXX)
-  set(CMAKE_${language}_ARCHIVE_CREATE "${TAUEXT_ZIG} ar qc <TARGET> <LINK_FLAGS> <OBJECTS>")
-  set(CMAKE_${language}_ARCHIVE_APPEND "${TAUEXT_ZIG} ar q <TARGET> <LINK_FLAGS> <OBJECTS>")
-  set(CMAKE_${language}_ARCHIVE_FINISH "${TAUEXT_ZIG} ranlib <TARGET>")
+  set(CMAKE_${language}_ARCHIVE_CREATE "\"${TAUEXT_ZIG}\" ar qc <TARGET> <LINK_FLAGS> <OBJECTS>")
+  set(CMAKE_${language}_ARCHIVE_APPEND "\"${TAUEXT_ZIG}\" ar q <TARGET> <LINK_FLAGS> <OBJECTS>")
+  set(CMAKE_${language}_ARCHIVE_FINISH "\"${TAUEXT_ZIG}\" ranlib <TARGET>")
 endforeach()

@@ -13,9 +13,9 @@ set(CMAKE_C_COMPILER ${TAUEXT_ZIG} cc -target ${zig_target} -fno-sanitize=all)
 set(CMAKE_CXX_COMPILER ${TAUEXT_ZIG} c++ -target ${zig_target} -fno-sanitize=all)
 # nanobind writes to stderr and, with the stable ABI and this C++ library, nobody includes where that is declared.
 set(CMAKE_CXX_FLAGS_INIT "-include cstdio")
-# Debian's Python has a part of its headers in the folder of the processor, which zig does not search.
+# Debian's Python includes headers from a folder of the processor below this one, which zig does not search.
 if(wheel_processor STREQUAL CMAKE_HOST_SYSTEM_PROCESSOR)
-  string(APPEND CMAKE_CXX_FLAGS_INIT " -idirafter /usr/include/${wheel_processor}-linux-gnu")
+  string(APPEND CMAKE_CXX_FLAGS_INIT " -idirafter /usr/include")
 endif()
 # The system's `ar` knows one processor only.
 foreach(language C CXX)

@@ -34,7 +34,7 @@ class Given {
   }
 
  protected:
-  template <class> friend struct nb::detail::type_caster;
+  template <class, class> friend struct nb::detail::type_caster;
   T value_{};
   std::string problem_;
 };

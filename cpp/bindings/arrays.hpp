@@ -3,6 +3,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>  // in every file: without it, text would be cast as a class of ours
 
 #include <array>
 #include <optional>

@@ -38,8 +38,8 @@ PROCESSORS = {"sse2": "Prescott", "avx2": "Haswell", "avx512vl": "SkylakeX"}
 """What /proc/cpuinfo calls the instructions, and OpenBLAS the kernels."""
 TOGETHER_MINUTES = 70.0
 """After which all parts are ended; CONTRIBUTING.md has how long they take."""
-THREADED = ("flight_recorder_test", "lstm_gradient_test", "sliding_lstm_test", "realtime_test", "c_api_test")
-"""C++ tests in which more than one thread runs."""
+THREADED = ("estimates_test", "flight_recorder_test", "lstm_gradient_test", "monitor_test", "prior_test")
+"""C++ tests that start threads, as `strace -f -e trace=clone,clone3` shows."""
 LAST_LINES = 150
 """Of the log of a part that failed."""
 

@@ -426,7 +426,8 @@ def test_a_joint_of_html_and_of_mathematics_is_text(whole, tmp_path, capsys, und
     for name in (FREE, PUSH):
         save_recording(replace(load_recording(whole / "data" / name), joints=joints), data / name)
     save_split(Split((FREE,), (), (), (PUSH,)), data)
-    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", bundle)[0] == 0
+    wide = ("--accept", "limit-wide")
+    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", bundle, *wide)[0] == 0
     assert run_command(capsys, "run", bundle, data / PUSH, "--flights", tmp_path / "flights")[0] == 0
     flight = next(one for one in (tmp_path / "flights").glob("*.parquet") if "estimates" not in one.name)
     assert run_command(capsys, "report", "--flight", flight, "--out", tmp_path / "page")[0] == 0

@@ -169,8 +169,12 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     bundle = workplace / "prior.tauext"
     train = ["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]
     assert main(train) == 2 and not bundle.exists()
-    assert main([*train, "--accept", "robot-file-other"]) == 0
-    assert bundle.exists()
+    capsys.readouterr()
+    assert main([*train, "--accept", "robot-file-other"]) == 2 and not bundle.exists()  # some seconds of motion
+    assert f"{bundle}: 1 fault, so its limits are refused" in capsys.readouterr().err
+    assert main([*train, "--accept", "robot-file-other", "limit-wide"]) == 0
+    facts = json.loads(load_bundle(bundle).provenance)
+    assert {one["code"] for one in facts["limit_findings"]} == {"limit-wide"}
 
 
 def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every_command(workplace, capsys, undrawn):
@@ -180,7 +184,7 @@ def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every
     assert main(["import", "--source", *files, "--arm", str(workplace / "arm.toml"), "--out", str(out)]) == 0
     assert "robot: no model" in capsys.readouterr().out
     bundle, results = workplace / "made.tauext", workplace / "results"
-    train = ["train", "--data", str(out), "--recipe", "friction", "--out", str(bundle)]
+    train = ["train", "--data", str(out), "--recipe", "friction", "--out", str(bundle), "--accept", "limit-wide"]
     assert main([*train, "--case", "mass"]) == 2 and not bundle.exists()
     assert "case = mass needs a model, and" in capsys.readouterr().err
     assert main(train) == 0 and "the dataset has no model, so the case is 'none'" in capsys.readouterr().err
@@ -198,8 +202,7 @@ def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every
     report = ["report", "--results", str(results), "--data", str(out), "--out", str(workplace / "report")]
     assert main(report) == 0
     # The made torques know nothing of that model.
-    accept = ["--accept", "robot-file-other"]
-    with_robot = [*train, "--robot", str(workplace / "arm.urdf"), "--case", "mass", *accept]
+    with_robot = [*train, "robot-file-other", "--robot", str(workplace / "arm.urdf"), "--case", "mass"]
     assert main(with_robot) == 0  # a model given beside the dataset is one
 
 
@@ -246,7 +249,8 @@ def test_meshes_given_at_import_or_at_training_give_the_links_their_shapes(workp
     assert code == 2 and f"--meshes {wrong}: none of the 1 meshes of arm.urdf is there" in err
     code, out, _ = run(capsys, workplace)
     assert code == 0 and "with --meshes FOLDER (import, train), or put package cell_arm beside the robot file" in out
-    train = ["train", "--data", str(workplace / "out"), "--recipe", "observer", "--accept", "robot-file-other"]
+    train = ["train", "--data", str(workplace / "out"), "--recipe", "observer"]
+    train += ["--accept", "robot-file-other", "limit-wide"]
 
     def capsules(*words: str) -> int:
         assert main([*train, "--out", str(workplace / "arm.tauext"), *words]) == 0

@@ -480,7 +480,7 @@ def refuse_limits(facts: Mapping, where: str, accept: Sequence[str]) -> None:
         where: name of the bundle to write, for the message.
     """
     found = [Finding(**one) for one in facts.get("limit_findings", [])]
-    how = "Nothing is written. To write the bundle all the same, accept the faults; the bundle records it:"
+    how = "No bundle is written. To write it all the same, accept the faults; the bundle records it:"
     expect_accepted(found, accept, where, "its limits", how)
 
 

@@ -44,6 +44,7 @@ from tauext.train.limits import limits_kind, put_limits
 from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network, network_settings
 from tauext.train.preparation import Given, Job, prepare
+from tauext.train.promised_limits import refuse_limits
 from tauext.train.servo_signals import (
     LEAST_RECORDINGS,
     SignalLimits,
@@ -175,7 +176,7 @@ def train_bundle(
         meshes: folders of the robot file's meshes (tauext.robot.mesh_files.mesh_folders), which are searched first.
 
     Raises:
-        FaultyDataError: recordings or robot file have a fault that is not accepted.
+        FaultyDataError: recordings, robot file or limits have a fault that is not accepted.
         ConfigError: a name that does not end in .tauext, no training recording, no robot file, or settings that the
             case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
@@ -216,7 +217,7 @@ def train_on_recordings(
     report: Reporter = SILENT,
     checked: dict | None = None,
     like: FleetPrior | None = None,
-    accept: Sequence[str] = (),
+    accept: Sequence[str] | None = None,
     times: WallTimes | None = None,
     signals: bool = False,
 ) -> list[Suspect]:
@@ -233,13 +234,16 @@ def train_on_recordings(
         report: receives progress and sentences about results.
         checked: findings of the checks (check_data), for provenance; None: none were made.
         like: the fleet prior of this type; None: the arm is trained alone.
-        accept: `rejected`: continue if a monitor rejects more than a fifth of the training motion.
+        accept: codes of faults that are accepted: those of the limits, and `rejected`, with which the training goes on
+            if a monitor rejects more than a fifth of the training motion. None: those of the limits, for a caller that
+            judges the bundle itself.
         times: wall times of the phases before, such as the checks; those of the training are added.
         signals: whether to train with other recorded signals of servos too, where the promise does not hold.
 
     Raises:
         ConfigError: the case or the recordings do not allow the settings.
         TrainingError: too little motion for the recipe, a monitor rejects the motion, or the loss diverges.
+        FaultyDataError: the limits have a fault that is not accepted; a checkpoint stays.
     """
     times = WallTimes() if times is None else times
     job, setup, fit = fitted(given, config, out, report, like, times)
@@ -264,7 +268,7 @@ def train_on_recordings(
     # Check before a long training: rejected motion does not depend on the network.
     with times.phase("observe"):
         rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
-    if words := rejected.warning("its own training motion", accept):
+    if words := rejected.warning("its own training motion", accept or ()):
         job.facts["rejected"] = asdict(rejected.summary())
         job.notes.append(words)
     network = fit_network(job, with_fit(setup, fit))
@@ -277,6 +281,8 @@ def train_on_recordings(
     if signals and like is None and not bundle.has_network:
         with times.phase("signals"):
             compare_signals(job, bundle, recorded)
+    if accept is not None:
+        refuse_limits(job.facts, str(out), accept)
     write(job, bundle, network)
     return suspects
 

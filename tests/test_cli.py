@@ -154,7 +154,8 @@ def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
 
 def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     data, out = workplace / "runs/data", tmp_path / "observer.tauext"
-    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", out, "--accept", "limit-wide")[0] == 0
+    wide = ("--accept", "limit-wide")
+    assert run_command(capsys, "train", "--data", data, "--recipe", "observer", "--out", out, *wide)[0] == 0
     assert not _core.Bundle.load(str(out)).has_network
     assert run_command(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 

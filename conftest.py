@@ -57,7 +57,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     longest_s = config.getoption("--shorter-than")
-    if longest_s is None:
+    if longest_s is None or not config.pluginmanager.hasplugin("cacheprovider"):
         return
     took_s = config.cache.get(DURATIONS, {})
     left_out = [item for item in items if took_s.get(item.nodeid, 0.0) > longest_s]
@@ -80,7 +80,7 @@ class Durations:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if not hasattr(config, "workerinput"):
+    if not hasattr(config, "workerinput") and config.pluginmanager.hasplugin("cacheprovider"):
         config.pluginmanager.register(Durations(config))
 
 

@@ -112,7 +112,7 @@ def try_pages(version: str, python: str) -> None:
     (folder / "bin" / "python3").write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     (folder / "bin" / "python3").chmod(0o755)
     settings = os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYENV_ROOT": pyenv_root()}
-    settings["PIP_CONSTRAINT"] = str(ROOT / "constraints.txt")
+    settings["PIP_CONSTRAINT"] = (ROOT / "constraints.txt").as_uri()  # pip splits a path at its spaces
     settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
     for page in PAGES:
         home = folder / f"home of {Path(page).stem}"

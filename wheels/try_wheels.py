@@ -2,8 +2,8 @@
 
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
-With the oldest and the newest Python that are there (pythons.py), and a compiler: follows README.md and
-docs/install.md in the unpacked sdist, as printed. With every one, and no compiler: installs the wheel of dist/, runs
+With a compiler: follows docs/install.md in the unpacked sdist, as printed, with the oldest Python that is there
+(pythons.py), and README.md with the newest. With every one, and no compiler: installs the wheel of dist/, runs
 `tauext --help`, the experiment at smoke scale and `tauext commission` of a simulated arm until it learns, then adds the
 packages of integrations. Times are printed only.
 """
@@ -41,9 +41,9 @@ def main() -> None:
     if not here:
         sys.exit("no Python to try a wheel with")
     print(f"Pythons: {', '.join(here)}", flush=True)
+    for page, version in zip(PAGES, (next(iter(here)), next(reversed(here))), strict=True):
+        try_page(page, version, here[version])
     for version, python in here.items():
-        if version in (next(iter(here)), next(reversed(here))):  # the pages' commands compile
-            try_pages(version, python)
         try_wheel(version, python, wheel_of(version))
 
 
@@ -99,28 +99,26 @@ def install_block(page: str) -> str:
     return re.search(r"^(?: {4}\S.*\n)+", part, re.MULTILINE)[0]
 
 
-def try_pages(version: str, python: str) -> None:
-    """The commands of each page in the unpacked sdist, with a home of its own."""
+def try_page(page: str, version: str, python: str) -> None:
+    """The page's commands in the unpacked sdist, with a home of its own."""
     archives = sorted((ROOT / "dist").glob("tauext-*.tar.gz"))
     if not archives:
         sys.exit("dist/ has no sdist: make dist")
-    folder = WORK / f"pages-{version}"
+    folder = WORK / f"{Path(page).stem}-{version}"
+    home = folder / "home of a user"
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "bin").mkdir(parents=True)
+    home.mkdir()
     shutil.unpack_archive(archives[-1], folder)
     sources = folder / archives[-1].name.removesuffix(".tar.gz")
     (folder / "bin" / "python3").write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     (folder / "bin" / "python3").chmod(0o755)
     settings = os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYENV_ROOT": pyenv_root()}
-    settings["PIP_CONSTRAINT"] = (ROOT / "constraints.txt").as_uri()  # pip splits a path at its spaces
     settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
-    for page in PAGES:
-        home = folder / f"home of {Path(page).stem}"
-        home.mkdir()
-        commands = install_block((sources / page).read_text())
-        timed(version, page, ["sh", "-ec", commands], sources, settings | {"HOME": str(home)})
-        tauext = [home / "tauext-env" / "bin" / "tauext", "--version"]
-        timed(version, "tauext --version", tauext, folder, settings | {"HOME": str(home)})
+    settings["PIP_CONSTRAINT"] = (ROOT / "constraints.txt").as_uri()  # pip splits a path at its spaces
+    settings["HOME"] = str(home)
+    timed(version, page, ["sh", "-ec", install_block((sources / page).read_text())], sources, settings)
+    timed(version, "tauext --version", [home / "tauext-env" / "bin" / "tauext", "--version"], folder, settings)
 
 
 def bare(folder: Path) -> dict[str, str]:

@@ -233,9 +233,15 @@ def wheels(run: Run) -> None:
         run.command([sys.executable, "wheels/try_wheels.py"])
 
 
+def build_hostile(run: Run, tests: tuple[str, ...] = ()) -> None:
+    """The C++ tests under the address and undefined-behaviour sanitizers; with clang, the fuzzer beside them."""
+    clang = ["-DCMAKE_CXX_COMPILER=clang++", "-DTAUEXT_FUZZ=ON"] if shutil.which("clang++") else []
+    run.build("address", "-DTAUEXT_SANITIZE=address", *clang, tests=tests)
+
+
 def address(run: Run) -> None:
     """The C++ tests under the address and undefined-behaviour sanitizers."""
-    run.build("address", "-DTAUEXT_SANITIZE=address")
+    build_hostile(run)
     run.ctest("address")
 
 
@@ -262,11 +268,8 @@ def arm(run: Run) -> None:
 def fuzz(run: Run) -> None:
     """A minute of hostile bundles; what it finds stays in the build folder."""
     if run.needs("clang++", packages="clang libclang-rt-dev"):
-        folder = BUILD / "fuzz"
-        run.command(
-            ["cmake", "-S", ".", "-B", folder, "-G", "Ninja", "-DTAUEXT_FUZZ=ON", "-DCMAKE_CXX_COMPILER=clang++"]
-        )
-        run.command(["cmake", "--build", folder])
+        build_hostile(run, tests=("bundle_fuzz",))
+        folder = BUILD / "address"
         (folder / "found").mkdir(exist_ok=True)
         options = ["-max_total_time=60", "-max_len=65536", "-rss_limit_mb=1024", "-verbosity=0", "-print_final_stats=1"]
         run.command(

@@ -263,6 +263,9 @@ def test_the_budget_goes_to_the_joint_that_decides_and_is_kept_whole():
     assert (levels_of(tails, second)[1] < levels_of(tails, alike)[1]).all()
     # At even odds the mean of the sum is about the budget.
     assert second.sum() == pytest.approx(budget.rate_per_hour, rel=0.5)
+    unfelt = rates_together(tails, budget, 0.5, np.vstack([np.eye(3), np.zeros((2, 3))]), hours)
+    np.testing.assert_array_equal(unfelt, alike)  # hits before the first monitored joint
+    assert np.isfinite(rates_together(tails, budget, 0.5, np.zeros((2, 3)), hours)).all()
     sure = rates_together(tails, budget, 0.95, np.eye(3), hours)
     assert sure.sum() < alike.sum() < 12 * sure.sum()
     # A joint that never moves near stiction needs no budget there.

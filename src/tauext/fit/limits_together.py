@@ -82,12 +82,15 @@ def rates_together(
     Args:
         tails: of each joint's regions.
         confidence: that all of them together stay within the budget.
-        hits_nm: torques of hits of unit size, (hits, joints), of any sign; equally many for equal weights.
+        hits_nm: torques of hits of unit size, (hits, joints), of any sign; equally many for equal weights. A hit that
+            loads no joint, such as one on a link before the first monitored joint, counts nothing.
         region_hours: hours of each joint in each region, (joints, regions): a hit finds it there as often.
     """
     shape = len(tails), len(tails[0])
     curves = [TailCurve(tail, number) for number, tail in enumerate(tail for of_joint in tails for tail in of_joint)]
     often = region_hours / np.maximum(region_hours.sum(axis=1, keepdims=True), 1e-300)
+    felt = (hits_nm != 0).any(axis=1)
+    hits_nm = hits_nm[felt] if felt.any() else np.ones((1, shape[0]))
     hits_nm = np.tile(hits_nm, (-(-FEWEST_HITS // len(hits_nm)), 1))
     order = np.random.default_rng(0).random(hits_nm.shape)
     region = np.minimum((order[:, :, None] > often.cumsum(axis=1)).sum(axis=2), shape[1] - 1)

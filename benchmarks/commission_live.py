@@ -127,11 +127,11 @@ class Command:
     def members(self) -> list[int]:
         """Processes of this run that have not ended."""
         found = []
-        for path in Path("/proc").glob("[0-9]*/stat"):
+        for name in filter(str.isdigit, os.listdir("/proc")):
             with suppress(OSError):
-                state, _, _, session, *_ = path.read_text().rpartition(")")[2].split()
+                state, _, _, session, *_ = Path("/proc", name, "stat").read_text().rpartition(")")[2].split()
                 if int(session) == self.process.pid and state != "Z":
-                    found.append(int(path.parent.name))
+                    found.append(int(name))
         return found
 
     @property

@@ -27,6 +27,8 @@ from tauext.train.wrench import squared_distances
 
 CHUNK = 13
 """Datasets of a slow test: one of each arm."""
+EVERY = 3
+"""One in so many is used: each arm meets a third of the signals, and each of the signals a third of the arms."""
 
 
 def number(arm: str, signals: str) -> int:
@@ -62,7 +64,8 @@ def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, COUNT, CHUNK))
 def test_every_small_dataset_ends_in_a_healthy_bundle_or_one_line(first):
-    expect_sound([one for k in range(first, min(first + CHUNK, COUNT)) for one in of_number(k)])
+    numbers = [k for k in range(first, min(first + CHUNK, COUNT)) if (k // CHUNK + k) % EVERY == 0]
+    expect_sound([one for k in numbers for one in of_number(k)])
 
 
 def problem(rng: np.random.Generator, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,10 @@
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define TAUEXT_SANITIZED
+#elif defined(__has_feature)  // clang
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define TAUEXT_SANITIZED
+#endif
 #endif
 
 #if defined(__linux__) && !defined(TAUEXT_SANITIZED)

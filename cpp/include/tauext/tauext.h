@@ -184,7 +184,11 @@ typedef struct tauext_load_found {
 #define TAUEXT_USUAL_REACH_M 0.3
 
 /* Axes of force and moment. The moment is about the frame's origin in both cases. */
-typedef enum tauext_axes { TAUEXT_BASE_AXES = 0, TAUEXT_FRAME_AXES = 1 } tauext_axes;
+typedef enum tauext_axes {
+  TAUEXT_BASE_AXES = 0,
+  TAUEXT_FRAME_AXES = 1,
+  TAUEXT_AXES_RANGE = 0x7fffffff /* no axes: as TAUEXT_NETWORK_RATE_RANGE */
+} tauext_axes;
 
 /* Force and moment that the environment exerts on the arm, with covariance; equations in wrench.hpp. */
 typedef struct tauext_wrench {

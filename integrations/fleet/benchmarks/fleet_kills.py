@@ -129,9 +129,10 @@ def name_of(pid: int) -> str:
 def descendants(pid: int) -> list[int]:
     """Processes that it started, and those that they started."""
     parents: dict[int, list[int]] = {}
-    for entry in Path("/proc").glob("[0-9]*/stat"):
+    for name in filter(str.isdigit, os.listdir("/proc")):
         try:
-            parents.setdefault(int(entry.read_text().rpartition(")")[2].split()[1]), []).append(int(entry.parent.name))
+            stat = Path("/proc", name, "stat").read_text()
+            parents.setdefault(int(stat.rpartition(")")[2].split()[1]), []).append(int(name))
         except OSError:
             continue  # it ended meanwhile
     found, waiting = [], [pid]

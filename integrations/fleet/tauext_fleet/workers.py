@@ -25,6 +25,7 @@ LOCAL = {
     **dict.fromkeys(ONE_THREAD, "1"),
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # all sockets at 127.0.0.1, on Linux too
     "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(16),  # Ray keeps the first one for the whole process
     "RAY_worker_niceness": "0",  # else a busy machine never gets to them
 }
 """Environment of a Ray that no other computer or user can reach, and whose workers have a thread each."""
@@ -102,7 +103,7 @@ class Workers:
         with ExitStack() as at_exit:
             at_exit.enter_context(redirect_stdout(sys.stderr))  # Ray prints of workers that died, in between
             if config.ray is None:
-                os.environ |= LOCAL | {"RAY_AUTH_TOKEN": secrets.token_hex(16)}
+                os.environ |= LOCAL
                 self._free = min(config.workers or cores(), most)
                 settings = {"address": "local", "num_cpus": self._free, "object_store_memory": STORE_BYTES}
                 settings |= {"include_dashboard": False, "_temp_dir": at_exit.enter_context(short_folder())}

@@ -395,10 +395,19 @@ def test_two_drivers_do_not_share_a_folder(tmp_path):
 def processes_with(mark: str) -> list[Path]:
     """Folders of /proc of those that have this in their environment, as what a marked process starts."""
     found = []
-    for file in Path("/proc").glob("[0-9]*/environ"):
+    for name in filter(str.isdigit, os.listdir("/proc")):
         with suppress(OSError):
-            found += [file.parent] * (mark.encode() in file.read_bytes())
+            found += [Path("/proc", name)] * (mark.encode() in Path("/proc", name, "environ").read_bytes())
     return found
+
+
+@pytest.mark.slow  # Ray's start
+def test_one_process_can_run_two_fleets_one_after_the_other():
+    """Ray reads its token once a process: a second one of ours would not be let in."""
+    twice = "for _ in range(2): Workers(FleetConfig(workers=1), 1, lambda task: None).__exit__()"
+    words = f"from tauext_fleet.workers import Workers; from tauext_fleet.config import FleetConfig\n{twice}"
+    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow  # Ray's start

@@ -109,7 +109,7 @@ def built(sources: Path, builder: Path, tools: Path, python: str, processor: str
         settings["_PYTHON_HOST_PLATFORM"] = f"linux-{processor}"
         settings["SETUPTOOLS_EXT_SUFFIX"] = f".cpython-{python[2:]}-{processor}-linux-gnu.so"
     options = [f"-Ccmake.define.{name}={value}" for name, value in defines.items()]
-    options.append(f"-Cbuild-dir={WORK / 'cmake' / (python + '-' + processor)}")
+    options.append(f"-Cbuild-dir={WORK / 'cmake' / processor}")  # the second Python's compiles the module alone
     run([builder / "python", "-m", "build", "--wheel", "--no-isolation", "-o", folder, *options, sources], settings)
     return next(folder.glob("*.whl"))
 

@@ -261,6 +261,7 @@ def test_calibrate_refuses_limits_that_hardly_a_touch_exceeds(dataset, tmp_path,
     assert "fault: limit-wide: joint2: " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_worse_promise_replaces_a_better_one_only_if_asked_for_or_accepted(dataset, tmp_path, capsys):
     """Of a day, by a minute that supports 1 in 19 s."""
     good, bad, wide = tmp_path / "good.tauext", tmp_path / "bad.tauext", ("--accept", "limit-wide")

@@ -73,12 +73,14 @@ LONGER = {"joint-axis", "joint-order", "position-offset", "stuck", "torque-drift
 """Codes that take more motion."""
 ELSEWHERE = {"effort-scale", "joint-names", "odd-recording", "robot-file-changed", "spike", "time-unit"}
 """Codes that other tests lead to as well, in this file or in those of their names."""
+SECONDS = LONGER | {"temperature-drift"}
+"""Codes whose tests take a second or more."""
 
 
 def telling(faults: list[Fault]) -> list:
-    """The first fault of each code on every machine, its variants where there is time."""
+    """The first fault of each code on every machine, its variants and what takes long where there is time."""
     codes = [fault.code for fault in faults]
-    slow = [codes.index(fault.code) < k or fault.code in ELSEWHERE for k, fault in enumerate(faults)]
+    slow = [codes.index(fault.code) < k or fault.code in ELSEWHERE | SECONDS for k, fault in enumerate(faults)]
     return [pytest.param(f, id=f.name, marks=[pytest.mark.slow] * s) for f, s in zip(faults, slow, strict=True)]
 
 
@@ -121,6 +123,7 @@ def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
     assert set(CODES) - {fault.code for fault in FAULTS} == elsewhere
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [[1], [0], list(range(6))], ids=["second", "first", "all"])
 def test_a_torque_in_mnm_is_named_without_a_model(six, joints):
     """Beside the other joints, or by its size if all are; 1000 Nm are possible, a million are not."""
@@ -131,6 +134,7 @@ def test_a_torque_in_mnm_is_named_without_a_model(six, joints):
     assert not [f for f in examine(six.made.recordings).findings if f.code == "effort-scale"]
 
 
+@pytest.mark.slow
 def test_offset_is_named_in_rad_and_degrees(searched):
     recordings = [replace(r, q=r.q - 0.3 * np.eye(6)[2]) for r in searched.made.recordings]
     (found,) = [f for f in examine(recordings, searched.urdf).findings if f.code == "position-offset"]
@@ -154,6 +158,7 @@ def test_sign_at_rest_is_told_of_loaded_joints_alone(six):
     assert not pose_findings(standing(six, [1.0] * 6)[0], six.tree, recordings[0].joints)
 
 
+@pytest.mark.slow
 def test_the_evidence_of_currents_is_in_amperes(six):
     """Efforts of recordings without a torque constant are labelled A; torques and limits of the model stay in Nm."""
     amperes = {"torque": AMPERES}
@@ -243,6 +248,7 @@ def test_coarse_current_that_rests_on_a_level_is_not_stuck():
     assert "stuck" not in {f.code for f in examine([recording]).findings}
 
 
+@pytest.mark.slow
 def test_effort_of_the_wrong_sign_is_found_without_a_model(longer):
     recordings = [replace(r, tau=-r.tau) for r in longer.made.recordings]
     diagnosis = examine(recordings)

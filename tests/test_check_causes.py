@@ -52,7 +52,7 @@ def test_rows_that_an_import_left_out_are_a_finding_above_one_percent(arm):
     assert found.severity == "warning" and sentence in found.evidence and "2.0% of the rows" in found.evidence
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13, 14])
+@pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13, 14))])
 def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
     """Arms of random axes: the torque has gravity, but not this file's."""
     _, _, recordings = arm

@@ -77,6 +77,7 @@ def workplace(done) -> Path:
     return done.folder
 
 
+@pytest.mark.slow
 def test_every_command_step_by_step_works_as_written(workplace):
     assert len(commands(STEP_BY_STEP)) >= 9
     for made in (

@@ -152,6 +152,7 @@ def test_curves_keep_the_peak_of_one_sample_and_are_empty_without_an_estimate():
     assert curves.trace == [] and len(curves.past) == 1
 
 
+@pytest.mark.slow
 def test_a_page_that_is_opened_gets_the_past(tmp_path):
     with arm(tmp_path / "cell") as one:
         lines = lines_of(one.live._path, PAST_EVERY + 1)

@@ -267,7 +267,10 @@ def test_lines_of_several_processes_get_different_numbers(tmp_path):
     assert (tmp_path / journal.NAME).read_bytes() == (tmp_path / journal.COPY).read_bytes()
 
 
-@pytest.mark.parametrize("odd", [5, "x", [], {}, {"joints": 5}, None, "../../b0002"])
+ODD = ["x", [], {}, {"joints": 5}, None]
+
+
+@pytest.mark.parametrize("odd", [5, "../../b0002", *(pytest.param(one, marks=pytest.mark.slow) for one in ODD)])
 def test_a_commission_json_of_odd_values_beside_no_journal_still_monitors(odd, prepared, tmp_path):
     """Its values are used where the journal is gone."""
     cell = shutil.copytree(prepared, tmp_path / "made" / "cell", symlinks=True)

@@ -59,6 +59,7 @@ def test_an_episode_lasts_from_its_rise_to_the_last_sample_over_a_limit(bundle):
     assert collision.over == pytest.approx(share[held].max(axis=0))
 
 
+@pytest.mark.slow
 def test_a_touch_that_lasts_is_told_again_before_its_end(bundle):
     _, news = told(bundle, seconds=10, pushes=((2.0, 0, 1.5),), length_s=6.5)
     stories = news[1]

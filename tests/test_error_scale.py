@@ -213,6 +213,7 @@ def test_every_feature_has_a_place_in_the_fit():
     assert [feature.name for feature in FEATURES][0] == "constant" and len(set(FEATURES)) == 8
 
 
+@pytest.mark.slow
 def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_the_limits(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior")
     recordings = [motion(seconds=60.0, seed=seed, name=f"day{seed}") for seed in range(10)]

@@ -144,8 +144,11 @@ PHASES: dict[str, tuple[dict, Callable[[list[Sample]], list[Sample]], dict]] = {
 }
 
 
+QUICK = ("motion", "a latched alarm", "lost samples")
+
+
 @pytest.mark.parametrize("model", [3, pytest.param(5, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("phase", [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in PHASES])
 def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path, monkeypatch):
     monkeypatch.setattr(exchange, "RING_S", 2.0)  # what was learned before comes by the mark alone
     pushes, changed, settings = PHASES[phase]
@@ -226,6 +229,7 @@ def test_the_same_bundle_changes_next_to_nothing(tmp_path):
     assert np.nanmax(np.abs(tau_ext - plain["tau_ext"])) < 0.02
 
 
+@pytest.mark.slow
 def test_a_loop_that_never_stops_is_exchanged_again_and_again(tmp_path):
     """Samples come as fast as they are taken; each bundle asks for the next."""
     paths = [saved(bundle_of(name, seed), tmp_path) for name, seed in (("even", 3), ("odd", 5))]

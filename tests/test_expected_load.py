@@ -125,6 +125,7 @@ def test_a_line_that_says_none_is_refused(text):
         expected_of_text(text)
 
 
+@pytest.mark.slow
 def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
     bundle, picks = arm
     said: list[str] = []

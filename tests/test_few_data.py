@@ -90,6 +90,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()
 
 
+@pytest.mark.slow
 def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_next(tmp_path, monkeypatch, capsys):
     _, facts = trained(tmp_path, monkeypatch, [motion(seed=k, name=f"made-{k}") for k in range(4)], recipe="prior")
     other = facts["limits"]["other_motion"]

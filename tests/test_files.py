@@ -111,6 +111,7 @@ def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_every_command_makes_the_same_of_a_store_as_of_a_disk(s3, folder, tmp_path, capsys, undrawn):
     upload(s3, folder)
     there, here = place_of("s3://arms"), tmp_path

@@ -173,6 +173,7 @@ def test_one_impossible_sample_changes_neither_limits_nor_friction(signal, value
     assert "impossible" not in before and not any("impossible" in note for note in before["notes"])
 
 
+@pytest.mark.slow
 def test_calibration_recordings_leave_them_out_and_tell(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="observer")
     made = motion(seconds=200.0, seed=7, name="hours")

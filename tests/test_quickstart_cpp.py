@@ -11,6 +11,7 @@ import pytest
 from made_bundles import watching_bundle
 from made_cpp import ROOT, TOOLS, build_of_library
 
+pytestmark = pytest.mark.slow  # compiles a program
 PAGE = (ROOT / "docs" / "quickstarts" / "cpp.md").read_text()
 
 

@@ -162,6 +162,7 @@ class Arm:
         return lambda: answers[name]
 
 
+@pytest.mark.slow
 def test_the_quickstart_leads_from_a_recording_to_a_stopped_arm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     robot = Path("robot.urdf")

@@ -126,6 +126,7 @@ def test_motion_that_a_person_called_free_is_never_suspected(motion, clean):
     assert not search(clean, [kept], [label])
 
 
+@pytest.mark.slow
 def test_training_leaves_the_touch_out_and_counts_it_in_the_promise(motion, clean, tmp_path):
     pushed = touched(motion, clean, newtons=60.0)
     bundle, suspects = trained(pushed, tmp_path / "touched.tauext")

@@ -352,6 +352,7 @@ def test_the_current_is_added_as_the_page_describes():
         assert set(arm.signals) >= {"q", "q_des", "current"} and arm.servo.torque_from == made_from
 
 
+@pytest.mark.slow
 def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arms.write_dataset(Path("free"), arms.six_joints(range(6), 220), "v3.0", motors=JOINTS)

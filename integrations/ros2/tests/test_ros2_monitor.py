@@ -200,6 +200,7 @@ def used_as_printed(driver: Driver, done: list[str]) -> None:
     time.sleep(0.3)
 
 
+@pytest.mark.slow
 def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))

@@ -55,6 +55,9 @@ def samples() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return t_ns, POSE + counts[:, None], np.zeros((ROWS, 7)), tau
 
 
+pytestmark = pytest.mark.slow  # compiles the package
+
+
 @pytest.fixture(scope="module")
 def bundle() -> _core.Bundle:
     """An exact model of an arm without friction."""

@@ -235,9 +235,8 @@ def wheels(run: Run) -> None:
 
 def build_hostile(run: Run, tests: tuple[str, ...] = ()) -> None:
     """The C++ tests under the address and undefined-behaviour sanitizers; with clang, the fuzzer beside them."""
-    clang = ["-DCMAKE_C_COMPILER=clang", "-DCMAKE_CXX_COMPILER=clang++", "-DTAUEXT_FUZZ=ON"]
-    clang = clang if shutil.which("clang++") else []
-    run.build("address", "-DTAUEXT_SANITIZE=address", *clang, tests=tests)
+    fuzzer = ("-DCMAKE_C_COMPILER=clang", "-DCMAKE_CXX_COMPILER=clang++", "-DTAUEXT_FUZZ=ON")
+    run.build("address", "-DTAUEXT_SANITIZE=address", *(fuzzer if shutil.which("clang++") else ()), tests=tests)
 
 
 def address(run: Run) -> None:

@@ -22,7 +22,7 @@ using made::kMs, made::Signals;
 namespace {
 
 constexpr int kSteps = 6, kStride = 10, kSamples = 400;
-constexpr int kRecordings = 1500;
+constexpr int kRecordings = check::emulated ? 1500 : 4000;
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN(), kInfinity = std::numeric_limits<double>::infinity();
 
 // Equal, or both NaN.

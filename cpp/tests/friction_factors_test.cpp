@@ -110,10 +110,10 @@ void a_change_within_the_usual_error_is_left_alone() {
   CHECK(!arm.learned());
 }
 
-// None of it for four minutes, however strong. (Against a tool's velocity, what differs from friction must show beside the
+// None of it for ten minutes, however strong. (Against a tool's velocity, what differs from friction must show beside the
 // usual error: a push of 3 to 5 standard errors may not.)
 void pushes_are_not_friction() {
-  for (const double newton_metres : {0.5, 1.0, 2.0, 10.0}) {
+  for (const double newton_metres : {0.5, 0.7, 1.0, 2.0, 10.0}) {
     const Arm::Push kinds[] = {
         [=](double, int j, const double*) { return j == 0 ? newton_metres : 0.0; },  // a constant one
         [=](double, int j, const double* dq) { return j == 0 && dq[0] > 0 ? -newton_metres : 0.0; },  // while moving one way
@@ -130,7 +130,7 @@ void pushes_are_not_friction() {
     };
     for (const Arm::Push& push : std::span(kinds).first(newton_metres < 2 ? 4 : 5)) {
       Arm arm;
-      arm.move(240, 0, 0, push);
+      arm.move(check::emulated ? 240 : 600, 0, 0, push);
       CHECK(!arm.learned());
     }
   }
@@ -232,7 +232,7 @@ void cold_mornings_do_not_add_up() {
   const DriftSettings settings{30.0, {3.0, 3.0}, 1.0, 0.0, 0.0};
   for (const double warm : {0.0, -0.15}) {  // trained warm, and trained between
     Arm arm(0.4, settings);
-    for (int day = 0; day < 3; ++day) {
+    for (int day = 0; day < (check::emulated ? 3 : 5); ++day) {
       for (int minute = 0; minute < 15; ++minute) {
         const double off = warm + 0.2 * std::exp(-minute / 3.0);
         arm.move(60, off, off);

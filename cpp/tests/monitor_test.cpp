@@ -67,17 +67,10 @@ void online_equals_offline(const Bundle& bundle) {
   CHECK(monitor.samples() == 3500 && monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
 }
 
-// An emulator takes 20 s for each of these networks, the processor 0.03 s.
-#ifdef TAUEXT_EMULATED
-constexpr bool kEmulated = true;
-#else
-constexpr bool kEmulated = false;
-#endif
-
 void online_equals_offline_to_the_last_bit() {
   for (const int joints : {1, 2, 7})
     for (const int hidden : {0, 20}) {
-      if (kEmulated && hidden > 0 && joints != 2) continue;
+      if (check::emulated && hidden > 0 && joints != 2) continue;
       const Bundle bundle = made::bundle(joints, hidden, kSteps, kStride, 3);
       online_equals_offline(bundle);
       // Without a network r is over the limits most of the time, and teaches the tracker nothing.
@@ -107,7 +100,8 @@ constexpr ResidualMethod kMethods[] = {ResidualMethod::momentum, ResidualMethod:
 void online_equals_offline_for_every_method() {
   for (const ResidualMethod method : kMethods)
     for (const int hidden : {0, 20})
-      if (!kEmulated || hidden == 0 || method == ResidualMethod::velocity) online_equals_offline(compared(method, hidden));
+      if (!check::emulated || hidden == 0 || method == ResidualMethod::velocity)
+        online_equals_offline(compared(method, hidden));
 }
 
 void the_network_at_its_own_rate_holds_its_last_value() {
@@ -761,7 +755,7 @@ int main() {
   online_equals_offline_for_every_method();
   the_network_at_its_own_rate_holds_its_last_value();
   reset_equals_fresh_and_acknowledge_ends_the_alarm_alone();
-  if (kEmulated) return check::result();  // the rest takes minutes there, and is decisions, not arithmetic
+  if (check::emulated) return check::result();  // the rest takes five minutes there
   broken_signals_are_faults_and_the_monitor_comes_back();
   what_no_arm_sends_is_a_fault_of_its_own_and_costs_no_more_than_a_nan();
   what_a_collision_can_cause_is_judged();

@@ -77,7 +77,7 @@ bench-monitor: benches ## The monitor in a control loop, beside ONNX Runtime and
 	$(VENV)/bin/python benchmarks/monitor.py --bench $(BUILD)/cpp/monitor_bench
 dist: ## The sdist and audited wheels for x86-64 and 64-bit Arm, in dist
 	$(PYTHON) wheels/make_dist.py
-test-dist: ## This machine's wheels in empty environments without a compiler, and the pages' commands in the unpacked sdist
+test-dist: ## This machine's wheels in empty environments without a compiler, and docs/install.md's commands in the unpacked sdist
 	$(PYTHON) wheels/try_wheels.py
 clean: ## Remove builds; recordings and runs stay
 	rm -rf $(BUILD) $(VENV) .mypy_cache src/tauext/_core.pyi

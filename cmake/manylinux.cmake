@@ -11,6 +11,7 @@ set(zig_target ${wheel_processor}-linux-gnu.2.28)
 # zig adds checks for undefined behaviour to a build without -O; no build of ours is one, but CMake's first tries are.
 set(CMAKE_C_COMPILER ${TAUEXT_ZIG} cc -target ${zig_target} -fno-sanitize=all)
 set(CMAKE_CXX_COMPILER ${TAUEXT_ZIG} c++ -target ${zig_target} -fno-sanitize=all)
+set(CMAKE_CXX_COMPILER_LAUNCHER "${CMAKE_CURRENT_LIST_DIR}/zig_header.sh")
 # nanobind writes to stderr and, with the stable ABI and this C++ library, nobody includes where that is declared.
 set(CMAKE_CXX_FLAGS_INIT "-include cstdio")
 # Debian's Python includes headers from a folder of the processor below this one, which zig does not search.

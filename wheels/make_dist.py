@@ -99,7 +99,6 @@ def built(sources: Path, builder: Path, tools: Path, python: str, processor: str
     folder = WORK / f"{python}-{processor}"
     shutil.rmtree(folder, ignore_errors=True)
     defines = {
-        "CMAKE_DISABLE_PRECOMPILE_HEADERS": "ON",  # a wheel is the same with and without
         "CMAKE_TOOLCHAIN_FILE": sources / "cmake" / f"manylinux-{processor}.cmake",
         "TAUEXT_ZIG": tools / "python-zig",
     }

@@ -2,10 +2,10 @@
 
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
-With a compiler: follows docs/install.md in the unpacked sdist, as printed, with the oldest Python that is there
-(pythons.py), and README.md with the newest. With every one, and no compiler: installs the wheel of dist/, runs
-`tauext --help`, the experiment at smoke scale and `tauext commission` of a simulated arm until it learns, then adds the
-packages of integrations. Times are printed only.
+With a compiler: follows docs/install.md in the unpacked sdist, as printed, with the newest Python that is there
+(pythons.py). With every one, and no compiler: installs the wheel of dist/, runs `tauext --help`, the experiment at
+smoke scale and `tauext commission` of a simulated arm until it learns, then adds the packages of integrations. Times
+are printed only.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pythons import SUPPORTED, find_python, pyenv_root
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "dist" / "try"
-PAGES = ("docs/install.md", "README.md")
+PAGE = "docs/install.md"  # README.md has the same commands: tests/test_install_page.py
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
 LONGEST_START_S = 120.0
@@ -41,8 +41,8 @@ def main() -> None:
     if not here:
         sys.exit("no Python to try a wheel with")
     print(f"Pythons: {', '.join(here)}", flush=True)
-    for page, version in zip(PAGES, (next(iter(here)), next(reversed(here))), strict=True):
-        try_page(page, version, here[version])
+    newest = next(reversed(here))
+    try_page(newest, here[newest])
     for version, python in here.items():
         try_wheel(version, python, wheel_of(version))
 
@@ -99,12 +99,12 @@ def install_block(page: str) -> str:
     return re.search(r"^(?: {4}\S.*\n)+", part, re.MULTILINE)[0]
 
 
-def try_page(page: str, version: str, python: str) -> None:
+def try_page(version: str, python: str) -> None:
     """The page's commands in the unpacked sdist, with a home of its own."""
     archives = sorted((ROOT / "dist").glob("tauext-*.tar.gz"))
     if not archives:
         sys.exit("dist/ has no sdist: make dist")
-    folder = WORK / f"{Path(page).stem}-{version}"
+    folder = WORK / f"{Path(PAGE).stem}-{version}"
     home = folder / "home of a user"
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "bin").mkdir(parents=True)
@@ -117,7 +117,7 @@ def try_page(page: str, version: str, python: str) -> None:
     settings["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
     settings["PIP_CONSTRAINT"] = (ROOT / "constraints.txt").as_uri()  # pip splits a path at its spaces
     settings["HOME"] = str(home)
-    timed(version, page, ["sh", "-ec", install_block((sources / page).read_text())], sources, settings)
+    timed(version, PAGE, ["sh", "-ec", install_block((sources / PAGE).read_text())], sources, settings)
     timed(version, "tauext --version", [home / "tauext-env" / "bin" / "tauext", "--version"], folder, settings)
 
 

@@ -8,6 +8,7 @@ fixtures of session scope make on each of them costs little.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from made_s3 import s3_environment, s3_server
 
 # As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A shell without job control starts what it puts in the background with Ctrl-C ignored; tests send one.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TOGETHER = ("test_page", "test_ros2")
 """Beginnings of names of files that use one training, or talk in one DDS domain."""

@@ -203,7 +203,7 @@ def documentation(run: Run) -> None:
 
 def slow(run: Run) -> None:
     """pytest -m slow."""
-    run.pytest("slow and not timing")
+    run.pytest("slow and not timing", workers=str((os.cpu_count() or 1) + 1))  # many of them wait
 
 
 def other_python(version: str, kernel: str) -> Callable[[Run], None]:

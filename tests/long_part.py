@@ -46,7 +46,7 @@ LAST_LINES = 150
 
 LAST_DURATIONS = ROOT / ".pytest_cache/v/tauext/durations_s"
 """Seconds of each test in the last `make test`: see conftest.py."""
-SHORTER_THAN_S = 0.5
+SHORTER_THAN_S = 0.3
 """Tests that take longer run with the first Python alone."""
 STARTED: list[subprocess.Popen] = []
 """All commands, so that none outlives an interruption."""
@@ -132,7 +132,8 @@ class Run:
             if not failed:
                 raise Failed("the tests failed, and which is not on record")
             self.command([*words, "--last-failed", "--last-failed-no-failures", "none", *more], settings)
-            self.unstable += failed
+            why = dict(re.findall(r"^_+ (\S+) _+$.*?^E +(.*?)$", printed, re.MULTILINE | re.DOTALL))
+            self.unstable += [f"{test}: {why.get(test.partition('::')[2])}" for test in failed]
 
     def ctest(self, folder: str, tests: str = "", **settings: str) -> None:
         """The C++ tests of a build, or those of a pattern, and once more, one after the other, those that fail."""

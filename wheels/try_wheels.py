@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from pythons import SUPPORTED, find_python, pyenv_root
@@ -43,8 +44,9 @@ def main() -> None:
     print(f"Pythons: {', '.join(here)}", flush=True)
     newest = next(reversed(here))
     try_page(newest, here[newest])
-    for version, python in here.items():
-        try_wheel(version, python, wheel_of(version))
+    with ThreadPoolExecutor(2) as two:  # pip and the experiment use one core
+        for tried in [two.submit(try_wheel, version, python, wheel_of(version)) for version, python in here.items()]:
+            tried.result()
 
 
 def wheel_of(version: str) -> Path:

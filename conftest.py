@@ -21,8 +21,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A shell without job control starts what it puts in the background with Ctrl-C ignored; tests send one.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-TOGETHER = ("test_page", "test_ros2")
-"""Beginnings of names of files that use one training, or talk in one DDS domain."""
+TOGETHER = ("test_page", "test_ros2", "test_fleet")
+"""Beginnings of names of files that use one training, talk in one DDS domain, or start Ray, one at a time."""
 APART = ("test_check.py", "test_kinematics.py", "test_small_datasets.py")
 """Files whose tests go, one by one, to whichever worker is free: a third of all the time."""
 

@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "wheels"))
 
-from pythons import SUPPORTED, find_python  # noqa: E402
+from pythons import SUPPORTED, find_python, keep_objects  # noqa: E402
 
 NAMES = {"VENV": os.environ.get("VENV", ".venv"), "BUILD": os.environ.get("BUILD", "build")}
 """For make, which takes no absolute path with a space."""
@@ -215,8 +215,8 @@ def other_python(version: str, kernel: str) -> Callable[[Run], None]:
         if python is None:
             run.missing.append(f"Python {version} with headers: not tested")
             return
-        # One build folder for all: only the module is compiled anew.
         folder = BUILD / f"python{version}"
+        keep_objects(BUILD / "pythons")
         run.make("setup", PYTHON=python, VENV=f"{NAMES['BUILD']}/{folder.name}/venv", BUILD=f"{NAMES['BUILD']}/pythons")
         run.command([folder / "venv/bin/tauext", "--version"])
         run.notes.append(f"kernels {kernel}")

@@ -20,7 +20,7 @@ import sys
 import zipfile
 from pathlib import Path
 
-from pythons import find_python, variable
+from pythons import find_python, keep_objects, variable
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "dist"
@@ -46,6 +46,7 @@ def main() -> None:
     arguments.add_argument("--only", nargs="+", choices=WHEELS, default=WHEELS)
     wanted = arguments.parse_args().only
     DIST.mkdir(exist_ok=True)
+    shutil.rmtree(WORK / "cmake", ignore_errors=True)  # nothing of an earlier tree
     tools = environment("3.11", BUILD_TOOLS + WHEEL_TOOLS)
     sources = unpacked(sdist(tools))
     for wheel in WHEELS:
@@ -108,7 +109,9 @@ def built(sources: Path, builder: Path, tools: Path, python: str, processor: str
         settings["_PYTHON_HOST_PLATFORM"] = f"linux-{processor}"
         settings["SETUPTOOLS_EXT_SUFFIX"] = f".cpython-{python[2:]}-{processor}-linux-gnu.so"
     options = [f"-Ccmake.define.{name}={value}" for name, value in defines.items()]
-    options.append(f"-Cbuild-dir={WORK / 'cmake' / processor}")  # the second Python's compiles the module alone
+    build = WORK / "cmake" / processor
+    keep_objects(build)
+    options.append(f"-Cbuild-dir={build}")
     run([builder / "python", "-m", "build", "--wheel", "--no-isolation", "-o", folder, *options, sources], settings)
     return next(folder.glob("*.whl"))
 

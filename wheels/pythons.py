@@ -68,5 +68,15 @@ def runs(python: str, version: str) -> bool:
     return done.returncode == 0
 
 
+def keep_objects(build: Path) -> None:
+    """Let the next Python's build in this folder compile the module alone.
+
+    scikit-build-core removes all objects where it runs from another environment than before, as a file there states.
+    Without it they stay, and Ninja compiles those whose command has changed. CMake searches its Python again.
+    """
+    for name in (".skbuild-info.json", "CMakeCache.txt"):
+        (build / name).unlink(missing_ok=True)
+
+
 if __name__ == "__main__":
     print(newest())

@@ -216,7 +216,7 @@ def other_python(version: str, kernel: str) -> Callable[[Run], None]:
             run.missing.append(f"Python {version} with headers: not tested")
             return
         folder = BUILD / f"python{version}"
-        keep_objects(BUILD / "pythons")
+        keep_objects(BUILD / "pythons" / "cpp")
         run.make("setup", PYTHON=python, VENV=f"{NAMES['BUILD']}/{folder.name}/venv", BUILD=f"{NAMES['BUILD']}/pythons")
         run.command([folder / "venv/bin/tauext", "--version"])
         run.notes.append(f"kernels {kernel}")

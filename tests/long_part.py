@@ -132,8 +132,9 @@ class Run:
             if not failed:
                 raise Failed("the tests failed, and which is not on record")
             self.command([*words, "--last-failed", "--last-failed-no-failures", "none", *more], settings)
-            why = dict(re.findall(r"^_+ (\S+) _+$.*?^E +(.*?)$", printed, re.MULTILINE | re.DOTALL))
-            self.unstable += [f"{test}: {why.get(test.partition('::')[2])}" for test in failed]
+            heads = r"^_+ (?:ERROR at \w+ of )?([^\n]+?) _+$.*?^E +([^\n]*)$"
+            why = dict(re.findall(heads, printed, re.MULTILINE | re.DOTALL))
+            self.unstable += [f"{test}: {why.get(test.partition('::')[2], 'no reason was printed')}" for test in failed]
 
     def ctest(self, folder: str, tests: str = "", **settings: str) -> None:
         """The C++ tests of a build, or those of a pattern, and once more, one after the other, those that fail."""

@@ -18,9 +18,10 @@ PYPROJECTS = [ROOT / "pyproject.toml", *sorted(ROOT.glob("integrations/*/pyproje
 PYPROJECTS += sorted(ROOT.glob("examples/*/pyproject.toml"))
 
 FLAKY = """
-import pathlib
+import pathlib, pytest
 def test_once(): assert True
-def test_unstable():
+@pytest.mark.parametrize("name", ["of two words"])
+def test_unstable(name):
     mark = pathlib.Path(__file__).with_name("tried")
     assert mark.exists() or mark.touch()
 """
@@ -54,7 +55,7 @@ def run_tests(run, text: str) -> None:
 def test_a_test_that_fails_once_and_passes_alone_is_listed_as_unstable_with_its_reason(run):
     run_tests(run, FLAKY)
     (line,) = run.unstable
-    assert line.partition("::")[2].startswith("test_unstable: AssertionError: assert (False or None)")
+    assert line.partition("::")[2].startswith("test_unstable[of two words]: AssertionError: assert (False or None)")
     assert run.notes == ["1 failed, 1 passed"]
 
 

@@ -83,8 +83,8 @@ def rates_together(
         tails: of each joint's regions.
         confidence: that all of them together stay within the budget.
         hits_nm: torques of hits of unit size, (hits, joints), of any sign; equally many for equal weights. A hit that
-            loads no joint, such as one on a link before the first monitored joint, counts nothing; if
-            all are of that kind, one that loads every joint alike takes their place.
+            loads no joint, such as one on a link before the first monitored joint, counts nothing; if all are of that
+            kind, one that loads every joint alike takes their place.
         region_hours: hours of each joint in each region, (joints, regions): a hit finds it there as often.
     """
     shape = len(tails), len(tails[0])

@@ -13,7 +13,7 @@ GET := $(PIP) install --no-compile -c constraints.txt
 INSTALL := $(PIP) install --no-deps --no-build-isolation -C build-dir=$(BUILD)/cpp \
   -C cmake.define.TAUEXT_WERROR=ON -C 'build.targets=_core;_core_stub' -e .
 # Packages of their own beside the project, found by their entry points; what their tests need is in the extra dev.
-INTEGRATIONS := $(patsubst %/pyproject.toml,%,$(wildcard integrations/*/pyproject.toml))
+PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 # $(call requirements,extras): what the project needs, without the project.
 requirements = $(VENV)/bin/python -c 'import sys, tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
   print(*p["dependencies"], *(r for e in sys.argv[1:] for r in p["optional-dependencies"][e]), sep="\n")' $(1)
@@ -31,7 +31,7 @@ CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(INTEGRATIONS:=/pyproject.toml)
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(PACKAGES:=/pyproject.toml)
 	@test -d $(VENV) || { set -x; $(PYTHON) -m venv $(VENV); }
 	@$(VENV)/bin/python -c 'import sys; print("Python", sys.version.split()[0], "of", sys.base_prefix)'
 	$(GET) pip setuptools scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
@@ -39,7 +39,7 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE) $(INTEGRATIONS:=
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
 	# Under LC_ALL=C, Python 3.11 does not start where a .pth file holds a path that is not ASCII.
 	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth
-	$(GET) --no-deps --no-build-isolation $(addprefix -e ./,$(INTEGRATIONS))
+	$(GET) --no-deps --no-build-isolation $(addprefix -e ./,$(PACKAGES))
 	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@
@@ -56,8 +56,8 @@ test-all: build ## The long part of .ci/run: every Python, wheels, slow tests, s
 benches: build ## The C++ benchmarks
 	$(RUN) cmake --build $(BUILD)/cpp --target benches
 lint: setup ## Style and types of the Python code
-	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels integrations
-	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels integrations
+	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels packages
+	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels packages
 	$(VENV)/bin/mypy
 $(VENV)/.docs: pyproject.toml constraints.txt | setup
 	$(call requirements,docs) > $(VENV)/requirements-docs.txt

@@ -291,7 +291,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 def help_texts():
     """Every text that a verb's --help shows for one option, with the place that it stands at."""
     source = Path(__file__).parent.parent / "src" / "tauext"
-    settings = source.parents[1].glob("integrations/*/*/settings.py")
+    settings = source.parents[1].glob("packages/*/*/settings.py")
     for file in (source / "config.py", source / "sim" / "config.py", *settings):
         for node in ast.walk(ast.parse(file.read_text())):
             body = node.body if isinstance(node, ast.ClassDef) else []

@@ -145,7 +145,7 @@ def files_imported(file: Path, modules: set[str]) -> set[str]:
 
 INTEGRATIONS = {
     name: project.parent / name
-    for project in sorted((SOURCE.parents[1] / "integrations").glob("*/pyproject.toml"))
+    for project in sorted((SOURCE.parents[1] / "packages").glob("*/pyproject.toml"))
     for name in tomllib.loads(project.read_text())["tool"]["setuptools"]["packages"]
 }
 """Folders of packages of their own beside tauext, by name."""

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 NAME, VERSION = PROJECT["project"]["name"], PROJECT["project"]["version"]
 PYTHONS = ["3.11", "3.12", "3.13"]
-PACKAGES = [ROOT / "integrations" / name / "package.xml" for name in ("tauext_vendor", "ros2_control")]
+PACKAGES = [ROOT / "packages" / name / "package.xml" for name in ("tauext_vendor", "ros2_control")]
 WORKFLOW = ROOT / ".github" / "workflows" / "wheels.yml"
 RECIPE = ROOT / "packaging" / "conda" / "recipe.yaml"
 ROSDEP = ROOT / "packaging" / "rosdep" / "tauext.yaml"
@@ -90,7 +90,7 @@ def test_the_recipe_of_conda_has_the_version_the_requirements_and_the_licences_o
 
 def test_the_keys_of_rosdep_name_packages_of_this_repository():
     projects = [PROJECT] + [
-        tomllib.loads((ROOT / "integrations" / name / "pyproject.toml").read_text()) for name in ("ros2",)
+        tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text()) for name in ("ros2",)
     ]
     keys = read(ROSDEP)
     assert keys == {
@@ -162,7 +162,7 @@ def test_no_file_advises_to_install_by_a_name_that_no_index_has():
     if not (ROOT / ".git").exists():
         pytest.skip("needs git's list of files")
     names = {NAME} | {
-        tomllib.loads(path.read_text())["project"]["name"] for path in (ROOT / "integrations").glob("*/pyproject.toml")
+        tomllib.loads(path.read_text())["project"]["name"] for path in (ROOT / "packages").glob("*/pyproject.toml")
     }
     advice = re.compile(rf"pip3? install (?:-\S+ )*['\"]?(?:{'|'.join(map(re.escape, names))})(?![\w./-])")
     texts = [

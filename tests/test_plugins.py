@@ -118,12 +118,12 @@ def test_the_command_of_the_example_stands_beside_ours(site):
 
 def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
     added = {}
-    for file in (ROOT / "integrations").glob("*/pyproject.toml"):
+    for file in (ROOT / "packages").glob("*/pyproject.toml"):
         project = tomllib.loads(file.read_text())["project"]
         added |= {name: file.parent.name for group in project["entry-points"].values() for name in group}
     assert added == plugins.FOLDERS
     monkeypatch.setattr(plugins, "entry_points", lambda group: ())
-    with pytest.raises(ConfigError, match="--source ros2: 'ros2' is a plug-in: pip install ./integrations/ros2"):
+    with pytest.raises(ConfigError, match="--source ros2: 'ros2' is a plug-in: pip install ./packages/ros2"):
         open_source("ros2", {})
     assert in_plain_words("Unrecognized options: --ros2.topic, /a") == plugins.how_to_add("ros2")
     assert in_plain_words("Unrecognized options: --alarm.topic, /a") == "Unrecognized options: --alarm.topic, /a"
@@ -152,7 +152,7 @@ def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message
 def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypatch, capsys):
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["fleet", "run", "fleet.toml"]) == 2
-    told = "'fleet' is a plug-in: pip install ./integrations/fleet in the source folder of tauext"
+    told = "'fleet' is a plug-in: pip install ./packages/fleet in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"
 
 
@@ -162,5 +162,5 @@ def test_an_option_of_a_source_whose_package_is_not_installed_names_the_package(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["monitor", "arm.tauext", "--source", "feetech:/dev/ttyACM0", "--bus", "bus.toml"]) == 2
-    told = "'feetech' is a plug-in: pip install ./integrations/lerobot in the source folder of tauext"
+    told = "'feetech' is a plug-in: pip install ./packages/lerobot in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"

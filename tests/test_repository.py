@@ -67,7 +67,7 @@ def test_every_cited_work_is_listed_and_every_listed_work_is_cited():
     listed = re.findall(r"^- \*\*\[(\w+)\]\*\*", references, re.MULTILINE)
     files = [
         f
-        for folder in ("src", "cpp", "integrations")
+        for folder in ("src", "cpp", "packages")
         for f in (ROOT / folder).rglob("*")
         if f.suffix in (".py", ".hpp", ".cpp")
     ]

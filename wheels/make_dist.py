@@ -1,6 +1,6 @@
 """The sdist, and from it the wheels of Python 3.11 and of 3.12 and later, for x86-64 and 64-bit Arm, audited, in dist/.
 
-The wheels of integrations/ come with them.
+The wheels of packages/ come with them.
 
     python3.11 wheels/make_dist.py [--only cp312-x86_64 ...]
 
@@ -54,7 +54,7 @@ def main() -> None:
             python, processor = wheel.split("-")
             builder = tools if python == "cp311" else environment(PYTHONS[python], BUILD_TOOLS)
             audited(repaired(built(sources, builder, tools, python, processor), tools, processor), tools)
-    integrations(sources, tools)
+    package_wheels(sources, tools)
 
 
 def environment(version: str, packages: list[str]) -> Path:
@@ -116,9 +116,9 @@ def built(sources: Path, builder: Path, tools: Path, python: str, processor: str
     return next(folder.glob("*.whl"))
 
 
-def integrations(sources: Path, tools: Path) -> None:
+def package_wheels(sources: Path, tools: Path) -> None:
     """Wheels of the packages beside tauext, which are Python alone; into dist/."""
-    for project in sorted(sources.glob("integrations/*/pyproject.toml")):
+    for project in sorted(sources.glob("packages/*/pyproject.toml")):
         run([tools / "python", "-m", "build", "--wheel", "--no-isolation", "-o", DIST, project.parent])
         wheel = max(DIST.glob("*.whl"), key=lambda path: path.stat().st_mtime)
         if not wheel.name.endswith("-py3-none-any.whl"):

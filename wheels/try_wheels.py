@@ -4,8 +4,8 @@
 
 With a compiler: follows docs/install.md in the unpacked sdist, as printed, with the newest Python that is there
 (pythons.py). With every one, and no compiler: installs the wheel of dist/, runs `tauext --help`, the experiment at
-smoke scale and `tauext commission` of a simulated arm until it learns, then adds the packages of integrations. Times
-are printed only.
+smoke scale and `tauext commission` of a simulated arm until it learns, then adds those of packages/. Times are
+printed only.
 """
 
 from __future__ import annotations
@@ -78,11 +78,11 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
 
 
 def try_packages(version: str, folder: Path, settings: dict[str, str]) -> None:
-    """Add the packages of integrations to the environment, and load each source and command that they bring."""
+    """Add the wheels of packages/ to the environment, and load each source and command that they bring."""
     packages = sorted((ROOT / "dist").glob("*tauext*-py3-none-any.whl"))
-    projects = sorted(ROOT.glob("integrations/*/pyproject.toml"))
+    projects = sorted(ROOT.glob("packages/*/pyproject.toml"))
     if len(packages) != len(projects):
-        sys.exit(f"dist/ has {len(packages)} wheels of the {len(projects)} packages in integrations: make dist")
+        sys.exit(f"dist/ has {len(packages)} wheels of the {len(projects)} packages: make dist")
     pip = [folder / "venv/bin/pip", "--disable-pip-version-check", "-q", "install", "--prefer-binary"]
     timed(version, "packages", [*pip, "-c", ROOT / "constraints.txt", *packages], folder, settings)
     groups = [tomllib.loads(one.read_text())["project"].get("entry-points", {}) for one in projects]

@@ -24,7 +24,7 @@ SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
 FOLDERS = {"fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(OF_LEROBOT, "lerobot")
-"""Folders of integrations/, by the command or source that their packages add. No registry has these packages yet: their
+"""Folders of packages/, by the command or source that their packages add. No registry has these packages yet: their
 names there may be those of strangers."""
 
 
@@ -52,7 +52,7 @@ def named(name: str, own: Mapping[str, Added], group: str, kind: type[Added]) ->
 def how_to_add(name: str) -> str | None:
     """Which package adds this command or source; None: it is installed, or no package of this repository adds it."""
     folder = None if name in installed(SOURCES) | installed(COMMANDS) else FOLDERS.get(name)
-    return folder and f"'{name}' is a plug-in: pip install ./integrations/{folder} in the source folder of tauext"
+    return folder and f"'{name}' is a plug-in: pip install ./packages/{folder} in the source folder of tauext"
 
 
 def optional_library(module: str, who: str, package: str) -> Any:

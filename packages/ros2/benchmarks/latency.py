@@ -1,6 +1,6 @@
 """From a robot's joint states to the monitor's torques at a third process, over ROS 2 on the loopback interface.
 
-    python integrations/ros2/benchmarks/latency.py [--minutes 1] [--core N] [--priority P] [--reliability reliable]
+    python packages/ros2/benchmarks/latency.py [--minutes 1] [--core N] [--priority P] [--reliability reliable]
         [--json FILE]
 
 Three processes: one publishes seven joints at 1 kHz, one runs the monitor as `tauext monitor --source ros2` does, one

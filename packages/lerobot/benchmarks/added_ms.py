@@ -1,6 +1,6 @@
 """Time that the wrapper adds to a tick of a LeRobot loop with simulated servos; the aim is 2 ms.
 
-    python integrations/lerobot/benchmarks/added_ms.py --bundle arm.tauext --arm arm.toml [--ticks 20000]
+    python packages/lerobot/benchmarks/added_ms.py --bundle arm.tauext --arm arm.toml [--ticks 20000]
 
 The bundle must be of the simulated arm of tests/lerobot_arm.py. The time excludes the simulation.
 """

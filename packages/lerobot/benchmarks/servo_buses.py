@@ -1,6 +1,6 @@
 """Servo buses: which byte of which register becomes what, and how many of a minute's readings are whole and in time.
 
-    python integrations/lerobot/benchmarks/servo_buses.py [--seconds 60] [--hz 50 100 200] [--priority 80]
+    python packages/lerobot/benchmarks/servo_buses.py [--seconds 60] [--hz 50 100 200] [--priority 80]
 
 Buses are mocked: a process of its own answers on a pty, by the makers' protocols, with the wire's time (1 Mbaud) before
 each answer; Damiao's motors answer on python-can's virtual bus in a thread, without it. No hardware.

@@ -1,6 +1,6 @@
 """What a fleet costs beside its tasks: one worker against two, overhead a task, and a run that has nothing to do.
 
-    python integrations/fleet/benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray ADDRESS]
+    python packages/fleet/benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray ADDRESS]
 
 Arms are of one simulated type (unseen.arms), as CSV files of currents: friction, tool and constants are each
 arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an

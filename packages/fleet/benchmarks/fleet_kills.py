@@ -1,6 +1,6 @@
 """What a fleet loses when something is killed midway: a worker, a node, the head of a Ray cluster, the driver.
 
-    python integrations/fleet/benchmarks/fleet_kills.py MODELS OUT [--arms 8] [--minutes 1]
+    python packages/fleet/benchmarks/fleet_kills.py MODELS OUT [--arms 8] [--minutes 1]
 
 A line a case. The cluster is two nodes of one core each on this machine. Midway: some tasks are finished,
 and the victim is at work. Untouched: what was finished then has the same bytes and times at the end. Equal: outputs,

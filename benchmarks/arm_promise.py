@@ -23,7 +23,7 @@ from unseen.arms import makers
 from unseen.working import NAMES, Part, Working, current_arm, working
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.commission.connect import provenance_of, write_arm
+from tauext_commission.connect import provenance_of, write_arm
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording

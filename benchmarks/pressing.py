@@ -44,7 +44,7 @@ from unseen.presses import (
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import OK
-from tauext.commission.connect import provenance_of, write_arm
+from tauext_commission.connect import provenance_of, write_arm
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording

@@ -17,7 +17,7 @@ from tauext.robot.write import write_placeholder
 from tauext.sources import lasting
 from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
 from tauext.sources.franka import FrankaSource
-from tauext.sources.lasting import LastingSource
+from tauext_commission.lasting import LastingSource
 from tauext.sources.replay import ReplaySource
 from tauext.sources.ur import JOINTS as UR_JOINTS
 from tauext.sources.ur import UrSource

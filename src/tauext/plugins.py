@@ -23,9 +23,11 @@ Added = TypeVar("Added")
 SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
 """Groups of entry points."""
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
-FOLDERS = {"fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(OF_LEROBOT, "lerobot")
+FOLDERS = {"commission": "commission", "fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(OF_LEROBOT, "lerobot")
 """Folders of packages/, by the command or source that their packages add. No registry has these packages yet: their
 names there may be those of strangers."""
+MARKS = {"commission.json": "commission"}
+"""Commands of packages by the files that mark the folders they make."""
 
 
 def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:

@@ -86,7 +86,7 @@ def import_all() -> None:
     import tauext.check.examine
     import tauext.cli.monitor_output
     import tauext.cli.reproduce
-    import tauext.commission.page.live_server
+    import tauext_commission.page.live_server
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.report.check_picture

@@ -16,8 +16,8 @@ pytest.importorskip("cyclonedds")
 
 from tauext_ros2.settings import Ros2Settings
 
-from tauext.commission import connect as connecting
-from tauext.commission.connect import connect, settled
+from tauext_commission import connect as connecting
+from tauext_commission.connect import connect, settled
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceFacts, SourceSettings
 from tauext.robot.write import write_placeholder

@@ -9,6 +9,19 @@ from typing import Any
 
 from tauext import plugins
 from tauext.errors import ConfigError
+from tauext.files.places import Place
+
+
+@dataclass(frozen=True)
+class Folders:
+    """Folders that a command makes, and what `tauext show` and `tauext report` do with them."""
+
+    mark: str
+    """Name of a file that each of them holds."""
+    show: str
+    """`module:function` of a folder and whether JSON is asked for, which prints what is in it."""
+    report: str
+    """`module:function` of some folders and the folder of pages, which draws their history."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +35,20 @@ class Command:
     their help; it returns the exit status, None for 0."""
     commands: Mapping[str, Command] = field(default_factory=dict)
     """Commands of a group, which has no function."""
+    title: str = "Plug-ins"
+    """Of the part of the overview in which a plug-in's command stands."""
+    folders: Folders | None = None
+    """None: it makes no folders that other commands show."""
 
     def load(self) -> Callable[..., Any]:
         """Import the function."""
-        module, _, function = self.function.partition(":")
-        return getattr(importlib.import_module(module), function)
+        return loaded(self.function)
+
+
+def loaded(function: str) -> Callable[..., Any]:
+    """Import `module:function`."""
+    module, _, name = function.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 GROUPS: Mapping[str, Mapping[str, Command]] = {
@@ -44,7 +66,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "show": Command("print a bundle, a recording, a fleet prior or a commissioned arm", "tauext.cli.show:show"),
     },
     "Monitor": {
-        "commission": Command("learn a live arm while it works, and monitor it", "tauext.cli.commission:commission"),
         "run": Command("run the monitor on recordings", "tauext.cli.run:run"),
         "monitor": Command("run the monitor on a live arm", "tauext.cli.monitor:monitor"),
         "send": Command("send a control line to a running monitor", "tauext.cli.send:send"),
@@ -72,7 +93,10 @@ def groups() -> dict[str, dict[str, Command]]:
             added[name] = plugins.load(entry, Command)
         except ConfigError as error:
             added[name] = Command(str(error))
-    return {title: dict(group) for title, group in GROUPS.items()} | ({"Plug-ins": added} if added else {})
+    shown = {title: dict(group) for title, group in GROUPS.items()}
+    for name, command in added.items():
+        shown.setdefault(command.title, {})[name] = command
+    return shown
 
 
 def all_commands() -> dict[str, Command]:
@@ -83,3 +107,18 @@ def all_commands() -> dict[str, Command]:
 def command_named(name: str) -> Command | None:
     """The command of this name, see plugins.named()."""
     return plugins.named(name, OWN, plugins.COMMANDS, Command)
+
+
+def folders_like(folder: Place) -> Folders | None:
+    """What other commands do with this folder; None: no command makes such folders.
+
+    Raises:
+        ConfigError: the package whose command made it is not installed.
+    """
+    for command in all_commands().values():
+        if command.folders and (folder / command.folders.mark).is_file():
+            return command.folders
+    for mark, name in plugins.MARKS.items():
+        if (folder / mark).is_file():
+            raise ConfigError(f"{folder}: is of `tauext {name}`; {plugins.how_to_add(name)}")
+    return None

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from tauext.bundle.history_file import is_commissioned
+from tauext.cli.commands import folders_like, loaded
 from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
-from tauext.cli.progress import Terminal, aligned, in_plain_letters
+from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
@@ -151,7 +150,11 @@ def report(
     if folders:
         if results is not None or data is not None or flight is not None or trace_methods:
             raise ConfigError(f"give either {folders[0]}, or --results and --data, or --flight; not both")
-        report_commissioned(folders, out)
+        if (made := folders_like(folders[0])) is None:
+            raise ConfigError(
+                f"{folders[0]}: is no folder of `tauext commission`; for results give --results and --data"
+            )
+        loaded(made.report)(folders, out)
         return
     if flight is not None:
         if results is not None or data is not None:
@@ -180,27 +183,6 @@ def report(
             f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
             "folder of `tauext commission`"
         )
-
-
-def report_commissioned(folders: Sequence[Place], out: Place) -> None:
-    """Draw the history of one commissioned arm, or print and draw a table of several."""
-    from tauext.commission.history import write_arms, write_history
-
-    for folder in folders:
-        if not is_commissioned(folder):
-            raise ConfigError(f"{folder}: is no folder of `tauext commission`; for results give --results and --data")
-    page = out / ("history.html" if len(folders) == 1 else "arms.html")
-    print_replaced(page)
-    with staged(out, fresh=True) as staging:
-        staging.mkdir(parents=True, exist_ok=True)
-        if len(folders) == 1:
-            write_history(local_folder(folders[0]), staging)
-        else:
-            rows = write_arms(folders, staging)
-            printed = aligned([row[:-1] for row in rows])
-            printed += [f"{name}: {warnings}" for name, *_, warnings in rows[1:] if warnings]
-            print("\n".join(map(in_plain_letters, printed)))
-    print(page)
 
 
 def local_flight(flight: Place) -> Path:

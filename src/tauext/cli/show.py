@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from tauext.bundle.history_file import BUNDLES, is_commissioned
+from tauext.bundle.history_file import BUNDLES
+from tauext.cli.commands import folders_like, loaded
 from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.kind import LOGS, import_first
@@ -65,12 +66,12 @@ def show(
         frame: frames at which --force gives the force, too.
         picture: PNG that --force draws.
     """
-    if is_commissioned(file):
+    if folders := folders_like(file):
         if force or data or frame or picture is not None:
             raise ConfigError(
                 f"--force, --data, --frame and --picture belong to a bundle; give one of {file / BUNDLES}"
             )
-        show_folder(file, as_json)
+        loaded(folders.show)(file, as_json)
         return
     if (file / "split.json").is_file():
         raise ConfigError(f"{file}: is a dataset folder; `tauext check --data {file}` shows its data. Or give {SHOWN}")
@@ -99,21 +100,6 @@ def show(
         remedy = f"; {import_first(file)}" if file.suffix in LOGS else ""
         raise ConfigError(f"{file}: its name must end as that of {SHOWN}{remedy}")
     print(json.dumps(content, indent=1) if as_json else "\n".join(text))
-
-
-def show_folder(folder: Place, as_json: bool) -> None:
-    """Print the state and the history of a commissioned arm."""
-    from tauext.cli.progress import in_plain_letters
-    from tauext.commission.history import describe_folder
-
-    content = describe_folder(folder)
-    if as_json:
-        print(json.dumps(content, indent=1))
-        return
-    history, missing = content.pop("history"), content.pop("missing")
-    rows = [*lines(content), *(f"{joint}: {'; '.join(words)}" for joint, words in missing.items())]
-    rows += ["", "history", *(f"  {one['wall']}  {one['words']}" for one in history)]
-    print("\n".join(in_plain_letters(row) for row in rows))
 
 
 def lines(content: Content) -> list[str]:

@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 from common import arguments, commit, head, joined, save_json, table_row, trained, write_tables
+from tauext_commission.connect import provenance_of, write_arm
 from unseen.arms import makers
 from unseen.working import NAMES, Part, Working, current_arm, working
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext_commission.connect import provenance_of, write_arm
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from common import COLLISION, arguments, checkpoint, head, quantiles_ms, table_row, trained, write_tables
+from tauext_commission.connect import provenance_of, write_arm
 from unseen.arms import fresh_makers, makers
 from unseen.presses import (
     AFTER_HIT_S,
@@ -44,7 +45,6 @@ from unseen.presses import (
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import OK
-from tauext_commission.connect import provenance_of, write_arm
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from made_bundles import pushed
 from made_live import ScriptedSource, samples_of
+from tauext_commission.lasting import LastingSource
 
 from tauext import _core
 from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts
@@ -17,7 +18,6 @@ from tauext.robot.write import write_placeholder
 from tauext.sources import lasting
 from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
 from tauext.sources.franka import FrankaSource
-from tauext_commission.lasting import LastingSource
 from tauext.sources.replay import ReplaySource
 from tauext.sources.ur import JOINTS as UR_JOINTS
 from tauext.sources.ur import UrSource

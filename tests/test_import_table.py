@@ -24,7 +24,6 @@ ORDER = {
     "evaluate": {"numpy", "scipy"},
     "report": {"numpy", "matplotlib", "jinja2"},
     "sim": {"numpy", "mujoco"},
-    "commission": {"numpy"},
     "cli": {"tyro", "rich"},
 }
 """Packages in order, with their outside libraries: each may import those before it."""
@@ -35,8 +34,6 @@ ALSO = {
     "data/ros_messages": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
-    "commission/page/connections": {"aiohttp"},
-    "commission/page/live_server": {"aiohttp"},
     "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},
 }
@@ -143,7 +140,7 @@ def files_imported(file: Path, modules: set[str]) -> set[str]:
     return found & modules
 
 
-INTEGRATIONS = {
+PACKAGES = {
     name: project.parent / name
     for project in sorted((SOURCE.parents[1] / "packages").glob("*/pyproject.toml"))
     for name in tomllib.loads(project.read_text())["tool"]["setuptools"]["packages"]
@@ -155,18 +152,18 @@ def top_names(file: Path) -> set[str]:
     return {name.partition(".")[0] for name in imports_of(file)}
 
 
-@pytest.mark.parametrize("package", INTEGRATIONS)
-def test_an_integration_imports_no_other_one_and_no_file_of_its_own_in_a_circle(package):
-    root = INTEGRATIONS[package]
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imports_no_other_one_and_no_file_of_its_own_in_a_circle(package):
+    root = PACKAGES[package]
     modules = {name_of(file, root): file for file in root.rglob("*.py")}
-    others = {name for name, folder in INTEGRATIONS.items() if folder.parent != root.parent}
+    others = {name for name, folder in PACKAGES.items() if folder.parent != root.parent}
     assert not {top for file in modules.values() for top in top_names(file)} & others
     assert not in_circles({name: files_imported(file, {*modules}) - {name} for name, file in modules.items()})
 
 
-def test_tauext_imports_no_integration():
+def test_tauext_imports_none_of_its_packages():
     """It finds them by their entry points."""
-    assert not {top for file in FILES for top in top_names(file)} & INTEGRATIONS.keys()
+    assert not {top for file in FILES for top in top_names(file)} & PACKAGES.keys()
 
 
 def test_the_circles_test_finds_one(tmp_path):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tauext_commission.connect import judge, recording_of
+
 from tauext.errors import ConfigError
 from tauext.monitor.source import Commanded, Describes, ServoStage, Stoppable
 from tauext.sim.arms import ARMS

@@ -8,11 +8,11 @@ import time
 import numpy as np
 import pytest
 from made_ur_rtde import ADDRESSES, Controller, value
-
 from tauext_commission.connect import connect
+from tauext_commission.lasting import LastingSource
+
 from tauext.errors import ConfigError
 from tauext.sources import reader
-from tauext_commission.lasting import LastingSource
 from tauext.sources.ur import JOINTS, RTDE_PORT, VARIABLES, UrSource
 
 pytest.importorskip("rtde_receive", reason="ur_rtde is not installed")

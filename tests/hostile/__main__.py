@@ -86,7 +86,6 @@ def import_all() -> None:
     import tauext.check.examine
     import tauext.cli.monitor_output
     import tauext.cli.reproduce
-    import tauext_commission.page.live_server
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.report.check_picture

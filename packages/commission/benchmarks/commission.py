@@ -36,18 +36,18 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, commit, head, joined, save_json, table_row, tauext, write_tables
-from unseen.working import NAMES, STRETCH_S, Part, Working, working
-
-from tauext import _core
-from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.estimates import NONE
-from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
 from tauext_commission.keep import KeepSink
 from tauext_commission.promises import meets
 from tauext_commission.trainer import Trainer
+from unseen.working import NAMES, STRETCH_S, Part, Working, working
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.estimates import NONE
+from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext.data.dataset import load_split
 from tauext.data.free_motion import cut, free_samples
 from tauext.data.labels import SUSPECT_MARGINS, Label

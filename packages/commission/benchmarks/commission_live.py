@@ -1,10 +1,11 @@
 """`tauext commission` in real time on a simulated arm: a first use with pictures, kills, a full disk, a silent source.
 
-    CHROMIUM=/usr/bin/chromium python packages/commission/benchmarks/commission_live.py OUT [--arm rig] [--kills 200] [--keep]
+    CHROMIUM=/usr/bin/chromium python packages/commission/benchmarks/commission_live.py OUT [--arm rig] [--kills 200]
+        [--keep]
 
 Checks that nothing is lost that was confirmed; tests/test_commission_faults.py beside it damages every file. Writes
-OUT/live.md and pictures of the page, and exits with 1 if a check fails. Needs Linux, Chromium and websockets (extra `dev`); the
-full disk also needs the right to mount a file system. Takes 40 minutes.
+OUT/live.md and pictures of the page, and exits with 1 if a check fails. Needs Linux, Chromium and websockets (extra
+`dev`); the full disk also needs the right to mount a file system. Takes 40 minutes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-sys.path[:0] = [str(Path(__file__).parents[3] / name) for name in ("benchmarks", "tests")]
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 from common import arguments, head, table_row, write_tables
 from made_browser import Browser, Page

@@ -10,8 +10,6 @@ COMMAND = Command(
     "learn a live arm while it works, and monitor it",
     "tauext_commission.command:commission",
     title="Monitor",
-    folders=Folders(
-        "commission.json", "tauext_commission.shown:show_folder", "tauext_commission.shown:report_folders"
-    ),
+    folders=Folders("commission.json", "tauext_commission.shown:show_folder", "tauext_commission.shown:report_folders"),
 )
 """`tauext commission`, found by its entry point."""

@@ -17,7 +17,6 @@ from typing import Any
 
 from tauext import _core
 from tauext.bundle.history_file import read_events
-from tauext_commission.folder import CommissionFolder, wall
 from tauext.data.labels import Label, label_of_alarm
 from tauext.errors import ConfigError
 from tauext.monitor.episode import Episode
@@ -25,6 +24,7 @@ from tauext.monitor.events import episode_facts
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
+from tauext_commission.folder import CommissionFolder, wall
 
 ASKING_S = 600.0
 """Time after which an alarm without an answer is not asked about any more, and is acknowledged."""

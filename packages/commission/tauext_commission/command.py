@@ -81,10 +81,10 @@ def commission(
     require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(1 <= port <= 65535, "port", port, "1 to 65535")
 
+    from tauext.monitor.reaction_file import load_reactions
     from tauext_commission.page import serve
     from tauext_commission.page.door import LOOPBACK, listening_socket
     from tauext_commission.run import Options, run
-    from tauext.monitor.reaction_file import load_reactions
 
     token, door, address = "", None, ""
     if not no_page:

@@ -20,7 +20,6 @@ from tauext.check.effort import HIGH, LOW, SEARCH_S
 from tauext.check.examine import Diagnosis, examine
 from tauext.check.finding import CODES, Finding
 from tauext.check.motion import MOVING_RAD_S
-from tauext_commission.folder import CommissionFolder, Segment
 from tauext.data.dataset import ROBOT_FILES
 from tauext.data.description import Arm, load_arm, parse_arm
 from tauext.data.recording import Recording, TorqueTiming, fitted_period_ns, lost_samples
@@ -37,6 +36,7 @@ from tauext.robot.read import load_tree
 from tauext.robot.write import is_placeholder, write_placeholder, write_robot
 from tauext.robot.xml_file import read_xml
 from tauext.sources.describing import why_another
+from tauext_commission.folder import CommissionFolder, Segment
 
 # --- Findings about a live stream.
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
-from tauext_commission.folder import NEAR_NS, CommissionFolder, Segment
 from tauext.data.importers.raw import short_list
 from tauext.data.labels import Label
 from tauext.data.recording_file import load_recording
@@ -31,6 +30,7 @@ from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink
 from tauext.monitor.sink import Control, LoopReport
 from tauext.monitor.source import SourceSettings
+from tauext_commission.folder import NEAR_NS, CommissionFolder, Segment
 
 # --- Coverage: what each joint has done so far, and what is missing in words.
 

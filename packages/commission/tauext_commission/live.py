@@ -18,13 +18,13 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import HEALTHS, OK
-from tauext_commission.folder import wall
 from tauext.files.plain_file import FORMAT
 from tauext.monitor.control_lines import listen_at
 from tauext.monitor.events import rounded
 from tauext.monitor.monitored_time import Monitored, blind_words
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample
+from tauext_commission.folder import wall
 
 PERIOD_S = 0.1
 MOST_READERS = 8

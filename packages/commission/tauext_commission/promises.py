@@ -19,9 +19,6 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
-from tauext_commission.history import Kept, kept_of
-from tauext_commission.keep import LEARNED, segments_of_arm
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
@@ -33,6 +30,9 @@ from tauext.files.synced_file import write_synced
 from tauext.train.calibrate import no_freeze, set_limits, write_calibrated
 from tauext.train.held_peaks import PeakCollector, collect_peaks
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
+from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
+from tauext_commission.history import Kept, kept_of
+from tauext_commission.keep import LEARNED, segments_of_arm
 
 THREADS = 1
 """Training must not take cores from the loop."""

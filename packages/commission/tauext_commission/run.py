@@ -22,24 +22,6 @@ from typing import Any, cast
 
 from tauext import _core
 from tauext.bundle.history_file import is_commissioned, lost_words, read_question, unusable_words
-from tauext_commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
-from tauext_commission.connect import (
-    ARM_FILES,
-    another_arm,
-    as_data,
-    as_entries,
-    connect,
-    free_arm,
-    known_arm,
-    restore_arm,
-    sentence_of,
-    write_arm,
-)
-from tauext_commission.folder import CommissionFolder, is_bundle
-from tauext_commission.keep import KeepSink, repaired
-from tauext_commission.live import LiveSink
-from tauext_commission.processes import Child
-from tauext_commission.trainer import run_trainer
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
@@ -58,8 +40,26 @@ from tauext.monitor.source import Describes, Source, SourceFacts
 from tauext.monitor.stop_signals import stopped_by_signals
 from tauext.robot.read import movable_joints
 from tauext.robot.write import is_placeholder
-from tauext_commission.lasting import LastingSource
 from tauext.sources.open import open_source
+from tauext_commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
+from tauext_commission.connect import (
+    ARM_FILES,
+    another_arm,
+    as_data,
+    as_entries,
+    connect,
+    free_arm,
+    known_arm,
+    restore_arm,
+    sentence_of,
+    write_arm,
+)
+from tauext_commission.folder import CommissionFolder, is_bundle
+from tauext_commission.keep import KeepSink, repaired
+from tauext_commission.lasting import LastingSource
+from tauext_commission.live import LiveSink
+from tauext_commission.processes import Child
+from tauext_commission.trainer import run_trainer
 
 Echo = Callable[[str], None]
 

@@ -19,23 +19,6 @@ from tauext.bundle.estimates import COLLISION
 from tauext.bundle.history_file import read_findings
 from tauext.check.before_training import WORTH_A_WARNING
 from tauext.check.finding import Finding
-from tauext_commission.arm_change import STROKES_S, Days, is_changed
-from tauext_commission.connect import (
-    HELD,
-    Remark,
-    as_data,
-    as_entries,
-    as_live,
-    facts_of_data,
-    judge,
-    load_known,
-    sentence_of,
-    settled,
-)
-from tauext_commission.course import Facts, next_step
-from tauext_commission.folder import CommissionFolder, Segment, up_to, wall
-from tauext_commission.keep import motion_s, segments_of_arm
-from tauext_commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
 from tauext.data.free_motion import free_pieces
@@ -56,6 +39,23 @@ from tauext.train.preparation import Given
 from tauext.train.promised_limits import limit_findings
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import search
+from tauext_commission.arm_change import STROKES_S, Days, is_changed
+from tauext_commission.connect import (
+    HELD,
+    Remark,
+    as_data,
+    as_entries,
+    as_live,
+    facts_of_data,
+    judge,
+    load_known,
+    sentence_of,
+    settled,
+)
+from tauext_commission.course import Facts, next_step
+from tauext_commission.folder import CommissionFolder, Segment, up_to, wall
+from tauext_commission.keep import motion_s, segments_of_arm
+from tauext_commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""

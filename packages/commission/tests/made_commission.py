@@ -8,10 +8,10 @@ from unittest import mock
 from zlib import crc32
 
 import numpy as np
-
-from tauext.bundle.history_file import read_question
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
+
+from tauext.bundle.history_file import read_question
 from tauext.data.recording import Recording
 from tauext.files import journal
 from tauext.monitor.source import SourceSettings

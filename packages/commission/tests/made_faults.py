@@ -16,13 +16,13 @@ from unittest import mock
 
 import numpy as np
 from made_bundles import JOINTS, pushed, watching_bundle
-
-from tauext.bundle.history_file import lost_words
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
 from tauext_commission.promises import Ledger
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer
+
+from tauext.bundle.history_file import lost_words
 from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import TauextError

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tauext_commission.arm_change import LoadChange, change_words, find_change
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext_commission.arm_change import LoadChange, change_words, find_change
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.robot.model_case import chosen_case

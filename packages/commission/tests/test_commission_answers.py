@@ -20,9 +20,6 @@ import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 from made_commission import words
 from made_live import ScriptedSource, samples_of
-
-from tauext.bundle.estimates import CONTACT, OK, STALE
-from tauext.bundle.history_file import read_events
 from tauext_commission.answers import EpisodeKeeper, Steering
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
@@ -30,6 +27,9 @@ from tauext_commission.live import MOST_READERS, PAST_EVERY, Curves, LiveSink
 from tauext_commission.processes import Child
 from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
+
+from tauext.bundle.estimates import CONTACT, OK, STALE
+from tauext.bundle.history_file import read_events
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange

@@ -18,10 +18,6 @@ import pytest
 from made_bundles import JOINTS, pushed
 from made_commission import cut_journal, forge
 from made_faults import ANSWERS, BACKUP, FAULTS, ROBOT, alone, begin, end, faults, files_of, outcome, prepare, wait
-
-from tauext import _core
-from tauext.bundle.history_file import active_bundle, expect_journal, left_out, read_events, read_history, read_question
-from tauext.cli import main
 from tauext_commission import history
 from tauext_commission.connect import restore_arm
 from tauext_commission.folder import CommissionFolder, Segment
@@ -29,6 +25,10 @@ from tauext_commission.history import arm_row, describe_folder
 from tauext_commission.keep import repaired, trim_damaged
 from tauext_commission.run import free_sockets
 from tauext_commission.trainer import Trainer
+
+from tauext import _core
+from tauext.bundle.history_file import active_bundle, expect_journal, left_out, read_events, read_history, read_question
+from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.data.labels import Label, read_labels
 from tauext.data.recording_file import save_recording

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_live import ScriptedSource
-
-from tauext import _core
 from tauext_commission.connect import (
     REMEDIES,
     TOPICS,
@@ -24,6 +22,8 @@ from tauext_commission.connect import (
     settled,
     write_arm,
 )
+
+from tauext import _core
 from tauext.data.assemble import assemble
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import save_recording

@@ -10,14 +10,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from tauext.bundle.estimates import COLLISION
-from tauext.bundle.history_file import watches
 from tauext_commission import folder as folder_module
 from tauext_commission import keep
 from tauext_commission.answers import EpisodeKeeper
 from tauext_commission.folder import CommissionFolder, Segment, split_of
 from tauext_commission.keep import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+
+from tauext.bundle.estimates import COLLISION
+from tauext.bundle.history_file import watches
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
-
 from tauext_commission.page import connections, live_server
 from tauext_commission.page.door import is_own_name, listening_socket
 from tauext_commission.page.live_arm import arm_facts
 from tauext_commission.page.live_server import line_of
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.files import journal

@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
 from made_live_page import JOINTS, LOST
+from tauext_commission.page import live_server
 from test_live_page import TOKEN, served
 
-from tauext_commission.page import live_server
 from tauext.sim.arms import ARMS
 
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}")

@@ -15,12 +15,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_commission import active, add_event, cut_journal, filled, question, words
-
-from tauext import _core
-from tauext._core import CoreError
-from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import active_bundle, read_findings, read_history
-from tauext.cli import main
 from tauext_commission import arm_change, course, keep, promises, trainer
 from tauext_commission.arm_change import named_steps
 from tauext_commission.connect import HELD, Remark, as_entries
@@ -28,6 +22,12 @@ from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import describe_folder, kept_of
 from tauext_commission.promises import Ledger
 from tauext_commission.trainer import Trainer, why_not, why_worse
+
+from tauext import _core
+from tauext._core import CoreError
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.history_file import active_bundle, read_findings, read_history
+from tauext.cli import main
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut

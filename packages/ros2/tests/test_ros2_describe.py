@@ -14,10 +14,10 @@ from made_ros2 import DOMAIN, Robot, own_space
 
 pytest.importorskip("cyclonedds")
 
-from tauext_ros2.settings import Ros2Settings
-
 from tauext_commission import connect as connecting
 from tauext_commission.connect import connect, settled
+from tauext_ros2.settings import Ros2Settings
+
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceFacts, SourceSettings
 from tauext.robot.write import write_placeholder

@@ -20,6 +20,9 @@ from pathlib import Path
 
 import numpy as np
 from common import ROOT, arguments, checkpoint, head, in_parallel, joined, share_interval, table_row, tauext, write_page
+from tauext_lab.evaluate.collisions import find_collisions
+from tauext_lab.evaluate.free_motion import FreeMotionErrors
+from tauext_lab.evaluate.missed_curve import MissedCurve
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -28,9 +31,6 @@ from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Split, load_split, save_split
 from tauext.data.recording import SIGNALS, Recording
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.free_motion import FreeMotionErrors
-from tauext.evaluate.missed_curve import MissedCurve
 from tauext.files.provenance import VERSION
 from tauext.fit.tail import rate_interval
 from tauext.train.error_scale import Judged, collect_rows, fit_error_scale, paper_limits, set_limits

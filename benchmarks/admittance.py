@@ -19,13 +19,13 @@ import mujoco
 import numpy as np
 from common import arguments, head, table_row, write_tables
 from pressing import ACKNOWLEDGED_S, GRACE_S, STRENGTHS, bundle_of, declare, presser_of
+from tauext_lab.sim.rig import encoder
 from unseen.presses import AFTER_HIT_S, WARM_S, Plant, Presser, draw_hit
 from unseen.recordings import DRIVE_VELOCITY_RAD_S
 from unseen.simulation import RATE_HZ, Contact, Steps
 from unseen.touches import Kinematics
 
 from tauext import _core
-from tauext.sim.rig import encoder
 
 SET_N, TOLERANCE_N = 20.0, 2.0
 DECLARED_N = 30.0

@@ -20,6 +20,8 @@ from pathlib import Path
 import numpy as np
 from common import arguments, commit, head, joined, save_json, table_row, trained, write_tables
 from tauext_commission.connect import provenance_of, write_arm
+from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.results import EvaluatedBundle
 from unseen.arms import makers
 from unseen.working import NAMES, Part, Working, current_arm, working
 
@@ -28,8 +30,6 @@ from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.results import EvaluatedBundle
 from tauext.fit.tail import is_kept
 from tauext.train.calibrate import calibrate_bundle
 

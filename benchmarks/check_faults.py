@@ -39,6 +39,9 @@ from common import arguments, head, table_row, write_tables
 from made_arms import Part, six_axis, urdf
 from made_recordings import made_motion
 from made_servos import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig
+from tauext_lab.sim.rig import arm_xml
 
 from tauext import _core
 from tauext.check.examine import Diagnosis, examine
@@ -46,9 +49,6 @@ from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.robot.read import load_tree
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
-from tauext.sim.rig import arm_xml
 
 RATE_HZ = 100.0
 PLANAR = ("rig", "parallel")

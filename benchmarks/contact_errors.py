@@ -22,6 +22,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from common import arguments, head, in_parallel, rms, table_row, write_tables
+from tauext_lab.sim.arms import ARMS, GearedArm
+from tauext_lab.sim.collect import SETTLE_S
+from tauext_lab.sim.plant import Mover, Plant
+from tauext_lab.sim.rig import draw_motion, measure, roll_out
 
 from tauext import _core
 from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
@@ -29,10 +33,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import estimated_model
-from tauext.sim.arms import ARMS, GearedArm
-from tauext.sim.collect import SETTLE_S
-from tauext.sim.plant import Mover, Plant
-from tauext.sim.rig import draw_motion, measure, roll_out
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 

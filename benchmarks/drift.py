@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 from common import arguments, collisions_begin, head, joined, rms, table_row
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig
 
 from tauext import _core
 from tauext.config import DriftConfig
 from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
 
 Signals = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 BREAK_NS = 1_000_000_000

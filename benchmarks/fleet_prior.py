@@ -24,7 +24,7 @@ from tauext import _core
 from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.evaluate.injected import estimate_recording
+from tauext.monitor.estimate import estimate_recording
 
 FLEET_TAKES = (Take("work-1", "train", 3), Take("work-2", "train", 3, 0, 600))
 NEW_TAKES = (

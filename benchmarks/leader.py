@@ -12,6 +12,7 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
+from tauext_lab.sim.rig import encoder
 from tauext_lerobot.leader_feedback import LeaderFeedback
 
 from tauext import TrainConfig, estimate_recording, load_dataset, train_bundle
@@ -23,7 +24,6 @@ from tauext.data.recording_file import save_recording
 from tauext.data.servo import servo_facts, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.progress import Reporter
-from tauext.sim.rig import encoder
 
 # --- The STS3215 at 7.4 V as it was identified: position control by duty, motor, friction of its gear.
 

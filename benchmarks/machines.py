@@ -33,6 +33,7 @@ from common import COLLISION, EPISODE_S, ROOT, arguments, head, table_row, write
 from real_arms import prepare
 from tauext_fleet.prior import ODD, make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
+from tauext_lab.evaluate.free_motion import count_episodes
 from unseen.arms import makers
 from unseen.recordings import Take, description, import_csv, simulate_takes
 
@@ -40,12 +41,11 @@ from tauext import _core
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.evaluate.free_motion import count_episodes
-from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.find_kinematics import REFINED, KinematicSample, directions
 from tauext.fit.prior_terms import own_terms
 from tauext.fit.training_set import with_presliding
+from tauext.monitor.estimate import estimate_recording
 from tauext.robot.model_case import estimated_model
 from tauext.train.stage import train_bundle
 

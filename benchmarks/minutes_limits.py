@@ -19,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 from common import arguments, checkpoint, head, in_parallel, quantiles_ms, table_row, write_tables
+from tauext_lab.evaluate.collisions import find_collisions
+from tauext_lab.evaluate.events import EventMeasures, Labels
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, EventsConfig, TrainConfig
@@ -26,9 +28,7 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import between
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.events import EventMeasures, Labels
-from tauext.evaluate.injected import estimate_recording
+from tauext.monitor.estimate import estimate_recording
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings

@@ -19,6 +19,7 @@ import numpy as np
 from common import ROOT, arguments, head, joined, runs, share_interval, table_row, write_page
 from matplotlib import pyplot as plt
 from mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
+from tauext_lab.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, OK
@@ -27,7 +28,6 @@ from tauext.data.dataset import Dataset, Split, load_dataset, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.fit.tail import promised_per_hour, rate_interval
-from tauext.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
 from tauext.train.stage import train_bundle
 
 matplotlib.use("agg")

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.sim.config import RigConfig
+from tauext_lab.sim.rig import arm_xml, joint_names
 
 from tauext import _core
 from tauext.config import PAPER_CASES, FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.robot.model_case import estimated_model
-from tauext.sim.config import RigConfig
-from tauext.sim.rig import arm_xml, joint_names
 
 RECORDED_GAIN_PER_S = 5.0
 """Gain K0 of the recorded observer: the authors' no-model network fits the torque that follows from it, no other."""

@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 from common import ROOT, arguments, head, in_parallel, joined, table_row, tauext, write_page
+from tauext_lab.evaluate.collisions import find_collisions, judge
+from tauext_lab.evaluate.free_motion import count_episodes
+from tauext_lab.report.paper import L1_NM, L2_NM, MSE_NM2
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
-from tauext.evaluate.collisions import find_collisions, judge
-from tauext.evaluate.free_motion import count_episodes
-from tauext.evaluate.injected import estimate_recording
-from tauext.report.paper import L1_NM, L2_NM, MSE_NM2
+from tauext.monitor.estimate import estimate_recording
 
 PAGE = ROOT / "docs/results/full/seeds.inc"
 PAPER_STEP = 10

@@ -156,8 +156,7 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
     """The estimate of some joints over time, their limits, and where something happened."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
-
-    from tauext.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
+    from tauext_lab.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
 
     signals, estimated = load_recording(recording), load_estimates(estimates)
     with rc_context(RC):

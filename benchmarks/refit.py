@@ -30,6 +30,10 @@ from common import (
     trained,
     write_tables,
 )
+from tauext_lab.evaluate.collisions import find_collisions, judge_latched
+from tauext_lab.evaluate.errors import sensor_reference
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import STRONG, Take, make_dataset, nearest, told_constants
 
@@ -38,12 +42,8 @@ from tauext.data.dataset import load_split
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.evaluate.collisions import find_collisions, judge_latched
-from tauext.evaluate.errors import sensor_reference
-from tauext.evaluate.injected import estimate_recording
 from tauext.fit.tail import rate_interval
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
+from tauext.monitor.estimate import estimate_recording
 from tauext.train.refit import refit_motion, refit_recordings
 
 ARMS = ["ur5", "panda", "kinova", "seven_axis"]

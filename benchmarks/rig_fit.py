@@ -22,12 +22,12 @@ import numpy as np
 from common import arguments, head, joined, runs, table_row
 from mocca_recording import RATE_HZ, RECORDED_GAIN_PER_S, Segment, nominal_tree, read_segments, recording
 from scipy.optimize import least_squares
+from tauext_lab.sim.config import PAPER_FRICTION, RigConfig
+from tauext_lab.sim.rig import low_pass
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import OK
-from tauext.sim.config import PAPER_FRICTION, RigConfig
-from tauext.sim.rig import low_pass
 
 SETTLED_S = 0.8
 STRIBECK_RAD_S = 0.05

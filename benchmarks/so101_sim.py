@@ -15,6 +15,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 from common import arguments, head, joined, table_row, tauext, write_tables
+from tauext_lab.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise, judge_latched
+from tauext_lab.evaluate.errors import sensor_reference
+from tauext_lab.evaluate.events import event_time
+from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 from unseen.recordings import Take
 from unseen.servos import description, servo_arm, so101, write_take
 
@@ -24,10 +28,6 @@ from tauext.config import EventsConfig
 from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise, judge_latched
-from tauext.evaluate.errors import sensor_reference
-from tauext.evaluate.events import event_time
-from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 
 RATES_HZ = (50, 30, 100)
 TEN_MINUTES = tuple(Take(f"train-{k}", "train", 5) for k in (1, 2))

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from common import arguments, head, save_json, trained, write_tables
 from scipy.stats import chi2
+from tauext_lab.sim.rig import velocity
 from unseen.arms import Maker, TrueArm, arm_of, direction, fresh_makers, makers
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, readings, told_constants
 from unseen.simulation import RATE_HZ, Contact, Run, draw_motion, simulate, touched_point
 
 from tauext import _core
 from tauext.robot.read import load_tree
-from tauext.sim.rig import velocity
 
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")
 """The last two are arms that no method was fixed on."""

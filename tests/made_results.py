@@ -17,17 +17,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.signal import lfilter
+from tauext_lab.evaluate.collisions import TouchMeasures, choose_ten, find_collisions
+from tauext_lab.evaluate.comparison import BundleMeasures
+from tauext_lab.evaluate.errors import sensor_reference
+from tauext_lab.evaluate.free_motion import sanity_detectors
+from tauext_lab.evaluate.results import LinkProbability, Results, TouchEstimate, to_json
 
 from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
 from tauext.cli import main
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.collisions import TouchMeasures, choose_ten, find_collisions
-from tauext.evaluate.comparison import BundleMeasures
-from tauext.evaluate.errors import sensor_reference
-from tauext.evaluate.free_motion import sanity_detectors
-from tauext.evaluate.results import LinkProbability, Results, TouchEstimate, to_json
 from tauext.files.provenance import write_json
 
 RATE_HZ = 1000

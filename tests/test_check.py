@@ -11,6 +11,9 @@ import pytest
 from check_cases import FAULTS, Case, Fault, beside, is_named, scara, standing
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import made_motion
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig
+from tauext_lab.sim.rig import arm_xml
 
 from tauext.check.arrangement import fit_load, with_load
 from tauext.check.examine import examine
@@ -23,9 +26,6 @@ from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.read import load_tree
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
-from tauext.sim.rig import arm_xml
 
 MINUTES, RATE_HZ = 0.5, 100.0
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_servos import COUNT_RAD, Servo, drive, recorded
+from tauext_lab.report.check_picture import draw
 
 from tauext.check.drive import efforts_of, servo_findings
 from tauext.check.examine import as_data, as_text, examine, quick_checks
 from tauext.check.sensors import coarse_findings
 from tauext.data.drive_signal import backlash_widths, play_of, position_step, step_of
-from tauext.report.check_picture import draw
 
 DEGREE = np.pi / 180
 LOADED, PAN, PLAY, WIDE = 0, 1, 2, 3

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import pushed, watching_bundle
+from tauext_lab.evaluate import comparison
+from tauext_lab.evaluate.results_folder import evaluate_bundles
 
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording_file import save_recording
-from tauext.evaluate import comparison
-from tauext.evaluate.results_folder import evaluate_bundles
 from tauext.files import checkpoint
 from tauext.files.checkpoint import Checkpoint
 from tauext.train import error_scale

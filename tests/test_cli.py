@@ -14,15 +14,15 @@ from pathlib import Path
 
 import pytest
 from made_results import run_command, undrawn
+from tauext_lab.reproduce import SCALES
+from tauext_lab.sim.config import RigConfig
 
 from tauext import _core
 from tauext.cli import main
 from tauext.cli.commands import OWN
-from tauext.cli.reproduce import SCALES
 from tauext.cli.train import alarm_settings, train_settings
 from tauext.config import AlarmConfig, DriftConfig, TrainConfig
 from tauext.files.toml_file import field_help, settings_of
-from tauext.sim.config import RigConfig
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -61,8 +61,8 @@ def done(tmp_path_factory) -> Done:
     with pytest.MonkeyPatch.context() as patch, undrawn():
         patch.chdir(folder)
         patch.setitem(SCALES, "smoke", SMALLEST)
-        patch.setattr("tauext.sim.config.RigConfig", SHORTER)
-        patch.setattr("tauext.sim.config.changed_rig", lambda *changes: SHORTER())
+        patch.setattr("tauext_lab.sim.config.RigConfig", SHORTER)
+        patch.setattr("tauext_lab.sim.config.changed_rig", lambda *changes: SHORTER())
         for command in commands(STEP_BY_STEP):
             for quick, smoke in SMALLER.items():
                 command = command.replace(quick, smoke)
@@ -127,8 +127,8 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
     before, written_ns = results.read_bytes(), bundle.stat().st_mtime_ns
     monkeypatch.chdir(workplace)
     monkeypatch.setitem(SCALES, "smoke", SMALLEST)
-    monkeypatch.setattr("tauext.sim.config.RigConfig", SHORTER)
-    monkeypatch.setattr("tauext.report.page.write_report", lambda results, data, folder: folder)  # is there already
+    monkeypatch.setattr("tauext_lab.sim.config.RigConfig", SHORTER)
+    monkeypatch.setattr("tauext_lab.report.page.write_report", lambda results, data, folder: folder)  # is there already
     assert main(["reproduce", "--scale", "smoke", "--out", "runs/quick", "--cases", "exact"]) == 0
     assert bundle.stat().st_mtime_ns == written_ns
     after = results.read_bytes()

@@ -31,6 +31,8 @@ from made_planar import dataset, moving
 from made_results import make_results, run_command
 from made_results import undrawn as no_pictures
 from matplotlib.figure import Figure
+from tauext_lab.report.page import write_report
+from tauext_lab.report.style import RC
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import load_estimates
@@ -39,8 +41,6 @@ from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.files.preflight import within_memory
-from tauext.report.page import write_report
-from tauext.report.style import RC
 from tauext.robot.write import write_placeholder
 
 FREE, PUSH = "free.parquet", "push.parquet"

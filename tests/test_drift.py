@@ -15,12 +15,12 @@ from tauext.cli.show import describe_bundle
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup, freeze_drift, make_bundle, set_drift
 from tauext.fit.prior import fit_prior
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.training_set import with_presliding
 from tauext.monitor.changes import ChangeFinder, DriftChange
+from tauext.monitor.estimate import estimate_recording
 from tauext.monitor.flight_content import as_estimates, rows_kept
 from tauext.monitor.flight_files import FlightSource
 from tauext.train.error_scale import unit_scale

@@ -15,7 +15,7 @@ from made_cpp import ROOT, build, build_of_library, run
 
 from tauext import _core
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.injected import estimate_recording
+from tauext.monitor.estimate import estimate_recording
 
 COMPILERS_APART_NM = 1e-5
 """By how much the answers of two compilers may differ. Each chooses which products and sums it fuses, and the network's

@@ -13,10 +13,10 @@ from tauext.cli import main
 from tauext.config import PAPER_CASES, AlarmConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import BundleError, ConfigError, TrainingError
-from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
+from tauext.monitor.estimate import estimate_recording
 from tauext.train.calibrate import calibrate_bundle
 from tauext.train.limits import factor_after, put_limits
 from tauext.train.preparation import Given, training_motion, wants_constants

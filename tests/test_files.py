@@ -14,10 +14,10 @@ import pytest
 from made_arms import PLANAR_MJCF
 from made_planar import moving
 from made_s3 import Request, upload
+from tauext_lab.commands import command_line
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
-from tauext.cli.results import command_line
 from tauext.data import dataset as stretches_module
 from tauext.data import recording_file
 from tauext.data.dataset import Split, ahead, load_dataset, save_split, stretches

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import pytest
 from made_results import make_results
-
-from tauext.check.before_training import RejectedTime
-from tauext.evaluate.results import (
+from tauext_lab.evaluate.results import (
     CurvePoint,
     EvaluatedBundle,
     Limits,
@@ -16,8 +14,10 @@ from tauext.evaluate.results import (
     StrengthBin,
     load_results,
 )
-from tauext.report.page import false_alarms, first_screen, joint_list, plain, shown_bundle, tile, weak_words
-from tauext.report.tables import duration_or_dash
+from tauext_lab.report.page import false_alarms, first_screen, joint_list, plain, shown_bundle, tile, weak_words
+from tauext_lab.report.tables import duration_or_dash
+
+from tauext.check.before_training import RejectedTime
 
 
 @pytest.fixture(scope="module")

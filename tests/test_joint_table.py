@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from made_arms import six_axis_tree
 from made_recordings import made_motion
+from tauext_lab.report.joint_picture import draw_joints
 
 from tauext.check.joint_table import cells, joint_motions
-from tauext.report.joint_picture import draw_joints
 
 
 def test_a_swap_of_two_joints_shows_in_both_correlations(tmp_path):

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from made_arms import random_states, seven_axis, six_axis, urdf
 from made_live import Keeper, ScriptedSource, samples_of
+from tauext_lab.report.flight import facts
+from tauext_lab.report.flight_file import load_flight
 
 from tauext import _core
 from tauext._core import Load
@@ -24,8 +26,6 @@ from tauext.monitor.control_lines import obey
 from tauext.monitor.loads import load_and_ago_of_text, load_of_text, read_loads
 from tauext.monitor.loop import Loop
 from tauext.monitor.profiles import load_profiles
-from tauext.report.flight import facts
-from tauext.report.flight_file import load_flight
 from tauext.robot.frames import load_frame
 from tauext.robot.read import load_tree
 from tauext.train.preparation import Given

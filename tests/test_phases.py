@@ -420,7 +420,7 @@ def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
 
 
 def test_hits_are_injected_while_the_tool_presses_too(arm):
-    from tauext.evaluate.injected import Injection
+    from tauext_lab.evaluate.injected import Injection
 
     bundle, free = arm
     injection = Injection({"six": bundle}, 4, 20)

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tauext_lab.sim import collect
 
 from tauext import _core
 from tauext.cli import main
@@ -16,7 +17,6 @@ from tauext.errors import ConfigError
 from tauext.files import preflight
 from tauext.files.atomic_write import atomic_files, atomic_folder
 from tauext.files.plain_file import json_of, read_text, toml_of
-from tauext.sim import collect
 from tauext.train.stage import expect_size
 
 

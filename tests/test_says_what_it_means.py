@@ -8,6 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 from made_bundles import cut_flight, pushed, watching_bundle
+from tauext_lab.report.flight import draw_close
+from tauext_lab.report.flight_file import load_flight
+from tauext_lab.report.style import uncertainty_words
 
 from tauext import _core
 from tauext.bundle.estimates import load_estimates
@@ -15,11 +18,8 @@ from tauext.cli import main
 from tauext.cli.show import in_order
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.injected import estimate_recording
+from tauext.monitor.estimate import estimate_recording
 from tauext.monitor.flight_files import FlightSource, write_flight
-from tauext.report.flight import draw_close
-from tauext.report.flight_file import load_flight
-from tauext.report.style import uncertainty_words
 
 
 def test_the_version_names_package_core_and_bundle_format(capsys):

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import gammaincinv
+from tauext_lab.sim.arms import rig_arm
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig
 
 from tauext import _core
 from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
 from tauext.data.free_motion import cut, free_samples
 from tauext.data.labels import Label
-from tauext.sim.arms import rig_arm
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig
 from tauext.train.calibrate import calibrate_bundle
 from tauext.train.preparation import Given
 from tauext.train.stage import accepted_settings, train_on_recordings

@@ -11,10 +11,10 @@ from test_train import recording
 from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig
 from tauext.data.recording import Recording
-from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import fit_prior
 from tauext.fit.training_set import with_presliding
+from tauext.monitor.estimate import estimate_recording
 from tauext.monitor.replay import replay
 
 SETTINGS = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)

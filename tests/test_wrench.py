@@ -11,9 +11,9 @@ import pinocchio_oracle as oracle
 import pytest
 from made_bundles import SEVEN_AXIS, seven_axis_bundle
 from scipy.stats import chi2
+from tauext_lab.evaluate.noticed_force import noticed_force
 
 from tauext import _core
-from tauext.evaluate.noticed_force import noticed_force
 from tauext.fit.torque_constants import with_constants
 from tauext.robot.frames import wrench_frames
 from tauext.robot.read import load_tree

@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.sim.arms import rig_arm
+from tauext_lab.sim.config import RigConfig
+from tauext_lab.sim.contacts import log_uniform
+from tauext_lab.sim.rig import arm_xml, low_pass, velocity
+from tauext_lab.sim.source import servo_facts_of_so101
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.monitor.source import SourceFacts, SourceSettings
 from tauext.robot.read import load_tree
-from tauext.sim.arms import rig_arm
-from tauext.sim.config import RigConfig
-from tauext.sim.contacts import log_uniform
-from tauext.sim.rig import arm_xml, low_pass, velocity
-from tauext.sim.source import servo_facts_of_so101
 from unseen.arms import Maker, TrueArm, arm_of, direction
 from unseen.picks import Way
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, readings, told_constants

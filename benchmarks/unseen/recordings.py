@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from common import in_parallel, tauext
+from tauext_lab.sim.rig import encoder, low_pass, velocity
 
 from tauext.robot.read import load_tree
-from tauext.sim.rig import encoder, low_pass, velocity
 from unseen.arms import Maker, TrueArm, arm_of
 from unseen.simulation import RATE_HZ, Contact, Run, draw_contacts, draw_motion, label, simulate
 

@@ -1,4 +1,4 @@
-"""A low-cost servo arm of tauext.sim.servo_arm, stepped by compiled code, with touches; what a bus reports of it."""
+"""A low-cost servo arm of tauext_lab.sim.servo_arm, stepped by compiled code, with touches; what a bus reports of it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,9 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-
-from tauext import _core
-from tauext.robot.read import load_tree
-from tauext.sim.contacts import log_uniform
-from tauext.sim.rig import encoder
-from tauext.sim.servo_arm import (
+from tauext_lab.sim.contacts import log_uniform
+from tauext_lab.sim.rig import encoder
+from tauext_lab.sim.servo_arm import (
     COMMAND_TICKS,
     COUNT_RAD,
     COUNTS,
@@ -32,6 +29,9 @@ from tauext.sim.servo_arm import (
     backlash_model,
     drawn,
 )
+
+from tauext import _core
+from tauext.robot.read import load_tree
 from unseen.arms import Maker, direction, true_arm
 from unseen.recordings import Take, split_text
 from unseen.simulation import NUMBER, POINTER, WHOLE, Pressing, address, compiled, draw_motion

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from tauext_lab.sim.servo_arm import specification
 
 from tauext import _core
-from tauext.sim.servo_arm import specification
 from unseen.arms import Maker, TrueArm, direction
 
 # --- What an integrator would have the arm do: all joints together from pose to pose, pauses between, some of it slow.

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from tauext_lab.sim.contacts import log_uniform
 
 from tauext import _core
 from tauext.robot.read import load_tree
-from tauext.sim.contacts import log_uniform
 from unseen.arms import Maker, TrueArm, true_arm
 from unseen.picks import Gripper, Pick, Way, raised
 from unseen.recordings import write_csv

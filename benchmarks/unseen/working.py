@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.sim.arms import rig_arm
+from tauext_lab.sim.collect import SETTLE_S, measure, simulate_motion
+from tauext_lab.sim.collect import draw_motion as rig_motion
+from tauext_lab.sim.config import LinkConfig, RigConfig, changed_friction
+from tauext_lab.sim.rig import encoder, velocity
+from tauext_lab.sim.servo_arm import COUNTS, ServoArm
+from tauext_lab.sim.source import servo_facts_of_so101
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.monitor.source import Sample, ServoStage, SourceFacts, SourceSettings
 from tauext.robot.read import load_tree
-from tauext.sim.arms import rig_arm
-from tauext.sim.collect import SETTLE_S, measure, simulate_motion
-from tauext.sim.collect import draw_motion as rig_motion
-from tauext.sim.config import LinkConfig, RigConfig, changed_friction
-from tauext.sim.rig import encoder, velocity
-from tauext.sim.servo_arm import COUNTS, ServoArm
-from tauext.sim.source import servo_facts_of_so101
 from unseen.arms import Maker, TrueArm, add_ball, arm_of, fresh_makers, with_ball
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, Take, readings
 from unseen.servos import (

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 from made_pages import write_page
-
-from tauext.report import paper
+from tauext_lab.report import paper
 
 DOCS = Path(__file__).parents[1]
 RECIPES = ("paper", "dense")

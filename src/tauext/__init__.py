@@ -17,16 +17,16 @@ The public names, each loaded on first use:
 **Data** load_recording, save_recording, Recording · load_dataset, Dataset · load_bundle, Bundle
 **Train** train_bundle, recalibrate; refit_bundle, refit_motion, refit_recordings; TrainConfig and the settings in it:
 ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
-**Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
+**Estimate** estimate_recording, Estimates
 **Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Touch; Load, LoadFound,
 LoadPhase; DeclaredContact, Declared, ToolForce: contacts that the task means
 **Forces** WrenchModel, Wrench, WrenchAxes: force and moment at a frame · PlaceModel, TouchPlaces, TouchPlace: which
 link is touched, where and how hard
-**Progress** Reporter: progress of train_bundle and evaluate_bundles **Errors** TauextError and under it RobotError,
+**Progress** Reporter: progress of train_bundle **Errors** TauextError and under it RobotError,
 RecordingError, ConfigError, BundleError, TrainingError
 
 The loop around a monitor: `tauext.monitor.loop`; sources of samples: `tauext.sources`; checks of recordings:
-`tauext.check`; pages and figures: `tauext.report`; simulated arms: `tauext.sim`; robot files: `tauext.robot`.
+`tauext.check`; robot files: `tauext.robot`. Evaluation, pages and simulated arms: `tauext_lab`, a package of its own.
 """
 
 from __future__ import annotations
@@ -48,8 +48,7 @@ _WHERE = {
     "data.recording": "Recording",
     "data.recording_file": "load_recording save_recording",
     "errors": "BundleError ConfigError RecordingError RobotError TauextError TrainingError",
-    "evaluate.injected": "estimate_recording",
-    "evaluate.results_folder": "evaluate_bundles",
+    "monitor.estimate": "estimate_recording",
     "progress": "Reporter",
     "train.calibrate": "recalibrate",
     "train.refit": "refit_bundle refit_motion refit_recordings",

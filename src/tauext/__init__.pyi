@@ -43,8 +43,7 @@ from tauext.errors import RecordingError as RecordingError
 from tauext.errors import RobotError as RobotError
 from tauext.errors import TauextError as TauextError
 from tauext.errors import TrainingError as TrainingError
-from tauext.evaluate.injected import estimate_recording as estimate_recording
-from tauext.evaluate.results_folder import evaluate_bundles as evaluate_bundles
+from tauext.monitor.estimate import estimate_recording as estimate_recording
 from tauext.progress import Reporter as Reporter
 from tauext.train.calibrate import recalibrate as recalibrate
 from tauext.train.refit import refit_bundle as refit_bundle

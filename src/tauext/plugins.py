@@ -7,24 +7,32 @@ A package adds a robot or a command in its pyproject.toml:
     [project.entry-points."tauext.commands"]
     mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
 
+Parts of tauext's own commands that need a library for drawing, or that few users need, are entry points of the group
+tauext.parts: functions by name.
+
 `examples/04_plugin` holds one of each. The names of tauext itself cannot be replaced.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS = "tauext.sources", "tauext.commands"
+SOURCES, COMMANDS, PARTS = "tauext.sources", "tauext.commands", "tauext.parts"
 """Groups of entry points."""
+OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force")
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
-FOLDERS = {"commission": "commission", "fleet": "fleet", "ros2": "ros2"} | dict.fromkeys(OF_LEROBOT, "lerobot")
-"""Folders of packages/, by the command or source that their packages add. No registry has these packages yet: their
+FOLDERS = (
+    {"commission": "commission", "fleet": "fleet", "ros2": "ros2"}
+    | dict.fromkeys(OF_LAB, "lab")
+    | dict.fromkeys(OF_LEROBOT, "lerobot")
+)
+"""Folders of packages/, by the command, source or part that their packages add. No registry has these packages yet: their
 names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
@@ -51,9 +59,22 @@ def named(name: str, own: Mapping[str, Added], group: str, kind: type[Added]) ->
     return None if entry is None else load(entry, kind)
 
 
+def part(name: str) -> Callable[..., Any]:
+    """The function of this name in the group tauext.parts.
+
+    Raises:
+        ConfigError: the package that adds it is not installed, or cannot be loaded.
+    """
+    entry = installed(PARTS).get(name)
+    if entry is None:
+        raise ConfigError(how_to_add(name) or f"no package adds '{name}'")
+    return load(entry, Callable)  # type: ignore[type-abstract]
+
+
 def how_to_add(name: str) -> str | None:
-    """Which package adds this command or source; None: it is installed, or no package of this repository adds it."""
-    folder = None if name in installed(SOURCES) | installed(COMMANDS) else FOLDERS.get(name)
+    """Which package adds this command, source or part; None: it is there, or no package of this repository adds it."""
+    there = installed(SOURCES) | installed(COMMANDS) | installed(PARTS)
+    folder = None if name in there else FOLDERS.get(name)
     return folder and f"'{name}' is a plug-in: pip install ./packages/{folder} in the source folder of tauext"
 
 

@@ -85,11 +85,7 @@ def import_all() -> None:
 
     import tauext.check.examine
     import tauext.cli.monitor_output
-    import tauext.cli.reproduce
     import tauext.data.importers.open_raw
-    import tauext.evaluate.results_folder
-    import tauext.report.check_picture
-    import tauext.report.page
     import tauext.train.stage  # noqa: F401
 
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import LinkConfig, RigConfig, changed_rig
 
 from tauext import _core
 from tauext.data.importing import import_dataset
 from tauext.data.recording import Recording
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import LinkConfig, RigConfig, changed_rig
 
 SIGNALS = ("q", "dq", "tau")
 STUCK_TRIES = 20

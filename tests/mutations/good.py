@@ -16,6 +16,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.sim.collect import simulate_dataset
+from tauext_lab.sim.config import RigConfig
 from unseen.arms import makers
 from unseen.recordings import Take, description, write_take
 
@@ -26,8 +28,6 @@ from tauext.data.free_motion import within
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import TauextError
-from tauext.sim.collect import simulate_dataset
-from tauext.sim.config import RigConfig
 
 LONG_S = 5.0
 """A training recording of less is not chosen to be broken."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.evaluate.events import EventMeasures, Labels, event_time
 
 from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
-from tauext.evaluate.events import EventMeasures, Labels, event_time
-from tauext.evaluate.injected import estimate_recording
+from tauext.monitor.estimate import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_results

@@ -42,6 +42,7 @@ from tauext_commission.history import promise_of
 from tauext_commission.keep import KeepSink
 from tauext_commission.promises import meets
 from tauext_commission.trainer import Trainer
+from tauext_lab.evaluate.comparison import evaluate
 from unseen.working import NAMES, STRETCH_S, Part, Working, working
 
 from tauext import _core
@@ -54,7 +55,6 @@ from tauext.data.labels import SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording, runs_of
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
-from tauext.evaluate.comparison import evaluate
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.replay import replay as replayed

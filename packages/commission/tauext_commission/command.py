@@ -31,7 +31,7 @@ MOST_CORES = 1024
 def commission(
     source: Annotated[
         str | None,
-        tyro.conf.arg(help=f"source of the samples: {SOURCES}, or a simulated arm: sim:rig, sim:seven or sim:so101."),
+        tyro.conf.arg(help=f"source of the samples: {SOURCES}."),
     ] = None,
     out: LocalArg | None = None,
     robot: LocalArg | None = None,

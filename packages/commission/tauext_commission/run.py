@@ -40,7 +40,7 @@ from tauext.monitor.source import Describes, Source, SourceFacts
 from tauext.monitor.stop_signals import stopped_by_signals
 from tauext.robot.read import movable_joints
 from tauext.robot.write import is_placeholder
-from tauext.sources.open import open_source
+from tauext.sources.open import open_source, robot_file_of
 from tauext_commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
 from tauext_commission.connect import (
     ARM_FILES,
@@ -120,7 +120,7 @@ def run(
             does not fit a file or an option.
         RobotError: the robot file cannot be read, or lacks a joint of the arm.
     """
-    first, publishers = open_arm(text, options.source)  # refused before a folder is made
+    first, publishers = open_source(text, options.source)  # refused before a folder is made
     try:
         expect_actions(options.reactions(None), first, publishers)
         if text.startswith("replay:") and isinstance(first, Describes):
@@ -157,19 +157,7 @@ def repaired_folder(path: Path) -> list[str]:
         return [*folder.repair(), f"{path}: the journal is whole; it holds {len(folder.labels())} labels"]
 
 
-# --- Sources, and sockets beside the folder's files.
-
-
-def open_arm(text: str, options: Mapping[str, Any]) -> tuple[Source, tuple[Sink, ...]]:
-    """As open_source(), with simulated arms."""
-    kind, _, target = text.partition(":")
-    if kind != "sim":
-        return open_source(text, options, also="sim:ARM")
-    from tauext.sim.source import SimSource
-
-    if options:
-        raise ConfigError(f"{text}: a simulated arm takes no --{next(iter(options)).replace('_', '-')}")
-    return SimSource(target), ()
+# --- Sockets beside the folder's files.
 
 
 def socket_folder(folder: Path, stack: ExitStack) -> Path:
@@ -351,7 +339,7 @@ class Commission:
         self._options.reactions(facts.settings.joints)
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
-        return open_arm(self._text, self._options.source)
+        return open_source(self._text, self._options.source)
 
     def _open_again(self) -> Source:
         return self._open()[0]
@@ -361,12 +349,9 @@ class Commission:
         for name in ("robot.urdf", "robot.xml"):
             if (path := self._folder.path / name).is_file() and not is_placeholder(path):
                 return path
-        kind, _, target = self._text.partition(":")
-        if self._options.robot is None and kind == "sim":
-            from tauext.sim.source import write_robot_file
-
-            return write_robot_file(target, Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
-        return self._options.robot
+        if self._options.robot is not None:
+            return self._options.robot
+        return robot_file_of(self._text, Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
 
     # Monitor.
 

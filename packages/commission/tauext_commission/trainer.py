@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.results import EvaluatedBundle
+from tauext_lab.evaluate.results_folder import write_results
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
@@ -23,15 +26,12 @@ from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
 from tauext.data.free_motion import free_pieces
 from tauext.errors import ConfigError, FaultyDataError, TauextError
-from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.injected import estimate_recording
-from tauext.evaluate.results import EvaluatedBundle
-from tauext.evaluate.results_folder import write_results
 from tauext.files.journal import REPAIR
 from tauext.files.journal_lines import is_bundle_name
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
 from tauext.files.synced_file import write_synced
+from tauext.monitor.estimate import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data

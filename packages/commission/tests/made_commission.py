@@ -10,12 +10,12 @@ from zlib import crc32
 import numpy as np
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
+from tauext_lab.sim.arms import rig_arm
 
 from tauext.bundle.history_file import read_question
 from tauext.data.recording import Recording
 from tauext.files import journal
 from tauext.monitor.source import SourceSettings
-from tauext.sim.arms import rig_arm
 
 
 def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> CommissionFolder:

@@ -123,8 +123,9 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     joints = JOINTS[arm]
     folder.mkdir(parents=True, exist_ok=True)
     if arm != "none":
+        from tauext_lab.sim.arms import ARMS
+
         from tauext.robot.capsules import write_shapes
-        from tauext.sim.arms import ARMS
 
         (folder / "robot.xml").write_text(ARMS[arm]().xml)
         write_shapes(folder / "robot.xml", folder)

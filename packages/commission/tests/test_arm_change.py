@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tauext_commission.arm_change import LoadChange, change_words, find_change
+from tauext_lab.sim.arms import GearedArm, rig_arm, seven_axis_arm
+from tauext_lab.sim.config import changed_friction
+from tauext_lab.sim.source import DrivenArm, command_of
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.robot.model_case import chosen_case
-from tauext.sim.arms import GearedArm, rig_arm, seven_axis_arm
-from tauext.sim.config import changed_friction
-from tauext.sim.source import DrivenArm, command_of
 from tauext.train.preparation import Given
 from tauext.train.stage import accepted_settings, train_on_recordings
 

@@ -18,6 +18,7 @@ from tauext_commission.command import answer, keys
 from tauext_commission.connect import as_data
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.run import TEND_S, Options, run
+from tauext_lab.sim.source import KINDS, write_robot_file
 
 from tauext.bundle.history_file import read_events
 from tauext.cli import main
@@ -26,7 +27,6 @@ from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
 from tauext.monitor.control_lines import obey
 from tauext.robot.write import write_placeholder
-from tauext.sim.source import KINDS, write_robot_file
 
 PATIENCE_S = 300.0
 
@@ -142,7 +142,7 @@ def test_an_arm_that_is_away_is_tried_again_and_one_that_does_not_fit_is_not(las
         made.append(Away(errors))
         return made[-1], ()
 
-    monkeypatch.setattr("tauext_commission.run.open_arm", opened)
+    monkeypatch.setattr("tauext_commission.run.open_source", opened)
     monkeypatch.setattr("tauext_commission.run.RETRY_S", 0.01)
     with pytest.raises(type(last)) as raised:
         run(tmp_path / "cell", "ur:there", Options(), said.append)

@@ -22,6 +22,8 @@ from tauext_commission.connect import (
     settled,
     write_arm,
 )
+from tauext_lab.sim.arms import ARMS
+from tauext_lab.sim.source import KINDS, DrivenArm, SimSource, write_robot_file
 
 from tauext import _core
 from tauext.data.assemble import assemble
@@ -31,8 +33,6 @@ from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings
 from tauext.errors import ConfigError, RobotError
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.robot.write import is_placeholder
-from tauext.sim.arms import ARMS
-from tauext.sim.source import KINDS, DrivenArm, SimSource, write_robot_file
 
 FACTS, SEVEN = KINDS["rig"].facts(), KINDS["seven"].facts()
 MS = 1_000_000

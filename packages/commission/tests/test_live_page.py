@@ -155,8 +155,7 @@ def test_the_arm_of_a_page_is_where_the_core_says(page):
 def tip_of_rig(q):
     """Origin of the second link, by MuJoCo."""
     import mujoco
-
-    from tauext.sim.arms import rig_arm
+    from tauext_lab.sim.arms import rig_arm
 
     model = mujoco.MjModel.from_xml_string(rig_arm().xml)
     data = mujoco.MjData(model)
@@ -166,8 +165,9 @@ def tip_of_rig(q):
 
 
 def test_an_arm_without_shapes_or_model_is_drawn_nevertheless(tmp_path):
+    from tauext_lab.sim.arms import rig_arm
+
     from tauext.robot.write import write_placeholder, write_robot
-    from tauext.sim.arms import rig_arm
 
     assert arm_facts(None, ("a",))["links"] == []
     assert arm_facts(write_placeholder(["a"], tmp_path), ("a",))["links"] == []

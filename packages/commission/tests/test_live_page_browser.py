@@ -14,9 +14,8 @@ pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
 from made_live_page import JOINTS, LOST
 from tauext_commission.page import live_server
+from tauext_lab.sim.arms import ARMS
 from test_live_page import TOKEN, served
-
-from tauext.sim.arms import ARMS
 
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"needs {CHROMIUM}")
 PATIENCE_S = 30.0

@@ -22,6 +22,8 @@ from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import describe_folder, kept_of
 from tauext_commission.promises import Ledger
 from tauext_commission.trainer import Trainer, why_not, why_worse
+from tauext_lab.sim.collect import simulate_recording
+from tauext_lab.sim.config import RigConfig, changed_friction
 
 from tauext import _core
 from tauext._core import CoreError
@@ -33,8 +35,6 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError, FaultyDataError
-from tauext.sim.collect import simulate_recording
-from tauext.sim.config import RigConfig, changed_friction
 from tauext.train.preparation import Given
 
 
@@ -42,7 +42,7 @@ from tauext.train.preparation import Given
 def few_events():
     """Fewer added forces than in use: most of the time would go there."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tauext.evaluate.comparison.EVENTS", 100)
+        patch.setattr("tauext_lab.evaluate.comparison.EVENTS", 100)
         yield
 
 

@@ -82,8 +82,9 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
     """The results folder."""
+    from tauext_lab.evaluate.results_folder import evaluate_bundles
+
     from tauext.data.dataset import load_dataset
-    from tauext.evaluate.results_folder import evaluate_bundles
 
     settings = settings_of(EvaluateStage, work["settings"], "evaluate")
     evaluate_bundles(

@@ -16,9 +16,8 @@ from tauext_fleet.run import FleetEnd
 from tauext_fleet.stages import STAGES
 from tauext_fleet.task import Stage, Task, run_task
 from tauext_fleet.workers import Ended
-
-from tauext.sim.collect import simulate_dataset
-from tauext.sim.config import RigConfig
+from tauext_lab.sim.collect import simulate_dataset
+from tauext_lab.sim.config import RigConfig
 
 FRICTION = ((1.0, 0.9), (0.8, 1.1), (1.2, 1.0), (0.9, 1.2), (1.1, 0.8), (1.0, 3.0))
 """Of each arm's joints by that of the type; the last arm's elbow is the odd one."""

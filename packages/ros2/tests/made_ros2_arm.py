@@ -7,9 +7,8 @@ import sys
 import time
 
 from made_ros2 import Robot
+from tauext_lab.sim.source import KINDS
 from tauext_ros2.settings import Ros2Settings
-
-from tauext.sim.source import KINDS
 
 EVERY = 4
 

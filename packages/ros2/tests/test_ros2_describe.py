@@ -16,12 +16,12 @@ pytest.importorskip("cyclonedds")
 
 from tauext_commission import connect as connecting
 from tauext_commission.connect import connect, settled
+from tauext_lab.sim.source import write_robot_file
 from tauext_ros2.settings import Ros2Settings
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceFacts, SourceSettings
 from tauext.robot.write import write_placeholder
-from tauext.sim.source import write_robot_file
 from tauext.sources.open import open_source
 
 WAIT_S = 20.0

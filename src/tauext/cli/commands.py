@@ -56,7 +56,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "import": Command(
             "make a dataset from recordings of a real arm; --new writes arm.toml", "tauext.cli.recordings:import_data"
         ),
-        "simulate": Command("make a dataset of the paper's two-axis rig", "tauext.cli.recordings:simulate"),
         "check": Command("find wrong units, signs, joint order and timing", "tauext.cli.recordings:check"),
     },
     "Bundles": {
@@ -70,15 +69,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "monitor": Command("run the monitor on a live arm", "tauext.cli.monitor:monitor"),
         "send": Command("send a control line to a running monitor", "tauext.cli.send:send"),
         "load": Command("weigh a payload, or find torque constants from a known weight", "tauext.cli.load:load"),
-    },
-    "Results": {
-        "evaluate": Command(
-            "measure errors, false alarms and delays of bundles on a dataset", "tauext.cli.results:evaluate"
-        ),
-        "report": Command("draw an HTML page of results, one flight or commissioned arms", "tauext.cli.results:report"),
-        "reproduce": Command(
-            "repeat the paper's experiment: simulate, train, evaluate and report", "tauext.cli.reproduce:reproduce"
-        ),
     },
 }
 """The commands of this package, in the groups of the overview."""

@@ -1,17 +1,16 @@
-"""`tauext import`, `simulate` and `check`: datasets and what is wrong in them."""
+"""`tauext import` and `check`: datasets and what is wrong in them."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from tauext import plugins
 from tauext.cli.place_argument import JsonArg, MeshesArg, PlaceArg, print_replaced
-from tauext.cli.progress import ProgressBar, Terminal, aligned
-from tauext.config import require, require_seed
+from tauext.cli.progress import Terminal, aligned
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.copies import local_folder, local_robot, staged
@@ -134,14 +133,16 @@ def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Pat
     """Print what each joint did, and draw the first recording: a swap shows at a glance."""
     from tauext.check.joint_table import cells, joint_motions
     from tauext.data.servo import torque_unit
-    from tauext.report.joint_picture import draw_joints
     from tauext.robot.read import load_tree
     from tauext.robot.write import is_placeholder
 
     robot, unit = dataset.robot_file(None), torque_unit(recordings)
     tree = None if is_placeholder(robot) else load_tree(robot, joints=recordings[0].joints)
     print("\n".join(aligned(cells(joint_motions(recordings, tree), unit))))
-    draw_joints(recordings[0], tree, unit, picture)
+    try:
+        plugins.part("joint-picture")(recordings[0], tree, unit, picture)
+    except ConfigError as missing:
+        Terminal().say(f"{picture.name} is not drawn: {missing}")
 
 
 def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
@@ -170,56 +171,6 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
         )
 
 
-# --- `tauext simulate`: a dataset from the virtual rig.
-
-
-def simulate(
-    out: PlaceArg,
-    minutes: float = 90.0,
-    collision_recordings: int = 10,
-    seed: int = 0,
-    calibration_hours: float = 0.0,
-    test_hours: float = 0.0,
-    encoder_bits: int = 17,
-    friction: float = 1.0,
-) -> None:
-    """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
-
-    Args:
-        out: dataset folder to write: recordings, robot.xml, split.json.
-        minutes: minutes of free motion in all, cut into at least 20 recordings of at most 90 s.
-        collision_recordings: number of recordings with about ten collisions each.
-        seed: seed of motions, noise and collisions.
-        calibration_hours: additional hours of free motion, for limits alone; 24 support a promise of 1 false alarm in 8
-            hours.
-        test_hours: additional hours of free motion, to test on.
-        encoder_bits: resolution of the joint encoders, as a power of two: counts in one turn.
-        friction: factor on Coulomb, static and viscous friction of every joint.
-    """
-    from tauext.sim.collect import simulate_dataset
-    from tauext.sim.config import changed_rig
-
-    require(0 < minutes < math.inf, "minutes", minutes, "> 0")
-    require(0 <= calibration_hours < math.inf, "calibration_hours", calibration_hours, ">= 0")
-    require(0 <= test_hours < math.inf, "test_hours", test_hours, ">= 0")
-    require_seed(seed)
-    require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
-    require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
-    require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
-    with staged(out) as folder, ProgressBar("simulate") as bar:
-        simulate_dataset(
-            folder,
-            changed_rig(encoder_bits, friction),
-            seed,
-            minutes,
-            collision_recordings,
-            lambda what, done, total: bar.update(done, total, what),
-            calibration_hours,
-            test_hours,
-        )
-    print(out)
-
-
 # --- `tauext check`: errors in the data, before training.
 
 
@@ -246,14 +197,13 @@ def check(
     from tauext.check.examine import as_files, examine, gather
 
     if out is not None:
+        draw = plugins.part("check-pictures")  # refused before minutes of work
         expect_folder(out)
         print_replaced(out / "check.json")
     recordings, free, robot = gather(data, robot, Terminal())
     diagnosis = examine(recordings, robot, gravity, free, Terminal())
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     if out is not None:
-        from tauext.report.check_picture import draw
-
         with atomic_folder(out) as part:
             (part / "check.txt").write_text(text + "\n")
             (part / "check.json").write_text(json.dumps(content, indent=1) + "\n")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from tauext import plugins
 from tauext.bundle.history_file import BUNDLES
 from tauext.cli.commands import folders_like, loaded
 from tauext.cli.place_argument import JsonArg, PlaceArg
@@ -78,9 +79,7 @@ def show(
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give {SHOWN}")
     if force:
-        from tauext.cli.show_force import show_force
-
-        show_force(file, as_json, data, frame, picture)
+        plugins.part("force")(file, as_json, data, frame, picture)
         return
     if data or frame or picture is not None:
         raise ConfigError("--data, --frame and --picture belong to --force; give that, too")

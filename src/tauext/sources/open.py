@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tauext import plugins
@@ -41,6 +42,8 @@ class SourceKind:
     """Name of the target after the colon, such as HOST; empty: the kind has no target."""
     options: tuple[Option, ...] = ()
     """Options that the kind takes."""
+    robot: Callable[[str, Path], Path] | None = None
+    """robot(target, folder) writes the arm's robot file into the folder and returns its path; None: a user has one."""
 
     def typed(self, name: str) -> str:
         """How a user names the kind: `ur:HOST`."""
@@ -109,15 +112,12 @@ def options_of(kinds: Mapping[str, SourceKind]) -> dict[str, Option]:
     return found
 
 
-def open_source(
-    text: str, options: Mapping[str, Any], bundle: Bundle | None = None, also: str = ""
-) -> tuple[Source, tuple[Sink, ...]]:
+def open_source(text: str, options: Mapping[str, Any], bundle: Bundle | None = None) -> tuple[Source, tuple[Sink, ...]]:
     """The source of this text, KIND:TARGET, not connected yet, and the sinks that belong to it.
 
     Args:
         options: values of the options that were given, by name.
         bundle: what the samples are for; sinks of the source take frames and units from it.
-        also: further choices that the caller accepts, for the message.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
@@ -127,7 +127,7 @@ def open_source(
     if kind is None and (how := plugins.how_to_add(name)):
         raise ConfigError(f"--source {text}: {how}")
     if kind is None or bool(target) != bool(kind.target) or (colon and not target):
-        choices = ", ".join([*(one.typed(other) for other, one in kinds().items()), *([also] if also else ())])
+        choices = ", ".join(one.typed(other) for other, one in kinds().items())
         raise ConfigError(f"--source {text!r} must be one of {choices}")
     for option in options:
         if option not in {one.name for one in kind.options}:
@@ -135,3 +135,10 @@ def open_source(
             raise ConfigError(f"--{option.replace('_', '-')} is for source {those}, not for {name}")
     opened = kind.open(target, bundle, **options)
     return opened if isinstance(opened, tuple) else (opened, ())
+
+
+def robot_file_of(text: str, folder: Path) -> Path | None:
+    """Write the robot file of a source's arm into the folder; None: this kind of source has none."""
+    name, _, target = text.partition(":")
+    kind = plugins.named(name, KINDS, plugins.SOURCES, SourceKind)
+    return kind.robot(target, folder) if kind and kind.robot else None

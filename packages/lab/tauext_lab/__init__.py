@@ -1,0 +1,33 @@
+"""The researcher's bench of tauext: simulated arms, evaluation, baselines, reports and the paper's experiment.
+
+A package of its own, found by its entry points. In Python: `evaluate_bundles` measures bundles on a dataset, and
+`write_report` draws what it found.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from tauext.cli.commands import Command
+
+SIMULATE = Command("make a dataset of the paper's two-axis rig", "tauext_lab.commands:simulate", title="Recordings")
+EVALUATE = Command(
+    "measure errors, false alarms and delays of bundles on a dataset", "tauext_lab.commands:evaluate", title="Results"
+)
+REPORT = Command(
+    "draw an HTML page of results, one flight or commissioned arms", "tauext_lab.commands:report", title="Results"
+)
+REPRODUCE = Command(
+    "repeat the paper's experiment: simulate, train, evaluate and report",
+    "tauext_lab.reproduce:reproduce",
+    title="Results",
+)
+"""The commands, found by their entry points."""
+
+_WHERE = {"evaluate_bundles": "evaluate.results_folder", "write_report": "report.page"}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'tauext_lab' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"tauext_lab.{_WHERE[name]}"), name)

@@ -1,0 +1,241 @@
+"""`tauext simulate`, `evaluate` and `report`: datasets of the rig, results of bundles, and pages of them."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tauext.cli.commands import folders_like, loaded
+from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
+from tauext.cli.progress import ProgressBar, Terminal
+from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
+from tauext.errors import ConfigError
+from tauext.files.copies import local_beside, local_folder, staged
+from tauext.files.kind import why_no_bundle
+from tauext.files.places import Place
+from tauext.files.preflight import expect_folder
+from tauext.recipes import baselines as known_baselines
+
+# --- The command as typed, for what it writes.
+
+
+QUERY = re.compile(r"((?:^|[=:])(?:s3|gs|abfss?)://[^?]*)\?.*", re.I)
+
+
+def command_line() -> str:
+    """The command as typed, without the path of the program and the queries of URLs."""
+    return " ".join(["tauext", *(QUERY.sub(r"\1", word) for word in sys.argv[1:])])
+
+
+# --- `tauext simulate`: a dataset from the virtual rig.
+
+
+def simulate(
+    out: PlaceArg,
+    minutes: float = 90.0,
+    collision_recordings: int = 10,
+    seed: int = 0,
+    calibration_hours: float = 0.0,
+    test_hours: float = 0.0,
+    encoder_bits: int = 17,
+    friction: float = 1.0,
+) -> None:
+    """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
+
+    Args:
+        out: dataset folder to write: recordings, robot.xml, split.json.
+        minutes: minutes of free motion in all, cut into at least 20 recordings of at most 90 s.
+        collision_recordings: number of recordings with about ten collisions each.
+        seed: seed of motions, noise and collisions.
+        calibration_hours: additional hours of free motion, for limits alone; 24 support a promise of 1 false alarm in 8
+            hours.
+        test_hours: additional hours of free motion, to test on.
+        encoder_bits: resolution of the joint encoders, as a power of two: counts in one turn.
+        friction: factor on Coulomb, static and viscous friction of every joint.
+    """
+    from tauext_lab.sim.collect import simulate_dataset
+    from tauext_lab.sim.config import changed_rig
+
+    require(0 < minutes < math.inf, "minutes", minutes, "> 0")
+    require(0 <= calibration_hours < math.inf, "calibration_hours", calibration_hours, ">= 0")
+    require(0 <= test_hours < math.inf, "test_hours", test_hours, ">= 0")
+    require_seed(seed)
+    require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
+    require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
+    require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
+    with staged(out) as folder, ProgressBar("simulate") as bar:
+        simulate_dataset(
+            folder,
+            changed_rig(encoder_bits, friction),
+            seed,
+            minutes,
+            collision_recordings,
+            lambda what, done, total: bar.update(done, total, what),
+            calibration_hours,
+            test_hours,
+        )
+    print(out)
+
+
+# --- `tauext evaluate`: bundles on test free motion and on collisions.
+
+
+METHODS = f"methods of --baselines to train and compare; default all: {', '.join(known_baselines())}."
+
+
+def evaluate(
+    data: PlaceArg,
+    out: PlaceArg,
+    bundles: tuple[PlaceArg, ...] = (),
+    baselines: bool = False,
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(help=METHODS)] = (),
+    case: CaseName | None = None,
+    robot: PlaceArg | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    keep_free_estimates: int = 20,
+    accept: AcceptArg = (),
+    inject: bool = False,
+    events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
+) -> None:
+    """Measure bundles on a dataset: errors and false alarms in free motion, detected collisions and delays.
+
+    Args:
+        data: dataset folder; its test and collision recordings are used.
+        out: results folder to write: results.json and estimates/; existing results are replaced, and named on stderr.
+        bundles: bundles (*.tauext) to compare; the results name them by their file names.
+        baselines: also train every known method on the dataset into OUT/bundles, with limits for the same budget of
+            false alarms, and compare them and trivial detectors; existing bundles are used again.
+        case: model case of the baselines, as in train.
+        robot: URDF or MJCF of the baselines; default: the dataset's own.
+        seed: seed of the baselines' training and of the choice of the ten collisions.
+        threads: threads that train and estimate; 0: one a core. The result does not depend on it.
+        keep_free_estimates: number of free test recordings, from the first one, whose estimates are written for
+            figures.
+        accept: codes of faults to accept in the training data of the baselines, as in train.
+        inject: add simulated hits, ramps and presses to the free test motion, at the end of each link in random
+            directions, and count how many are detected; useful where no contacts were recorded.
+        events: rules that match alarms with labels.
+    """
+    from tauext.data.dataset import load_dataset
+    from tauext_lab.evaluate.results_folder import evaluate_bundles
+
+    require_seed(seed)
+    require_threads(threads)
+    require(keep_free_estimates >= 0, "keep_free_estimates", keep_free_estimates, ">= 0")
+    expect_folder(out)
+    for path in bundles:
+        if not path.is_file():  # before baselines are trained for minutes
+            raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
+    if methods and not baselines:
+        raise ConfigError("--methods chooses among the baselines; give --baselines, too")
+    if not bundles and not baselines:
+        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
+    print_replaced(out / "results.json")
+    dataset = load_dataset(data)
+    with staged(out) as folder:
+        paths = list(bundles)
+        if baselines:
+            from tauext_lab.baselines import train_baselines
+
+            own, kinds = folder / "bundles", methods or None
+            trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
+            paths = [*trained.values(), *paths]
+        names = [path.stem for path in paths]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
+        named = dict(zip(names, paths, strict=True))
+        evaluate_bundles(
+            dataset,
+            named,
+            folder,
+            seed,
+            threads,
+            command_line(),
+            keep_free_estimates=keep_free_estimates,
+            sanity=baselines,
+            events=events,
+            report=Terminal(),
+            inject=inject,
+        )
+    print(out / "results.json")
+
+
+# --- `tauext report`: figures and one self-contained page from results, or of one flight.
+
+
+def report(
+    folders: tyro.conf.Positional[tuple[PlaceArg, ...]] = (),
+    *,
+    out: PlaceArg,
+    results: PlaceArg | None = None,
+    data: PlaceArg | None = None,
+    flight: PlaceArg | None = None,
+    page_mb: float = 9.5,
+    trace_methods: tuple[str, ...] = (),
+) -> None:
+    """Draw Table I and the paper's figures from results, or one flight: an HTML page and PNG figures.
+
+    Give --results and --data, or --flight. The page holds traces that can be zoomed; it is one file and needs no
+    network. Or give a folder of `tauext commission` for a page of its history, or several for one table of the arms.
+
+    Args:
+        folders: folder of `tauext commission`, whose history is drawn; of several, a table is printed and drawn.
+        out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
+        results: results folder to draw, made by `tauext evaluate`.
+        data: dataset folder that was evaluated.
+        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights: each
+            gets a page, and index.html lists them.
+        page_mb: largest size of the page, [MB]; traces take the space that is left. 0: no traces.
+        trace_methods: names of the bundles whose traces the page holds; default: the best five.
+    """
+    from tauext.data.dataset import load_dataset
+    from tauext_lab.report.flight import write_flight_report, write_flights_report
+    from tauext_lab.report.page import write_report
+
+    if folders:
+        if results is not None or data is not None or flight is not None or trace_methods:
+            raise ConfigError(f"give either {folders[0]}, or --results and --data, or --flight; not both")
+        if (made := folders_like(folders[0])) is None:
+            raise ConfigError(
+                f"{folders[0]}: is no folder of `tauext commission`; for results give --results and --data"
+            )
+        loaded(made.report)(folders, out)
+        return
+    if flight is not None:
+        if results is not None or data is not None:
+            raise ConfigError("give either --results and --data, or --flight; not both")
+        if trace_methods:
+            raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
+        there = {page.name for page in out.glob("*.html")}
+        with staged(out, fresh=True) as folder:
+            source = local_flight(flight)
+            if source.is_dir():
+                with Terminal().progress("draw the flights") as show:
+                    page = out / write_flights_report(source, folder, page_mb, show).name
+            else:
+                page = out / write_flight_report(source, folder, page_mb).name
+        if page.name in there:
+            print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
+        print(page)
+    elif results is not None and data is not None:
+        print_replaced(out / "report.html")
+        with staged(out, fresh=True) as folder:
+            page = write_report(local_folder(results), load_dataset(data).folder, folder, page_mb, trace_methods)
+        print(out / page.name)
+    else:
+        missing = "--results" if results is None else "--data"
+        raise ConfigError(
+            f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
+            "folder of `tauext commission`"
+        )
+
+
+def local_flight(flight: Place) -> Path:
+    """A flight with what stands beside it, or a folder of them, on this machine."""
+    return local_folder(flight) if flight.is_dir() else local_beside(flight)

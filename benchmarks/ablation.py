@@ -45,7 +45,7 @@ LIMITS = ("largest validation error", "constant", "following the error")
 ONE_AN_HOUR = 1.0
 SEEDED = ("paper", "dense", "tauext")
 """Estimators with a network that are trained once a seed."""
-ESTIMATORS = ("observer", "friction", "prior", "tauext", "dense", "paper", "feedforward")
+ESTIMATORS = ("observer", "friction", "prior", "tauext", "dense", "paper")
 AT_OTHER_GAIN = ("friction", "prior", "tauext", "dense")
 
 

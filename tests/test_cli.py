@@ -292,7 +292,8 @@ def help_texts():
     """Every text that a verb's --help shows for one option, with the place that it stands at."""
     source = Path(__file__).parent.parent / "src" / "tauext"
     settings = source.parents[1].glob("packages/*/*/settings.py")
-    for file in (source / "config.py", source / "sim" / "config.py", *settings):
+    lab = source.parents[1] / "packages/lab/tauext_lab"
+    for file in (source / "config.py", lab / "sim" / "config.py", *settings):
         for node in ast.walk(ast.parse(file.read_text())):
             body = node.body if isinstance(node, ast.ClassDef) else []
             for field, text in pairwise(body):

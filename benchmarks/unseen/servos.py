@@ -1,4 +1,4 @@
-"""A low-cost servo arm of tauext_lab.sim.servo_arm, stepped by compiled code, with touches; what a bus reports of it."""
+"""A low-cost servo arm (tauext_lab.sim.servo_arm), stepped by compiled code, with touches; what a bus reports of it."""
 
 from __future__ import annotations
 

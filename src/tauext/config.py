@@ -298,12 +298,12 @@ class TrainConfig:
     epochs: int | None = None
     """Passes over all training windows, recipe paper only (None: 500); other recipes draw windows at random."""
     max_steps: int | None = None
-    """Steps after which training stops (None: paper by its epochs; dense 90,000; tauext and feedforward 10,000)."""
+    """Steps after which training stops (None: paper by its epochs; dense 90,000; tauext 10,000)."""
     batch: int | None = None
-    """Windows or sequences a training step (None: paper and feedforward 1000, dense 32, tauext 64)."""
+    """Windows or sequences a training step (None: paper 1000, dense 32, tauext 64)."""
     learning_rate: float | None = None
     """Step size of Adam, whose decay rates are 0.9 and 0.999 (dense: 0.99); all recipes but paper rise to it and fall
-    to zero (None: paper 0.001, dense, tauext and feedforward 0.01)."""
+    to zero (None: paper 0.001, dense and tauext 0.01)."""
     targets: int | None = None
     """Targets of a sequence, at its last steps (None: dense 140, of which 40 come before a whole window of 100 steps;
     tauext 100, all of them after a whole window)."""

@@ -32,8 +32,8 @@ FOLDERS = (
     | dict.fromkeys(OF_LAB, "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/, by the command, source or part that their packages add. No registry has these packages yet: their
-names there may be those of strangers."""
+"""Folders of packages/, by the command, source or part that their packages add. No registry has these packages yet:
+their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
 

@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 from tauext.errors import ConfigError
 
-Network = Literal["windows", "sequences", "samples"]
+Network = Literal["windows", "sequences"]
 """windows: one target a window, in epochs, as published. sequences: longer ones, drawn at random, that teach a target
-at every step. samples: no memory at all, a feed-forward network on x(k), drawn at random."""
+at every step."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Recipe:
     @property
     def draws(self) -> bool:
         """Whether its network trains on random draws, in steps instead of epochs."""
-        return self.network is not None and self.network != "windows"
+        return self.network == "sequences"
 
     @property
     def unused(self) -> tuple[str, ...]:
@@ -158,13 +158,6 @@ RECIPES = {
             ),
             defaults=DRAWN | {"targets": 140, "batch": 32, "max_steps": 90_000},
             baseline="paper-lstm",
-        ),
-        Recipe(
-            "feedforward",
-            "a feed-forward network on x(k) alone",
-            network="samples",
-            defaults={"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
-            baseline="feedforward",
         ),
         Recipe("direct", "the residual of the equation of motion, low-passed", method="direct", baseline="direct"),
         Recipe("energy", "an observer of the energy", method="energy", baseline="energy"),

@@ -79,31 +79,6 @@ def test_a_friction_bundle_is_the_observer_less_friction_with_limits_by_speed_al
     assert facts["coulomb_nm"] == pytest.approx(RigConfig().friction[0].coulomb_nm, rel=0.2)
 
 
-def test_a_feed_forward_network_sees_one_step_and_no_state(dataset, tmp_path):
-    bundle = trained(dataset, tmp_path / "forward.tauext", recipe="feedforward", max_steps=300, batch=200, hidden=5)
-    assert (bundle.window_steps, bundle.shape.hidden, bundle.shape.inputs) == (1, 5, 6)
-    made = dataset.recordings("test")[0]
-    said = said_of(bundle, made)
-    factors, scale = np.array(bundle.input_factors), np.array(bundle.output_scale_nm)
-    x = np.hstack([made.q, made.dq]) * factors
-    x = np.hstack([x[10:], x[:-10, 2:]])  # q(k), dq(k), dq(k-1): a network step is ten samples
-    w = np.split(np.array(bundle.parameters), np.cumsum([4 * 5 * 6, 4 * 5 * 5, 4 * 5, 2 * 5]))
-    gates = (x @ w[0].reshape(20, 6).T + w[2]).reshape(-1, 4, 5)  # i, f, g, o; no state, so nothing to forget
-    sigmoid = 1 / (1 + np.exp(-gates))
-    h = sigmoid[:, 3] * np.tanh(sigmoid[:, 0] * np.tanh(gates[:, 2]))
-    expected = (h @ w[3].reshape(2, 5).T + w[4]) * scale
-    healthy = (said["health"] == 1)[10:]
-    # Float32 with approximate exponentials, of up to 40 Nm.
-    np.testing.assert_allclose(said["network"][10:][healthy], expected[healthy], rtol=0, atol=1e-4)
-    left = before = np.zeros(2)
-    for one in dataset.recordings("train"):
-        said = said_of(bundle, one)
-        healthy = said["health"] == 1
-        left = left + (said["tau_ext"][healthy] ** 2).sum(axis=0)
-        before = before + (said["residual"][healthy] ** 2).sum(axis=0)
-    assert (left < 0.3 * before).all()  # it learned something
-
-
 @pytest.mark.parametrize("recipe", [row.name for row in RECIPES.values() if not row.learns and row.name != "observer"])
 def test_other_observers_are_bundles_too(dataset, tmp_path, recipe):
     filters = FilterConfig(high_pass_per_s=4.0, low_pass_per_s=50.0)

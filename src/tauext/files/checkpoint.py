@@ -19,8 +19,8 @@ from tauext.files.atomic_write import atomic_write
 
 EVERY_S = 20.0
 """Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
-FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train", "evaluate"))
-"""Modules whose classes a state may contain."""
+FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train"))
+"""Modules whose classes a state may contain, beside those of the package that keeps it."""
 ARRAYS = {
     ("numpy", "ndarray"),
     ("numpy", "dtype"),
@@ -48,9 +48,15 @@ ARRAYS = {
 class Checkpoint:
     """The state of one piece of work: load() at its start, offer() after each step, end() when all is written."""
 
-    def __init__(self, path: Path, key: str, outside: Mapping[str, object] | None = None):
-        """path: of the file. key: what the work depends on, in full. outside: by names, what is not stored with it."""
+    def __init__(self, path: Path, key: str, outside: Mapping[str, object] | None = None, package: str = ""):
+        """Args:
+        path: of the file.
+        key: what the work depends on, in full.
+        outside: by names, what is not stored with it.
+        package: a package beside tauext whose classes the state may contain, too.
+        """
         self._path, self._key, self._outside = path, key, dict(outside or {})
+        self._folders = (*FOLDERS, f"{package}.") if package else FOLDERS
         self._written = time.monotonic()
 
     def load(self, of: Any) -> Any | None:
@@ -61,7 +67,7 @@ class Checkpoint:
         """
         try:
             with self._path.open("rb") as file:
-                key, state = _Reader(file, self._outside).load()
+                key, state = _Reader(file, self._outside, self._folders).load()
         except (OSError, EOFError, AttributeError, ImportError, IndexError, KeyError, TypeError, ValueError):
             return None
         except (pickle.UnpicklingError, MemoryError):
@@ -98,9 +104,9 @@ class _Writer(pickle.Pickler):
 
 
 class _Reader(pickle.Unpickler):
-    def __init__(self, file: io.BufferedReader, outside: Mapping[str, object]):
+    def __init__(self, file: io.BufferedReader, outside: Mapping[str, object], folders: tuple[str, ...]):
         super().__init__(file)
-        self._outside = outside
+        self._outside, self._folders = outside, folders
 
     def persistent_load(self, pid: Any) -> Any:
         return self._outside[pid]
@@ -108,7 +114,7 @@ class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in ARRAYS:
             return super().find_class(module, name)
-        found = super().find_class(module, name) if f"{module}.".startswith(FOLDERS) and "." not in name else None
+        found = super().find_class(module, name) if f"{module}.".startswith(self._folders) and "." not in name else None
         if not isinstance(found, type):
             raise pickle.UnpicklingError(f"{module}.{name} belongs into no state")
         return found

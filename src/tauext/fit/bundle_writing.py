@@ -87,7 +87,7 @@ def build_setup(
         high_pass_per_s=filters.high_pass_per_s if row.high_pass else 0.0,
         low_pass_per_s=filters.low_pass_per_s if row.low_pass else 0.0,
     )
-    return Setup(tree, settings, 1 if row.network == "samples" else config.window_steps(recording.rate_hz))
+    return Setup(tree, settings, config.window_steps(recording.rate_hz))
 
 
 def make_bundle(

@@ -103,8 +103,7 @@ class DenseSchedule:
     window from zero state, on which the network is used. The exception is a joint that stuck for the whole window:
     only a longer sequence shows on which side of its friction. Early targets make such states common. One sequence of
     199 steps has 100 to 140 targets; 100 cost the paper's schedule 10,000 steps. The learning rate rises over the first
-    twentieth of the training and falls to zero along a cosine. A feed-forward network has a window of one step and no
-    state to burn in: each of its sequences is that step, with one target.
+    twentieth of the training and falls to zero along a cosine.
     """
 
     setup: Setup
@@ -117,9 +116,9 @@ class DenseSchedule:
     patience = 0.1  # the share of the steps without a better score after which a settled training stops
 
     def __post_init__(self) -> None:
-        row, drawing = self.config.row, self.config.row.drawing
+        drawing = self.config.row.drawing
         self.largest_gradient, self.square_decay = drawing.largest_gradient, drawing.square_decay
-        self.targets = resolved(self.config.targets) if row.network == "sequences" else 1
+        self.targets = resolved(self.config.targets)
         early = min(round(drawing.early_targets * self.setup.window_steps), self.targets - 1)
         self.length = self.setup.window_steps - 1 + self.targets - early
         self.steps = resolved(self.config.max_steps)
@@ -428,7 +427,7 @@ def make_backend(setup: Setup, training: WindowSet, config: TrainConfig, length:
     else:
         backend = CoreBackend(setup, training, config.hidden, length, targets, config.threads)
     drawing = config.row.drawing
-    if config.row.network != "sequences" or (drawing.speed_factor, drawing.change_factor) == (1.0, 0.0):
+    if not config.row.draws or (drawing.speed_factor, drawing.change_factor) == (1.0, 0.0):
         return backend
     return InputBasis(backend, 4 * config.hidden, input_basis(setup, drawing))
 

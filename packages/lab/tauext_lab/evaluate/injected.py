@@ -16,6 +16,7 @@ from tauext.bundle.units import left_out, of_all
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.monitor.changes import APART_S
+from tauext.monitor.estimate import estimate_recording
 from tauext.train.declared_spread import Contacts, pressed
 from tauext.train.hits import Point, points
 from tauext_lab.evaluate.collisions import Collision, judge_latched

@@ -87,7 +87,7 @@ def evaluate_bundles(
         "events": asdict(events),
         "inject": inject,
     }
-    kept = Checkpoint(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded)
+    kept = Checkpoint(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded, "tauext_lab")
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with report.progress("evaluate") as show:
         results = evaluate(

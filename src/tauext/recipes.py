@@ -102,7 +102,7 @@ class Recipe:
         used = {
             "threads": False,
             "epochs": not self.draws,
-            "targets": self.network == "sequences",
+            "targets": self.draws,
             "prior": self.presliding,
             "gate_margin": self.gated,
             "drift": self.drift,

@@ -109,7 +109,7 @@ def expect_size(config: TrainConfig) -> None:
     expect_memory(BYTES_A_SEQUENCE * config.batch, f"batch = {config.batch}")
     window = max(1, int(config.observer.window_s / config.observer.network_period_s))
     length = window
-    if config.row.network == "sequences":
+    if config.row.draws:
         length += max(0, (config.targets or 1) - round(config.row.drawing.early_targets * window))
     # An epoch has at least one batch.
     steps = min(config.epochs or config.max_steps or 1, config.max_steps or config.epochs or 1)

@@ -152,7 +152,7 @@ def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message
 def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypatch, capsys):
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["fleet", "run", "fleet.toml"]) == 2
-    told = "'fleet' is a plug-in: pip install ./packages/fleet in the source folder of tauext"
+    told = "'fleet' is a plug-in: pip install ./packages/lab ./packages/fleet in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"
 
 

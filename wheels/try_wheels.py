@@ -94,7 +94,7 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
 
 
 def core_alone(version: str, tauext: Path, folder: Path, settings: dict[str, str]) -> None:
-    """Without any package: import, train by each recipe of CORE_RECIPES, run; commands of packages name their package."""
+    """Without packages: import, train by each recipe of CORE_RECIPES, run; commands of packages name their package."""
     generators = settings | {"PYTHONPATH": str(ROOT / "tests")}
     timed(version, "recordings", [tauext.with_name("python"), "-c", MAKE_CSV], folder, generators)
     new = ["--new", "arm.toml", "--source", "first.csv", "--robot", "arm.xml"]

@@ -32,8 +32,8 @@ FOLDERS = (
     | dict.fromkeys(OF_LAB, "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these packages
-yet: their names there may be those of strangers."""
+"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these yet:
+their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
 

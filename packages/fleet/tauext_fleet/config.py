@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tauext.config import MOST_THREADS, AlarmConfig, EventsConfig, require, require_seed
+from tauext_lab.evaluate.config import EventsConfig
+
+from tauext.config import MOST_THREADS, AlarmConfig, require, require_seed
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tauext.config import EventsConfig, TrainConfig
+from tauext_lab.evaluate.config import EventsConfig
+
+from tauext.config import TrainConfig
 from tauext.files.copies import local_folder
 from tauext.files.places import Place
 from tauext.files.places import place_of as any_place

@@ -13,13 +13,14 @@ import tyro
 from tauext.cli.commands import folders_like, loaded
 from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal
-from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
+from tauext.config import CaseName, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_beside, local_folder, staged
 from tauext.files.kind import why_no_bundle
 from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
+from tauext_lab.evaluate.config import EventsConfig
 
 # --- The command as typed, for what it writes.
 

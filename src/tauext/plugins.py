@@ -18,6 +18,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
@@ -68,7 +69,7 @@ def part(name: str) -> Callable[..., Any]:
     entry = installed(PARTS).get(name)
     if entry is None:
         raise ConfigError(how_to_add(name) or f"no package adds '{name}'")
-    return load(entry, Callable)  # type: ignore[type-abstract]
+    return load(entry, FunctionType)
 
 
 def how_to_add(name: str) -> str | None:

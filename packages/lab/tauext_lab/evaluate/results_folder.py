@@ -21,7 +21,6 @@ from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 from tauext_lab.evaluate.comparison import evaluate
@@ -41,7 +40,7 @@ def why_nothing_injected(dataset: Dataset) -> str:
 @checked
 def evaluate_bundles(
     dataset: Dataset,
-    bundles: Mapping[str, Place],
+    bundles: Mapping[str, Path],
     out: Path,
     seed: int = 0,
     threads: int = 0,

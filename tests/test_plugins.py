@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -42,10 +43,10 @@ def site(tmp_path_factory):
     site = tmp_path_factory.mktemp("site")
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
     install(site, project["name"], project["entry-points"])
-    (site / "my_arm.py").write_text((EXAMPLE / "my_arm.py").read_text())
-    install(
-        site, "broken", {"tauext.sources": {"broken": "no_such:KIND"}, "tauext.commands": {"broken": "no_such:RUN"}}
-    )
+    for file in EXAMPLE.glob("*.py"):
+        shutil.copy(file, site)
+    broken = {"sources": "no_such:KIND", "commands": "no_such:RUN", "recipes": "no_such:ROW"}
+    install(site, "broken", {f"tauext.{group}": {"broken": value} for group, value in broken.items()})
     install(site, "other", {"tauext.sources": {"other": "json:dumps", "ur": "json:dumps"}})
     watching_bundle().save(str(site / "watching.tauext"))
     return site
@@ -114,6 +115,15 @@ def test_the_command_of_the_example_stands_beside_ours(site):
     code, out, _ = tauext(site, "--help")
     assert code == 0 and "my-arm     run a bundle on my arm" in out
     assert "broken     plug-in broken (broken, no_such:RUN): cannot be loaded: ModuleNotFoundError" in out
+
+
+def test_the_recipe_of_the_example_stands_beside_ours(site):
+    code, out, _ = tauext(site, "train", "--help")
+    words = " ".join(out.replace("│", " ").split())
+    assert code == 0 and "viscous: constant and viscous friction of each joint, fitted" in words
+    assert "broken: plug-in broken (broken, no_such:ROW): cannot be loaded: ModuleNotFoundError" in words
+    code, _, err = tauext(site, "train", "--data", "data", "--out", "arm.tauext", "--recipe", "broken")
+    assert code == 2 and "plug-in broken (broken, no_such:ROW): cannot be loaded" in err
 
 
 def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):

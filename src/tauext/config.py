@@ -13,7 +13,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
-from tauext.recipes import RECIPES, Recipe, recipe_of
+from tauext.recipes import Recipe, recipe_of, summaries
 
 Backend = Literal["core", "torch"]
 LimitsKind = Literal["auto", "promised", "supported", "paper"]
@@ -54,12 +54,11 @@ PAPER_CASES = {
     )
 }
 
-# Choices from the tables, as the help lists them. Type checkers need literal choices and accept any name here.
+# Choices from the table, as the help lists them. Type checkers need literal choices and accept any name here.
 if TYPE_CHECKING:
     CaseName = str
-    RecipeName = str
 else:
-    CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
+    CaseName = Literal[tuple(PAPER_CASES)]
 
 
 @dataclass(frozen=True)
@@ -271,9 +270,7 @@ class FilterConfig:
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = field(
-        default="prior", metadata={"choices": {name: recipe.summary for name, recipe in RECIPES.items()}}
-    )
+    recipe: str = field(default="prior", metadata={"choices": summaries})
     """Method to train."""
     minutes: float | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
@@ -337,9 +334,8 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        require(isinstance(self.recipe, str), "recipe", brief(self.recipe), f"one of {', '.join(RECIPES)}")
-        recipe_of(self.recipe)  # a package may have added it: the annotation lacks it
-        expect_types({name: value for name, value in vars(self).items() if name != "recipe"}, type(self))
+        expect_types(vars(self), type(self))
+        recipe_of(self.recipe)
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)

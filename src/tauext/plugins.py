@@ -1,11 +1,13 @@
 """What is installed beside tauext: plug-ins, found by their entry points, and libraries that one part needs.
 
-A package adds a robot or a command in its pyproject.toml:
+A package adds a robot, a command or a recipe in its pyproject.toml:
 
     [project.entry-points."tauext.sources"]
     myarm = "my_package:KIND"        # a tauext.sources.open.SourceKind
     [project.entry-points."tauext.commands"]
     mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
+    [project.entry-points."tauext.recipes"]
+    myrecipe = "my_package:RECIPE"   # a tauext.recipes.Recipe of this name
 
 Parts of tauext's own commands that need a library for drawing, or that few users need, are entry points of the group
 tauext.parts: functions by name.
@@ -24,7 +26,7 @@ from typing import Any, TypeVar
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS, PARTS = "tauext.sources", "tauext.commands", "tauext.parts"
+SOURCES, COMMANDS, RECIPES, PARTS = "tauext.sources", "tauext.commands", "tauext.recipes", "tauext.parts"
 """Groups of entry points."""
 OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force")
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
@@ -33,7 +35,7 @@ FOLDERS = (
     | dict.fromkeys(OF_LAB, "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these yet:
+"""Folders of packages/ to install, by the name that the last one adds. No registry has these yet:
 their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
@@ -73,8 +75,8 @@ def part(name: str) -> Callable[..., Any]:
 
 
 def how_to_add(name: str) -> str | None:
-    """Which package adds this command, source or part; None: it is there, or no package of this repository adds it."""
-    there = installed(SOURCES) | installed(COMMANDS) | installed(PARTS)
+    """Which package adds this name of any group; None: it is there, or no package of this repository adds it."""
+    there = {one for group in (SOURCES, COMMANDS, RECIPES, PARTS) for one in installed(group)}
     folders = "" if name in there else FOLDERS.get(name, "")
     named = " ".join(f"./packages/{folder}" for folder in folders.split())
     return f"'{name}' is a plug-in: pip install {named} in the source folder of tauext" if named else None

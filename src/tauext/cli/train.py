@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import tyro
 
@@ -15,7 +15,7 @@ from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import field_help, read_toml, values_of
+from tauext.files.toml_file import field_help, hints_of, read_toml, values_of
 
 # --- Settings: those of a file, and the few that are options of the command line, too.
 
@@ -31,7 +31,7 @@ ALARM = ("false_alarms", "in_hours")
 
 def options(kind: type, names: tuple[str, ...]) -> dict[str, Any]:
     """Types of these fields for the parser, with their help and defaults; an option that is not given has no value."""
-    hints, words, defaults = get_type_hints(kind), field_help(kind), kind()
+    hints, words, defaults = hints_of(kind), field_help(kind), kind()
     found = {}
     for name in names:
         hint, default = hints[name], getattr(defaults, name)

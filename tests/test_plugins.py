@@ -18,9 +18,11 @@ from made_bundles import watching_bundle
 
 from tauext import plugins
 from tauext.cli import in_plain_words, main
+from tauext.config import TrainConfig
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
 from tauext.sources.open import open_source
+from tauext.train.stage import accepted_settings
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "04_plugin"
@@ -164,6 +166,34 @@ def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypa
     assert main(["fleet", "run", "fleet.toml"]) == 2
     told = "'fleet' is a plug-in: pip install ./packages/lab ./packages/fleet in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("train", "--data", "data", "--out", "arm.tauext", "--like", "arm.prior.json"), "fleet"),
+        (("train", "--data", "data", "--out", "arm.tauext", "--network", "own.npz"), "lab"),
+        (("refit", "old.tauext", "--data", "data", "--out", "arm.tauext", "--like", "arm.prior.json"), "fleet"),
+        (("show", "arm.prior.json"), "fleet"),
+    ],
+)
+def test_an_option_or_a_file_of_a_package_that_is_not_installed_names_the_package(
+    tmp_path, monkeypatch, capsys, words, package
+):
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.prior.json").write_text("{}")
+    (tmp_path / "old.tauext").write_text("")
+    assert main([*words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and f"./packages/{package} in the source folder of tauext" in said
+
+
+def test_a_backend_whose_package_is_not_installed_is_named_before_the_training(monkeypatch):
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    accepted_settings(TrainConfig(recipe="prior", backend="torch"), ())  # trains no network
+    with pytest.raises(ConfigError, match="'torch' is a plug-in: pip install ./packages/lab"):
+        accepted_settings(TrainConfig(recipe="paper", backend="torch"), ())
 
 
 def test_an_option_of_a_source_whose_package_is_not_installed_names_the_package(monkeypatch, capsys):

@@ -293,8 +293,8 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (`pip install
-    torch`)."""
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (package
+    tauext-lab, `pip install torch`)."""
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
     threads: int = 0

@@ -28,11 +28,13 @@ from tauext.errors import ConfigError
 Added = TypeVar("Added")
 SOURCES, COMMANDS, RECIPES, PARTS = "tauext.sources", "tauext.commands", "tauext.recipes", "tauext.parts"
 """Groups of entry points."""
-OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force")
+OF_FLEET = ("fleet", "like", "prior-content")
+OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force", "network")
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
 FOLDERS = (
-    {"commission": "lab commission", "fleet": "lab fleet", "ros2": "ros2"}
-    | dict.fromkeys(OF_LAB, "lab")
+    {"commission": "lab commission", "ros2": "ros2"}
+    | dict.fromkeys(OF_FLEET, "lab fleet")
+    | dict.fromkeys((*OF_LAB, "torch"), "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
 """Folders of packages/ to install, by the name that the last one adds. No registry has these yet:
@@ -103,11 +105,13 @@ def load(entry: EntryPoint, kind: type[Added]) -> Added:
     """The object of this entry point.
 
     Raises:
-        ConfigError: its package cannot be imported, holds no such object, or one of another type.
+        ConfigError: its package cannot be imported or needs a library, holds no such object, or one of another type.
     """
     of = f"plug-in {entry.name} ({entry.dist.name if entry.dist else 'unknown package'}, {entry.value})"
     try:
         loaded = entry.load()
+    except ConfigError:  # a library that the package needs is not installed
+        raise
     except Exception as error:  # a package of others may raise anything
         raise ConfigError(f"{of}: cannot be loaded: {type(error).__name__}: {error}") from None
     if not isinstance(loaded, kind):

@@ -208,7 +208,7 @@ def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mappin
 
     Args:
         content: a TOML table; nested tables are nested dataclasses.
-        where: for messages, as `fleet.toml: [train]`.
+        where: for messages, as `train.toml: [alarm]`.
         left_out: fields that are not to be set here, and why.
 
     Raises:
@@ -260,10 +260,9 @@ def field_help(kind: type) -> dict[str, str]:
         for one, text in pairwise(definition.body):
             if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr):
                 found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
-    for one in fields(kind):
-        if "choices" in one.metadata:
-            choices = one.metadata["choices"]().items()
-            found[one.name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices)}."
+    for name, choices in ((one.name, one.metadata.get("choices")) for one in fields(kind)):
+        if choices:
+            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices().items())}."
     return found
 
 

@@ -191,12 +191,12 @@ class TrainingMotion:
 
 
 def training_motion(
-    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig, learns: bool
+    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig, learns: bool = True
 ) -> TrainingMotion:
     """Leave out contacts, and cut validation off by time where the dataset has none.
 
     Args:
-        learns: whether the training learns from the motion; False: limits alone follow from it.
+        learns: see Start.
 
     Raises:
         ConfigError: no training recording.
@@ -204,7 +204,7 @@ def training_motion(
     """
     expect_some(training)
     stand = standing_joints(training)
-    if not learns:
+    if not (learns and config.row.learns):
         return as_they_are(training, validation, left_out_sentences([*training, *validation], config))
     if stand.all():
         raise TrainingError(
@@ -582,7 +582,7 @@ def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter) -> 
     limits_nm = torque_limits(given.robot, training[0].joints)
     possible = possible_motion(given.tree, given.case, training, validation, limits_nm, config)
     learns = given.start.learns
-    motion = training_motion(possible.training, possible.validation, config, learns and config.row.learns)
+    motion = training_motion(possible.training, possible.validation, config, learns)
     out.parent.mkdir(parents=True, exist_ok=True)
     settings = training_settings(given.case, config, trains=learns)
     run = provenance("tauext train", settings, config.seed if learns else None)

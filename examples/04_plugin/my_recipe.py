@@ -27,11 +27,10 @@ def fit_viscous(
     setup: Setup, recordings: Sequence[Recording], *, report: Callable[[str], None], **_: object
 ) -> PriorFit:
     """Fit r = -(constant + viscous dq) of each joint by ridge regression; see tauext.train.fitting.Fit."""
-    from tauext import _core
+    from tauext.fit.prior_terms import Kind, Term
     from tauext.fit.ridge import Regressors, fit_ridge
 
-    kinds = (_core.TermKind.constant, _core.TermKind.viscous)
-    own = [[_core.Term(kind, joint) for kind in kinds] for joint in range(setup.tree.size)]
+    own = [[Term(Kind.constant, joint), Term(Kind.viscous, joint)] for joint in range(setup.tree.size)]
     fit = fit_ridge(setup, recordings, Regressors(own))
     report(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
     return fit

@@ -12,7 +12,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
-from tauext.recipes import RECIPES, Recipe, recipe_of
+from tauext.recipes import Recipe, recipe_of, summaries
 
 Backend = Literal["core", "torch"]
 LimitsKind = Literal["auto", "promised", "supported", "paper"]
@@ -53,12 +53,11 @@ PAPER_CASES = {
     )
 }
 
-# Choices from the tables, as the help lists them. Type checkers need literal choices and accept any name here.
+# Choices from the table, as the help lists them. Type checkers need literal choices and accept any name here.
 if TYPE_CHECKING:
     CaseName = str
-    RecipeName = str
 else:
-    CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
+    CaseName = Literal[tuple(PAPER_CASES)]
 
 
 @dataclass(frozen=True)
@@ -270,9 +269,7 @@ class FilterConfig:
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = field(
-        default="prior", metadata={"choices": {name: recipe.summary for name, recipe in RECIPES.items()}}
-    )
+    recipe: str = field(default="prior", metadata={"choices": summaries})
     """Method to train."""
     minutes: float | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
@@ -295,8 +292,8 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (`pip install
-    torch`)."""
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (package
+    tauext-lab, `pip install torch`)."""
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
     threads: int = 0
@@ -336,9 +333,8 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        require(isinstance(self.recipe, str), "recipe", brief(self.recipe), f"one of {', '.join(RECIPES)}")
-        recipe_of(self.recipe)  # a package may have added it: the annotation lacks it
-        expect_types({name: value for name, value in vars(self).items() if name != "recipe"}, type(self))
+        expect_types(vars(self), type(self))
+        recipe_of(self.recipe)
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)

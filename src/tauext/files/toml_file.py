@@ -207,7 +207,7 @@ def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mappin
 
     Args:
         content: a TOML table; nested tables are nested dataclasses.
-        where: for messages, as `fleet.toml: [train]`.
+        where: for messages, as `train.toml: [alarm]`.
         left_out: fields that are not to be set here, and why.
 
     Raises:
@@ -224,7 +224,7 @@ def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] 
     """Arguments for the dataclass, as of settings_of; rules that join several of its fields are not checked yet."""
     if not isinstance(content, dict):
         raise ConfigError(f"{where} = {content!r} must be a table")
-    hints = get_type_hints(kind)
+    hints = hints_of(kind)
     refused = left_out or {}
     for key in content:
         if key in refused:
@@ -244,6 +244,12 @@ def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] 
     return values
 
 
+def hints_of(kind: type) -> dict[str, Any]:
+    """Types of the fields of a dataclass; a field with `choices` in its metadata has one of these."""
+    chosen = {one.name: one.metadata["choices"] for one in fields(kind) if "choices" in one.metadata}
+    return get_type_hints(kind) | {name: Literal[tuple(choices())] for name, choices in chosen.items()}
+
+
 def field_help(kind: type) -> dict[str, str]:
     """The docstring under each field of a dataclass, without line breaks, and the choices in the field's metadata."""
     found: dict[str, str] = {}
@@ -255,7 +261,7 @@ def field_help(kind: type) -> dict[str, str]:
                 found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
     for name, choices in ((one.name, one.metadata.get("choices")) for one in fields(kind)):
         if choices:
-            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices.items())}."
+            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices().items())}."
     return found
 
 
@@ -266,7 +272,7 @@ def settings_text(kind: type) -> str:
 
 def key_lines(settings: Any, table: str) -> Iterator[str]:
     """Keys of one table, then those of the tables within."""
-    hints, words = get_type_hints(type(settings)), field_help(type(settings))
+    hints, words = hints_of(type(settings)), field_help(type(settings))
     inner = [one.name for one in fields(settings) if is_dataclass(getattr(settings, one.name))]
     for name in (one.name for one in fields(settings) if one.name not in inner):
         yield from comment_lines(words[name])

@@ -4,6 +4,7 @@ import hashlib
 import json
 import pickle
 import zipfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -81,7 +82,9 @@ def data(tmp_path_factory):
 
 def trained(data, file, out, **settings) -> _core.Bundle:
     config = TrainConfig(**({"recipe": "paper"} | settings))
-    return train_bundle(load_dataset(data), out, case="none", config=config, check=False, start=load_network(file))
+    return train_bundle(
+        load_dataset(data), out, case="none", config=config, check=False, start=load_network(Path(file))
+    )
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])

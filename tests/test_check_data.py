@@ -111,7 +111,7 @@ def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, 
     spoil(data, "two", tau=spike)
     out = tmp_path / "a.tauext"
     assert train(data, out, "--accept", "spike:joint1") == 2  # of another joint
-    assert train(data, out, "--accept", "quantised", "spike:joint2") == 0
+    assert train(data, out, "--accept", "resolution", "spike:joint2") == 0
     assert "accepted: spike (joint2)" in capsys.readouterr().err
     (entry,) = kept(out)["training"]["accepted"]
     assert (entry["code"], entry["joint"], entry["recordings"], entry["count"]) == ("spike", "joint2", ["two"], 1)

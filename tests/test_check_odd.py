@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,16 @@ from made_recordings import Drive, made_motion
 
 from tauext.check import odd_torque
 from tauext.check.arrangement import with_load
+from tauext.check.checks import CHECKS, SIGNALS, VELOCITIES, Examination, run
 from tauext.check.examine import examine
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import rows_of
 from tauext.check.motion import stretches
-from tauext.data.drive_signal import Play
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.robot.read import load_tree
 
 J, ODD = 1, 2
-EXAMINATION = import_module("tauext.check.examine")
-NO_PLAY = Play(np.nan, np.nan, np.nan, np.nan, 0, np.zeros(0), np.zeros(0))
 
 
 def six_axes(folder: Path, minutes: float):
@@ -69,12 +66,9 @@ CHANGES = {
 
 
 def odd(recordings: list[Recording], path=None) -> list[Finding]:
-    """Of an examination without its last steps, torque against model and play, which name no recording odd."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(EXAMINATION, "_torque", lambda *_: ([], None, [], [], None, 0.0))
-        patch.setattr(EXAMINATION, "play_of", lambda recordings, j: NO_PLAY)
-        patch.setattr(EXAMINATION, "facts_of", lambda *_: [])
-        return [f for f in examine(recordings, path).findings if f.code == "odd-recording"]
+    """Findings of odd recordings, by the steps that name some."""
+    checks = [check for check in CHECKS if check.step in (SIGNALS, VELOCITIES)]
+    return [f for f in run(checks, Examination(recordings, path), str) if f.code == "odd-recording"]
 
 
 TELLING = ("the torque of", "exchanged", "in degrees")
@@ -88,7 +82,7 @@ def test_odd_recording_is_named_with_its_mend(arm, told):
     diagnosis = examine(recordings, path)
     (found,) = [f for f in diagnosis.findings if f.code == "odd-recording"]
     assert found.recording == good[ODD].name and told in found.evidence
-    assert {f.code for f in diagnosis.findings} <= {"odd-recording", "too-short", "position-limit"}
+    assert {f.code for f in diagnosis.findings} <= {"odd-recording", "too-short", "beyond-limit"}
 
 
 WITHOUT_MODEL = {

@@ -157,12 +157,20 @@ def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float],
     return np.linalg.lstsq(gram, moment, rcond=rcond)[0]
 
 
-def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], unit: str) -> list[Finding]:
-    """Finding of a load, if it explains the torques of the joints under gravity."""
+def payload_of(
+    stretches: Sequence[Stretch],
+    tree: _core.Tree,
+    rows: FitRows,
+    joints: Sequence[str],
+    strong: Sequence[int],
+    unit: str,
+) -> tuple[list[Finding], _core.Tree]:
+    """Finding of a load, if it explains the torques of the joints under gravity, and the tree with the load."""
+    load = fit_load(stretches, tree, rows)
     gain = load.gain(list(strong))
     sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
     if not strong or not sure or gain < LOAD_GAIN or np.linalg.norm(load.com_m) > FURTHEST_M:
-        return []
+        return [], tree
     changes = ", ".join(f"'{joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     com = ", ".join(f"{x:.2f}" for x in load.com_m)
     evidence = (
@@ -170,10 +178,10 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int], u
         f"bring the error in {unit} from {changes}"
     )
     if load.mass_kg > 0:
-        advice = "add the tool or payload to the model, as a link fixed to the last one"
-        return [Finding("payload-missing", "warning", joints[-1], "a load that the model lacks: " + evidence, advice)]
-    advice = "remove the tool or hand that is not mounted from the model"
-    return [Finding("payload-absent", "warning", joints[-1], "less load than the model has: " + evidence, advice)]
+        what, advice = "a load that the model lacks", "add the tool or payload to the model, fixed to the last link"
+    else:
+        what, advice = "less load than the model has", "remove the tool or hand that is not mounted from the model"
+    return [Finding("payload", "warning", joints[-1], f"{what}: {evidence}", advice)], loaded(tree, load)
 
 
 def loaded(tree: _core.Tree, load: Load) -> _core.Tree:

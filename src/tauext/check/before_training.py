@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Self
@@ -16,9 +16,9 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
+from tauext.check.contacts import is_unlabelled_contact
 from tauext.check.examine import Diagnosis, examine, quick_checks, unlabelled_contacts
-from tauext.check.finding import CODES, Finding, Severity
+from tauext.check.finding import CODES, Finding
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
@@ -360,13 +360,8 @@ LEAST_ROWS = 200
 """Least samples of each recording: with stamps in a wrong unit an hour may last seconds."""
 FITTED = ("effort-scale", "effort-motor-side")
 """Codes that are no fault if training finds the factor."""
-LESSER: Mapping[str, Severity] = {
-    "contact-in-free-motion": "note",  # labelled: training and limits leave it out and report it
-    "smoothed": "warning",  # model and friction are right, limits too low for the raw signal
-}
-"""Severity of these codes in training."""
-TOO_FEW = ("too-short", "temperature-drift")
-"""Codes that cannot be decided on a share of the recordings."""
+TOO_FEW = ("too-short", "torque-changes")
+"""Codes whose warnings cannot be decided on a share of the recordings: of the length, and of friction that changes."""
 RARE = ("spike",)
 """Codes that a share of the recordings may miss."""
 AT_A_TIME = 4
@@ -409,12 +404,11 @@ def check_training(
         tasks += [partial(quick_checks, one, limits_nm) for one in recordings]
         general, *quick = _in_parallel(tasks, workers, "check the data", report)
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
-            general = [f for f in general if f.code not in TOO_FEW]
-            refused = any(forgiven(f).severity == "fault" for f in general)
-            if not refused and not spoils_contacts(general):
+            general = [f for f in general if f.code not in TOO_FEW or f.severity == "fault"]
+            if not diagnoses[0].spoiled and not any(f.severity == "fault" for f in general):
                 general = [f for f in general if not is_unlabelled_contact(f)]
                 general += unlabelled_contacts(recordings, diagnoses[0])
-        return together([f for f in map(forgiven, general) if not (finds_constants and f.code in FITTED)], quick)
+        return together([f for f in general if not (finds_constants and f.code in FITTED)], quick)
 
     return CheckResult(_without_notes(remembered(["training", *settings, *digests], find)))
 
@@ -440,7 +434,7 @@ def check_calibration(
         found = _in_parallel(
             [partial(checked, load) for load in stretches(files)], workers, "check the calibration recordings", report
         )
-        return [forgiven(finding) for of_recording in found for finding in of_recording]
+        return [finding for of_recording in found for finding in of_recording]
 
     return CheckResult(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
 
@@ -475,11 +469,6 @@ def shares(recordings: Sequence[Recording]) -> list[Recording]:
     return [r if end >= r.samples else cut(r, slice(0, end)) for r, end in zip(recordings, ends, strict=True)]
 
 
-def forgiven(finding: Finding) -> Finding:
-    """Lower the severity of faults that do not affect training."""
-    return replace(finding, severity=LESSER.get(finding.code, "fault")) if finding.severity == "fault" else finding
-
-
 def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> list[Finding]:
     """Combine the findings of all checks with the quick checks' further faults and rare warnings.
 
@@ -487,7 +476,7 @@ def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> 
     """
     reported = {(f.code, f.joint, f.recording) for f in general}
     found = list(general)
-    for finding in (forgiven(finding) for of_recording in quick for finding in of_recording):
+    for finding in (finding for of_recording in quick for finding in of_recording):
         if finding.severity != "fault" and finding.code not in RARE:
             continue
         same = {(finding.code, joint, name) for joint in (finding.joint, None) for name in (finding.recording, None)}

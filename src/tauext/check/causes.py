@@ -12,9 +12,9 @@ from tauext.check.joint_fit import FitRows, JointFit
 # --- Findings that another one explains are not printed beside it: one remedy at a time, the first to do.
 
 
-_TORQUE = ("effort-sign", "effort-scale", "effort-motor-side", "effort-external", "effort-gravity-compensated")
-_LOAD = ("gravity-direction", "payload-missing", "payload-absent")
-_PLACES = ("joint-axis", "position-offset", "position-limit")
+_TORQUE = ("effort-sign", "effort-scale", "effort-motor-side", "effort-compensated")
+_LOAD = ("gravity-direction", "payload")
+_PLACES = ("joint-axis", "position-offset", "beyond-limit")
 _VELOCITY = ("velocity-sign", "velocity-unit", "velocity-mismatch", "velocity-delay")
 EXPLAINED: dict[str, tuple[str, ...]] = {
     "time-unit": (*_VELOCITY, *_TORQUE, "torque-delay", "clock-irregular"),
@@ -24,7 +24,7 @@ EXPLAINED: dict[str, tuple[str, ...]] = {
     "joint-order": (*_VELOCITY, *_TORQUE, *_LOAD, *_PLACES, "torque-delay"),
     "velocity-mismatch": ("effort-sign", "torque-delay", "velocity-delay"),
     "velocity-sign": ("effort-sign",),
-    "robot-file-other": (*_TORQUE, *_LOAD, *_PLACES, "joint-order", "effort-limit", "torque-delay"),
+    "robot-file-other": (*_TORQUE, *_LOAD, *_PLACES, "joint-order", "torque-delay"),
 }
 """Codes that each cause explains; the causes in the order in which they are to be mended."""
 
@@ -73,7 +73,7 @@ def other_robot_findings(
     """
     if len(np.unique(rows.time_s // 1.0)) < LEAST_S:
         return []
-    doubted = ("effort-external", "effort-gravity-compensated", "effort-scale", "gravity-direction")
+    doubted = ("effort-compensated", "effort-scale", "gravity-direction")
     suspected = any(finding.code in doubted and finding.severity == "fault" for finding in found)
     low, high = limits_rad[:, 0] - BEYOND_RAD, limits_rad[:, 1] + BEYOND_RAD
     outside = ((rows.q < low) | (rows.q > high)).mean(axis=0)

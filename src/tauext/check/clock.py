@@ -28,17 +28,8 @@ REPEATED = 0.005
 REPEATED_BADLY = 0.05
 
 
-def clock_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    """Findings of gaps, jitter and repeated rows, all recordings together; times are in [ms]."""
-    steps = [np.diff(r.t_ns) * 1e-6 for r in recordings if r.samples > 2]
-    if not steps:
-        return []
-    found = _lost(recordings) + _gaps(recordings) + _spread(recordings)
-    return found + _repeats(recordings)
-
-
-def _lost(recordings: Sequence[Recording]) -> list[Finding]:
-    """Rows that an import left out or sorted."""
+def lost_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of rows that an import left out or sorted."""
     found = []
     for recording in recordings:
         facts = recording.provenance
@@ -52,7 +43,8 @@ def _lost(recordings: Sequence[Recording]) -> list[Finding]:
     return found
 
 
-def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
+def gap_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of gaps, all recordings together."""
     longest, count, period_ms = 0.0, 0, 0.0
     for recording in recordings:
         steps = np.diff(recording.t_ns) * 1e-6
@@ -69,7 +61,8 @@ def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("clock-gaps", "warning", None, evidence, advice)]
 
 
-def _spread(recordings: Sequence[Recording]) -> list[Finding]:
+def jitter_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of the recording whose steps differ most."""
     worst: tuple[float, str] = (0.0, "")
     for recording in recordings:
         if recording.samples < 100:
@@ -88,7 +81,8 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("clock-irregular", severity, None, worst[1], advice)]
 
 
-def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
+def repeat_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of repeated rows, all recordings together."""
     repeats = [repeated_rows(r) for r in recordings]
     count, rows = sum(int(x.sum()) for x in repeats), sum(len(x) for x in repeats)
     if count < 3 or count / rows < REPEATED:

@@ -48,8 +48,6 @@ CRAWL_RAD_S = 0.05
 CRAWLS = 0.5
 """Slow joints may stick and slip: below this speed, the error must exceed this share of the friction as well."""
 LISTED = 3
-SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
-"""Findings that explain an unexpected torque, so that it does not count as a contact."""
 
 
 def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
@@ -138,11 +136,6 @@ def has_moved(stretch: Stretch) -> np.ndarray:
 def is_unlabelled_contact(finding: Finding) -> bool:
     """Whether `unlabelled_findings` made this finding."""
     return finding.code == "contact-in-free-motion" and finding.recording is None
-
-
-def spoils_contacts(findings: Collection[Finding]) -> bool:
-    """Whether faults of the signals prevent the search for contacts."""
-    return any(finding.code in SPOILING for finding in findings)
 
 
 def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:

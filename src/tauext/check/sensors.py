@@ -41,28 +41,15 @@ COARSE = 0.1
 """Step of the torque, as a share of its spread, from which it is coarse."""
 
 
-def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    found = []
-    repeated = [repeated_rows(r) for r in recordings]
-    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~rows for r, rows in zip(recordings, repeated, strict=True)]
-    for j, joint in enumerate(recordings[0].joints):
-        of_joint = (
-            _saturated(recordings, moving, j, joint),
-            _stuck(recordings, repeated, j, joint),
-            _coarse(recordings, j, joint),
-        )
-        for finding in of_joint:
-            if finding is not None:
-                found.append(finding)
-    return found + _smoothed(recordings)
+def saturated_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of saturated torques and velocities; a position at its extreme is a pose."""
+    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~repeated_rows(r) for r in recordings]
+    found = (_saturated(recordings, moving, j, joint) for j, joint in enumerate(recordings[0].joints))
+    return [finding for finding in found if finding is not None]
 
 
 def _saturated(recordings: Sequence[Recording], moving: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
-    """Saturation of torque and velocity; a position at its extreme is a pose.
-
-    Args:
-        moving: samples of each recording, (samples,) bool, at which the arm moves.
-    """
+    """Saturation of one joint; `moving`: samples of each recording, (samples,) bool, at which the arm moves."""
     for signal, unit in (("tau", torque_unit(recordings)), ("dq", "rad/s")):
         x = np.concatenate([getattr(r, signal)[m, j] for r, m in zip(recordings, moving, strict=True)])
         if len(x) < 100 or np.ptp(x) == 0:
@@ -98,12 +85,18 @@ def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit
     return False
 
 
+def stuck_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    repeated = [repeated_rows(r) for r in recordings]
+    found = (_stuck(recordings, repeated, j, joint) for j, joint in enumerate(recordings[0].joints))
+    return [finding for finding in found if finding is not None]
+
+
 def _stuck(recordings: Sequence[Recording], repeated: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
     count, longest, longest_run = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
     # Torque from a servo's counts stays 0 while the current is small: no fault either.
     counted = any(makes_torque(r) for r in recordings)
-    signals = ("q", "dq") if counted or _is_coarse(recordings, j) else ("q", "dq", "tau")
+    signals = ("q", "dq") if counted or _coarse_step(recordings, j) else ("q", "dq", "tau")
     velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
     for r, whole in zip(recordings, repeated, strict=True):
         travelled = {"q": r.dq, "dq": r.q, "tau": r.q}
@@ -165,21 +158,23 @@ def _ends(recordings: Sequence[Recording], signal: str, j: int) -> tuple[float, 
     return (low, high) if low < high else (math.nan, math.nan)  # a signal that never changes has no ends
 
 
-def _is_coarse(recordings: Sequence[Recording], j: int) -> bool:
-    step = torque_step_nm(recordings, j)
-    return step is not None and step >= COARSE * float(np.concatenate([r.tau[:, j] for r in recordings]).std())
+def _coarse_step(recordings: Sequence[Recording], j: int) -> tuple[float, float] | None:
+    """Step of a coarse torque, and the torque's spread; None: it is not coarse."""
+    step, spread = torque_step_nm(recordings, j), float(np.concatenate([r.tau[:, j] for r in recordings]).std())
+    return (step, spread) if step is not None and step >= COARSE * spread else None
 
 
-def _coarse(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
-    spread = float(np.concatenate([r.tau[:, j] for r in recordings]).std())
-    moves = max(float(np.ptp(r.q[:, j])) for r in recordings) > 0.1
-    step = torque_step_nm(recordings, j)
-    if step is None or not moves or not _is_coarse(recordings, j):
-        return None
-    unit = torque_unit(recordings)
-    evidence = f"whole multiples of {step:.4g} {unit}, where the torque's spread is {spread:.4g} {unit}"
+def coarse_torques(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of torques of few levels."""
+    found, unit = [], torque_unit(recordings)
     advice = "pushes below a step or two are not detected; is there a finer signal, a current for instance?"
-    return Finding("quantised", "warning", joint, evidence, advice)
+    for j, joint in enumerate(recordings[0].joints):
+        coarse = _coarse_step(recordings, j)
+        if coarse is not None and max(float(np.ptp(r.q[:, j])) for r in recordings) > 0.1:
+            step, spread = (f"{x:.4g} {unit}" for x in coarse)
+            evidence = f"the torque has whole multiples of {step}, and a spread of {spread}"
+            found.append(Finding("resolution", "warning", joint, evidence, advice))
+    return found
 
 
 def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
@@ -194,7 +189,8 @@ def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
     return np.sqrt(total[0] / max(rows, 1))
 
 
-def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
+def smoothed_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of torques with less noise than a measurement."""
     tau = np.concatenate([r.tau for r in recordings])
     if len(tau) < 500 or recordings[0].rate_hz < CLEAN_RATE_HZ:
         return []
@@ -213,7 +209,7 @@ def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
         "and the filter's delay is unknown; record the raw signal"
     )
     joint = recordings[0].joints[int(np.argmax(clean))] if clean.sum() == 1 else None
-    return [Finding("smoothed", "warning", joint, evidence, advice)]
+    return [Finding("resolution", "warning", joint, evidence, advice)]
 
 
 def _empty_above(recordings: Sequence[Recording], joints: np.ndarray) -> float:
@@ -249,7 +245,7 @@ def speed_error_rad_s(step_rad: float, rate_hz: float) -> float:
     return step_rad / ROUNDED * math.sqrt(12 / (n * (n * n - 1))) * rate_hz
 
 
-def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
+def coarse_velocities(recordings: Sequence[Recording]) -> list[Finding]:
     """Findings of velocities whose step exceeds all speeds near stiction, so that a creeping joint reads 0."""
     if any(map(derives_velocity, recordings)):
         return []  # derived already
@@ -262,7 +258,7 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
         line_rad_s = speed_error_rad_s(position_rad or 0.0, rate_hz)
         if velocity_rad_s / ROUNDED < BETTER * line_rad_s:
             continue
-        evidence = f"it counts in steps of {velocity_rad_s:.3g} rad/s: off by {velocity_rad_s / ROUNDED:.2g}"
+        evidence = f"the velocity counts in steps of {velocity_rad_s:.3g} rad/s: off by {velocity_rad_s / ROUNDED:.2g}"
         if position_rad is not None:
             evidence += (
                 f", where {LINE_S:g} s of positions in steps of {position_rad:.3g} rad at {rate_hz:.0f} Hz give it to "
@@ -272,7 +268,7 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
             "leave the columns of [signals.dq] in arm.toml empty: the velocity is then derived from position; with "
             "[servo] over as many samples as its steps require"
         )
-        found.append(Finding("coarse-velocity", "warning", joint, evidence, advice))
+        found.append(Finding("resolution", "warning", joint, evidence, advice))
     return found
 
 

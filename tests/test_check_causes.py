@@ -65,13 +65,6 @@ def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
     assert not {"effort-compensated", "effort-sign"} & set(faults), diagnosis.findings
 
 
-def test_a_driver_that_subtracts_gravity_is_still_named(arm):
-    robot, tree, recordings = arm
-    made = [replace(one, tau=one.tau - tree.momentum(one.q, 0 * one.q)[1]) for one in recordings]
-    found = codes(made, robot)
-    assert "effort-compensated" in found and "robot-file-other" not in found
-
-
 def test_the_table_of_causes_hides_what_they_explain():
     assert set(EXPLAINED) <= set(CODES) and {code for of in EXPLAINED.values() for code in of} <= set(CODES)
     found = [Finding(code, "fault", "a", "", "") for code in ("effort-sign", "effort-scale", "stuck")]

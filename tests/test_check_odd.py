@@ -119,7 +119,8 @@ def test_a_torque_constant_that_is_off_is_advised_by_its_ratio(planar, monkeypat
     pool = odd_torque._pool([parts[k] for k in parts if k != ODD])
     predicted = pool.predicted(rows.taken(rows.recording == ODD))
     monkeypatch.setattr(odd_torque.Pool, "predicted", lambda self, rows: predicted)
-    findings = odd_torque._driven(parts, pool, ("shoulder", "elbow"), list("abcd"))
+    others = odd_torque.Comparison(parts, pool, motion, None, ("shoulder", "elbow"), list("abcd"), "Nm")
+    findings = others.driven(list(parts))
     found = [one for one in findings if one.recording == "c"]
     if told is None:
         assert found == []
@@ -185,12 +186,6 @@ def test_other_poses_speeds_and_warmth_are_not_odd(arm, with_model):
     still = made_motion(tree, 0.5, 100.0, seed=10, pieces=1, still=1).recordings[0]
     others = [replace(r, name=f"other-{k}") for k, r in enumerate((narrow, wide, cold, still))]
     assert not odd([*good, *others], path if with_model else None)
-
-
-def test_what_all_recordings_have_wrong_makes_none_odd(arm):
-    path, _, good = arm
-    negated = examine([replace(r, tau=-r.tau) for r in good], path).findings
-    assert "odd-recording" not in {f.code for f in negated} and "effort-sign" in {f.code for f in negated}
 
 
 def test_robot_file_that_changed_is_a_warning_that_names_recordings(arm):

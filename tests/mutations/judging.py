@@ -105,7 +105,7 @@ def looked_at(folder: Path) -> list[Seen]:
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
     results = check_results(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 
 

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Self
@@ -18,7 +18,7 @@ from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact
 from tauext.check.examine import Diagnosis, examine, quick_checks, unlabelled_contacts
-from tauext.check.finding import CODES, Finding
+from tauext.check.finding import CODES, Finding, Severity
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
@@ -214,23 +214,6 @@ NARROW = 2
 """Most joints named in a suggested --accept; with more, the code is accepted for all joints."""
 
 
-@dataclass(frozen=True)
-class CheckResult:
-    """Faults and warnings of one set of recordings, without notes."""
-
-    findings: list[Finding] = field(default_factory=list)
-
-    def faults(self) -> list[Finding]:
-        """Faults, which must be accepted to use the data."""
-        return [finding for finding in self.findings if finding.severity == "fault"]
-
-    def facts(self, accept: Collection[str]) -> dict:
-        """Accepted faults and warnings for provenance, as plain JSON."""
-        accepted = [finding for finding in self.faults() if is_accepted(finding, accept)]
-        warnings = [finding for finding in self.findings if finding.severity == "warning"]
-        return {"accepted": entries(accepted), "warnings": entries(warnings)}
-
-
 def entries(findings: Iterable[Finding]) -> list[dict]:
     """Entries by code and joint: number of recordings, and name and evidence of the first one."""
     found: dict[tuple[str, str | None], dict] = {}
@@ -287,23 +270,33 @@ def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where:
     raise FaultyDataError("\n".join(lines), faults)
 
 
-def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequence[str], report: Reporter) -> dict:
-    """Report warnings and accepted faults, each once; returns facts of each result for provenance.
+def refuse_faults(
+    results: Mapping[str, Sequence[Finding]], where: str, accept: Sequence[str], report: Reporter
+) -> dict:
+    """Report warnings and accepted faults, each once; returns them for provenance, as plain JSON.
 
     Args:
+        results: findings by the set of recordings.
         where: name of the data, for the message.
 
     Raises:
         FaultyDataError: a fault is not accepted; the message lists all of them.
     """
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     how = "`tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:"
     expect_accepted(findings, accept, where, "these data", how)
-    for entry in entries(f for f in findings if f.severity == "fault"):
+    for entry in _entries(findings, "fault"):
         report.say(f"accepted: {sentence(entry)}")
-    for entry in entries(f for f in findings if f.severity == "warning"):
+    for entry in _entries(findings, "warning"):
         report.say(f"warning: {sentence(entry)}")
-    return {name: result.facts(accept) for name, result in results.items()}
+    return {
+        name: {"accepted": _entries(result, "fault"), "warnings": _entries(result, "warning")}
+        for name, result in results.items()
+    }
+
+
+def _entries(findings: Iterable[Finding], severity: Severity) -> list[dict]:
+    return entries(finding for finding in findings if finding.severity == severity)
 
 
 def sentence(entry: dict) -> str:
@@ -375,8 +368,8 @@ def check_training(
     finds_constants: bool,
     threads: int,
     report: Reporter,
-) -> CheckResult:
-    """Run all checks on the data of a training; findings are cached by content.
+) -> list[Finding]:
+    """Faults and warnings in the data of a training, by all checks; they are cached by content.
 
     Labelled contacts are left out of training, so they are no fault.
 
@@ -410,13 +403,13 @@ def check_training(
                 general += unlabelled_contacts(recordings, diagnoses[0])
         return together([f for f in general if not (finds_constants and f.code in FITTED)], quick)
 
-    return CheckResult(_without_notes(remembered(["training", *settings, *digests], find)))
+    return _without_notes(remembered(["training", *settings, *digests], find))
 
 
 def check_calibration(
     files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter
-) -> CheckResult:
-    """Run the quick checks on every calibration recording; findings are cached by content.
+) -> list[Finding]:
+    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content.
 
     Args:
         files: the recordings.
@@ -436,7 +429,7 @@ def check_calibration(
         )
         return [finding for of_recording in found for finding in of_recording]
 
-    return CheckResult(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
+    return _without_notes(remembered(["calibration", _words(limits_nm), *digests], find))
 
 
 def check_for_bundle(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,52 +11,25 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import exchanged_efforts, gravity_finding, payload_of, rearranged
-from tauext.check.causes import other_robot_findings
-from tauext.check.clock import (
-    degree_findings,
-    gap_findings,
-    jitter_findings,
-    lost_findings,
-    repeat_findings,
-    time_findings,
-    wrap_findings,
+from tauext.check import (
+    arrangement,
+    causes,
+    clock,
+    contacts,
+    drive,
+    effort,
+    motion,
+    odd_motion,
+    odd_torque,
+    robot_file,
+    sensors,
+    torque_changes,
 )
-from tauext.check.contacts import contact_findings, unlabelled_findings
-from tauext.check.drive import Effort, efforts_of, is_drive, play_findings, servo_findings, with_sign
-from tauext.check.effort import (
-    SEARCH_S,
-    delay_findings,
-    excitation_findings,
-    far_findings,
-    inverted,
-    kind_findings,
-    moving_s,
-    scale_findings,
-    sign_findings,
-    sign_vote,
-    strong_joints,
-    torque_lags,
-    unit_findings,
-)
+from tauext.check.drive import Effort, is_drive
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import LEAST_ROWS, FitRows, JointFit, fit_joint, rows_of
-from tauext.check.motion import DEGREES, Stretch, VelocityFit, pose_findings, stretches, velocity_findings
-from tauext.check.odd_motion import odd_motions, odd_rates
-from tauext.check.odd_torque import odd_torques
-from tauext.check.robot_file import RobotFile, changed_findings, limit_findings, open_robot
-from tauext.check.sensors import (
-    coarse_torques,
-    coarse_velocities,
-    normal_ranges,
-    saturated_findings,
-    smoothed_findings,
-    spike_findings,
-    spikes_of,
-    stuck_findings,
-    without_spikes,
-)
-from tauext.check.torque_changes import friction_findings, growth_findings, step_findings
+from tauext.check.motion import DEGREES, Stretch, VelocityFit, stretches
+from tauext.check.robot_file import RobotFile
 from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.servo import derives_velocity, in_amperes, makes_torque, torque_unit
@@ -89,7 +62,7 @@ class Examination:
     """Whether a torque has no sign, so that no other check of it applies."""
     velocities: list[VelocityFit | None] = field(default_factory=list)
     lags: list[tuple[float, float, float]] = field(default_factory=list)
-    """Lag of each joint's torque, see `torque_lags`."""
+    """Lag of each joint's torque, see `effort.torque_lags`."""
     lag_s: float = 0.0
     """Delay of the torque, [s]."""
     plays: list[Play] = field(default_factory=list)
@@ -112,6 +85,12 @@ class Examination:
         return self.recordings[0].joints
 
     @property
+    def model(self) -> _core.Tree:
+        """The tree, for checks that need one."""
+        assert self.tree is not None
+        return self.tree
+
+    @property
     def unit(self) -> str:
         """Unit of the torque."""
         return torque_unit(self.recordings)
@@ -124,7 +103,7 @@ class Examination:
 
     @property
     def moves_long(self) -> bool:
-        return moving_s(self.motion) >= SEARCH_S
+        return effort.moving_s(self.motion) >= effort.SEARCH_S
 
     def correct(self, **corrected: Any) -> None:
         """Set corrected recordings, motion, tree or lag; what follows from them is computed again when needed."""
@@ -159,8 +138,8 @@ stiction, and lags."""
 class Check:
     """One check, of tauext or of another package."""
 
-    codes: tuple[str, ...]
-    """Codes of its findings, keys of CODES or `meanings`."""
+    codes: Collection[str]
+    """Codes of its findings; of another package: a mapping of codes to their meanings, as CODES is."""
     step: str
     """One of STEPS."""
     find: Callable[[Examination], list[Finding]]
@@ -171,8 +150,6 @@ class Check:
     """Whether it runs on each recording of a training or calibration alone, too: it needs neither fit nor others."""
     spoils: bool = False
     """Whether its fault may look like a contact, so that contacts are not searched for."""
-    meanings: Mapping[str, str] = field(default_factory=dict)
-    """Meanings of codes that CODES lacks."""
 
 
 def run(checks: Iterable[Check], x: Examination, begin: Callable[[str], None]) -> list[Finding]:
@@ -191,45 +168,45 @@ def run(checks: Iterable[Check], x: Examination, begin: Callable[[str], None]) -
 
 def _open_model(x: Examination) -> list[Finding]:
     assert x.robot is not None
-    x.file = open_robot(x.robot, x.joints, x.gravity)
+    x.file = robot_file.open_robot(x.robot, x.joints, x.gravity)
     x.tree, x.torque_limits_nm = x.file.tree, x.file.torque_limits_nm
-    return x.file.findings + changed_findings(x.recordings, x.robot)
+    return x.file.findings + robot_file.changed_findings(x.recordings, x.robot)
 
 
 def _stamps(x: Examination) -> list[Finding]:
-    found, recordings = time_findings(x.recordings)
+    found, recordings = clock.time_findings(x.recordings)
     x.correct(recordings=recordings)
     return found
 
 
 def _turns(x: Examination) -> list[Finding]:
-    found, recordings = wrap_findings(x.recordings)
+    found, recordings = clock.wrap_findings(x.recordings)
     x.correct(recordings=recordings)
     return found
 
 
 def _signs_of_drives(x: Examination) -> list[Finding]:
-    x.recorded, x.efforts = x.recordings, efforts_of(x.recordings)
-    recordings, unsigned = with_sign(x.recordings, x.efforts)
+    x.recorded, x.efforts = x.recordings, drive.efforts_of(x.recordings)
+    recordings, unsigned = drive.with_sign(x.recordings, x.efforts)
     x.unsigned = bool(unsigned)
     x.correct(recordings=recordings)
-    return [finding for finding in servo_findings(x.joints, x.efforts) if finding.severity == "fault"]
+    return [finding for finding in drive.servo_findings(x.joints, x.efforts) if finding.severity == "fault"]
 
 
 def _kinds_of_drives(x: Examination) -> list[Finding]:
-    return [finding for finding in servo_findings(x.joints, x.efforts) if finding.severity != "fault"]
+    return [finding for finding in drive.servo_findings(x.joints, x.efforts) if finding.severity != "fault"]
 
 
 def _spikes(x: Examination) -> list[Finding]:
-    normal = normal_ranges(x.recordings)
-    spikes = [spikes_of(r, normal, x.torque_limits_nm) for r in x.recordings]
-    found = [f for r, of in zip(x.recordings, spikes, strict=True) for f in spike_findings(r, of, normal)]
-    x.correct(recordings=[without_spikes(r, of) for r, of in zip(x.recordings, spikes, strict=True)])
+    normal = sensors.normal_ranges(x.recordings)
+    spikes = [sensors.spikes_of(r, normal, x.torque_limits_nm) for r in x.recordings]
+    found = [f for r, of in zip(x.recordings, spikes, strict=True) for f in sensors.spike_findings(r, of, normal)]
+    x.correct(recordings=[sensors.without_spikes(r, of) for r, of in zip(x.recordings, spikes, strict=True)])
     return found
 
 
 def _velocities(x: Examination) -> list[Finding]:
-    found, x.velocities, factors = velocity_findings(x.motion, x.joints)
+    found, x.velocities, factors = motion.velocity_findings(x.motion, x.joints)
     if (factors != 1).any():
         x.correct(recordings=[replace(r, q=r.q / factors) for r in x.recordings])
     if any(map(derives_velocity, x.recordings)):
@@ -238,7 +215,7 @@ def _velocities(x: Examination) -> list[Finding]:
 
 
 def _degrees(x: Examination) -> list[Finding]:
-    found = degree_findings(x.recordings, x.motion, x.file.position_limits_rad if x.file else None)
+    found = clock.degree_findings(x.recordings, x.motion, x.file.position_limits_rad if x.file else None)
     names = [finding.joint for finding in found]
     if found:
         by = np.array([DEGREES if None in names or joint in names else 1.0 for joint in x.joints])
@@ -247,7 +224,7 @@ def _degrees(x: Examination) -> list[Finding]:
 
 
 def _odd_torques(x: Examination) -> list[Finding]:
-    odd = odd_torques(x.rows, x.motion, x.tree, x.joints, [r.name for r in x.recordings], x.unit)
+    odd = odd_torque.odd_torques(x.rows, x.motion, x.tree, x.joints, [r.name for r in x.recordings], x.unit)
     return x.leave_out(of_servos(odd, x.recordings))
 
 
@@ -259,41 +236,44 @@ def of_servos(odd: list[Finding], recordings: Sequence[Recording]) -> list[Findi
     return [replace(finding, severity="warning") if finding.recording in made else finding for finding in odd]
 
 
+def _limits(x: Examination) -> list[Finding]:
+    assert x.file is not None
+    return robot_file.limit_findings(x.recordings, x.file)
+
+
 def _exchanged_efforts(x: Examination) -> list[Finding]:
-    found, column = exchanged_efforts(x.rows, x.joints)
+    found, column = arrangement.exchanged_efforts(x.rows, x.joints)
     if found:
         x.correct(motion=[replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in x.motion])
     return found
 
 
 def _rearranged(x: Examination) -> list[Finding]:
-    assert x.tree is not None
-    found, motion = rearranged(x.motion, x.tree, x.joints)
+    found, moved = arrangement.rearranged(x.motion, x.model, x.joints)
     if found:
-        x.correct(motion=motion)
+        x.correct(motion=moved)
     return found
 
 
 def _signs(x: Examination) -> list[Finding]:
-    votes = [sign_vote(x.rows, j, fit) for j, fit in enumerate(x.fits)]
-    found = sign_findings(x.joints, votes, x.fits, x.unit)
+    votes = [effort.sign_vote(x.rows, j, fit) for j, fit in enumerate(x.fits)]
+    found = effort.sign_findings(x.joints, votes, x.fits, x.unit)
     if found:
-        signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
+        signs = np.array([-1.0 if effort.inverted(vote) else 1.0 for vote in votes])
         x.correct(motion=[replace(s, tau=s.tau * signs) for s in x.motion])
     return found
 
 
 def _delays(x: Examination) -> list[Finding]:
-    x.lags = torque_lags(x.motion, x.rows)
-    found, lag_s = delay_findings(x.lags, x.joints, 1 / x.motion[0].rate_hz) if x.moves_long else ([], 0.0)
+    x.lags = effort.torque_lags(x.motion, x.rows)
+    found, lag_s = effort.delay_findings(x.lags, x.joints, 1 / x.motion[0].rate_hz) if x.moves_long else ([], 0.0)
     if lag_s:
         x.correct(lag_s=lag_s)
     return found
 
 
 def _gravity(x: Examination) -> list[Finding]:
-    assert x.tree is not None
-    found, tree = gravity_finding(x.motion, x.tree, x.rows)
+    found, tree = arrangement.gravity_finding(x.motion, x.model, x.rows)
     if found:
         x.correct(tree=tree)
     return found
@@ -301,25 +281,24 @@ def _gravity(x: Examination) -> list[Finding]:
 
 def _scales(x: Examination) -> list[Finding]:
     """Findings of a payload if it explains all factors of torque, else of the factors."""
-    assert x.tree is not None
-    found, judged = kind_findings(x.rows, x.joints, x.fits, strong_joints(x.rows, x.fits))
-    found += far_findings(x.rows, x.joints, x.fits, x.unit)
-    factors = scale_findings(x.joints, x.fits, judged)
+    found, judged = effort.kind_findings(x.rows, x.joints, x.fits, effort.strong_joints(x.rows, x.fits))
+    found += effort.far_findings(x.rows, x.joints, x.fits, x.unit)
+    factors = effort.scale_findings(x.joints, x.fits, judged)
     if found or not judged:
         return found + factors
-    payload, tree = payload_of(x.motion, x.tree, x.rows, x.joints, judged, x.unit)
+    payload, tree = arrangement.payload_of(x.motion, x.model, x.rows, x.joints, judged, x.unit)
     if not payload:
         return factors
     off, before = [x.joints.index(finding.joint or "") for finding in factors], x.tree
     x.correct(tree=tree)
-    if scale_findings(x.joints, x.fits, off):
+    if effort.scale_findings(x.joints, x.fits, off):
         x.correct(tree=before)
         return factors
     return payload
 
 
 def _units(x: Examination) -> list[Finding]:
-    return [] if in_amperes(x.recordings) else unit_findings(x.joints, x.fits, "Nm")
+    return [] if in_amperes(x.recordings) else effort.unit_findings(x.joints, x.fits)
 
 
 def _other_robot(x: Examination) -> list[Finding]:
@@ -327,17 +306,17 @@ def _other_robot(x: Examination) -> list[Finding]:
     if not x.rows.has_model:
         return []
     found = [finding for of_step in x.found.values() for finding in of_step]
-    return other_robot_findings(x.rows, x.joints, x.fits, found, x.file.position_limits_rad)
+    return causes.other_robot_findings(x.rows, x.joints, x.fits, found, x.file.position_limits_rad)
 
 
 def _contacts(x: Examination) -> list[Finding]:
     faulty = any(finding.severity == "fault" for step in STEPS[2:] for finding in x.found.get(step, []))
-    return [] if x.spoiled or faulty else unlabelled_findings(x.recordings, x.tree, x.lag_s)
+    return [] if x.spoiled or faulty else contacts.unlabelled_findings(x.recordings, x.tree, x.lag_s)
 
 
 def _plays(x: Examination) -> list[Finding]:
     x.plays = [play_of(x.recordings, j) for j in range(len(x.joints))]
-    return play_findings(x.joints, x.plays)
+    return drive.play_findings(x.joints, x.plays)
 
 
 # --- The table.
@@ -358,31 +337,31 @@ SIGNALS, VELOCITIES, ORDER, PLACES, SIGNS, DELAYS, SCALES, CHANGES = STEPS = (
 CHECKS = [
     Check(("joint-names", "model-unusable", "inertia-impossible", "robot-file-changed"), SIGNALS, _open_model,
           ("robot file",)),
-    Check(("contact-in-free-motion",), SIGNALS, lambda x: contact_findings(x.recordings, x.called_free)),
+    Check(("contact-in-free-motion",), SIGNALS, lambda x: contacts.contact_findings(x.recordings, x.called_free)),
     Check(("time-unit",), SIGNALS, _stamps, quick=True),
     Check(("position-wraps",), SIGNALS, _turns, quick=True),
-    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_rates(x.recordings))),
+    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_rates(x.recordings))),
     Check(("supply-current", "unsigned-torque", "load-sign-bit"), SIGNALS, _signs_of_drives, quick=True),
     Check(("effort-duty", "current-signed"), SIGNALS, _kinds_of_drives),
-    Check(("resolution",), SIGNALS, lambda x: coarse_velocities(x.recordings)),
+    Check(("resolution",), SIGNALS, lambda x: sensors.coarse_velocities(x.recordings)),
     Check(("spike",), SIGNALS, _spikes, quick=True),
-    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motions(x.recordings, x.motion))),
-    Check(("rows-dropped",), SIGNALS, lambda x: lost_findings(x.recordings), quick=True),
-    Check(("clock-gaps",), SIGNALS, lambda x: gap_findings(x.recordings), quick=True),
-    Check(("clock-irregular",), SIGNALS, lambda x: jitter_findings(x.recordings), quick=True, spoils=True),
-    Check(("repeated-rows",), SIGNALS, lambda x: repeat_findings(x.recordings), quick=True, spoils=True),
-    Check(("saturated",), SIGNALS, lambda x: saturated_findings(x.recordings), spoils=True),
-    Check(("stuck",), SIGNALS, lambda x: stuck_findings(x.recordings), quick=True, spoils=True),
-    Check(("resolution",), SIGNALS, lambda x: coarse_torques(x.recordings), spoils=True),
-    Check(("resolution",), SIGNALS, lambda x: smoothed_findings(x.recordings), spoils=True),
+    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_motions(x.recordings, x.motion))),
+    Check(("rows-dropped",), SIGNALS, lambda x: clock.lost_findings(x.recordings), quick=True),
+    Check(("clock-gaps",), SIGNALS, lambda x: clock.gap_findings(x.recordings), quick=True),
+    Check(("clock-irregular",), SIGNALS, lambda x: clock.jitter_findings(x.recordings), quick=True, spoils=True),
+    Check(("repeated-rows",), SIGNALS, lambda x: clock.repeat_findings(x.recordings), quick=True, spoils=True),
+    Check(("saturated",), SIGNALS, lambda x: sensors.saturated_findings(x.recordings), spoils=True),
+    Check(("stuck",), SIGNALS, lambda x: sensors.stuck_findings(x.recordings), quick=True, spoils=True),
+    Check(("resolution",), SIGNALS, lambda x: sensors.coarse_torques(x.recordings), spoils=True),
+    Check(("resolution",), SIGNALS, lambda x: sensors.smoothed_findings(x.recordings), spoils=True),
     Check(("degrees", "velocity-sign", "velocity-unit", "velocity-delay", "velocity-mismatch", "joint-order"),
           VELOCITIES, _velocities, ("motion",)),
     Check(("degrees",), VELOCITIES, _degrees, quick=True),
     Check(("odd-recording",), VELOCITIES, _odd_torques, ("motion", "sign")),
     Check(("never-moves", "excitation-low", "too-short"), VELOCITIES,
-          lambda x: excitation_findings(x.recordings, x.motion)),
-    Check(("beyond-limit",), VELOCITIES, lambda x: limit_findings(x.recordings, x.file), ("robot file",)),
-    Check(("effort-sign",), VELOCITIES, lambda x: pose_findings(x.recordings, x.tree, x.joints),
+          lambda x: effort.excitation_findings(x.recordings, x.motion)),
+    Check(("beyond-limit",), VELOCITIES, _limits, ("robot file",)),
+    Check(("effort-sign",), VELOCITIES, lambda x: motion.pose_findings(x.recordings, x.model, x.joints),
           ("model", "sign", "no fit")),
     Check(("joint-order",), ORDER, _exchanged_efforts, ("fit", "half a minute")),
     Check(("joint-order", "joint-axis", "position-offset"), PLACES, _rearranged, ("fit", "half a minute", "model")),
@@ -391,9 +370,11 @@ CHECKS = [
     Check(("gravity-direction",), SCALES, _gravity, ("fit", "model")),
     Check(("effort-scale", "effort-motor-side", "effort-compensated", "payload"), SCALES, _scales, ("fit", "model")),
     Check(("effort-scale",), SCALES, _units, ("fit", "no model")),
-    Check(("torque-changes",), CHANGES, lambda x: friction_findings(x.rows, x.joints, x.fits, x.recordings), ("fit",)),
     Check(("torque-changes",), CHANGES,
-          lambda x: growth_findings(x.rows, x.joints, x.fits, x.unit) + step_findings(x.rows, x.joints, x.fits, x.unit),
+          lambda x: torque_changes.friction_findings(x.rows, x.joints, x.fits, x.recordings), ("fit",)),
+    Check(("torque-changes",), CHANGES, lambda x: torque_changes.growth_findings(x.rows, x.joints, x.fits, x.unit),
+          ("fit", "measured torque")),
+    Check(("torque-changes",), CHANGES, lambda x: torque_changes.step_findings(x.rows, x.joints, x.fits, x.unit),
           ("fit", "measured torque")),
     Check(("contact-in-free-motion",), CHANGES, _contacts, ("fit", "model")),
     Check(("robot-file-other",), CHANGES, _other_robot, ("fit", "model", "measured torque")),

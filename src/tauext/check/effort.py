@@ -14,6 +14,7 @@ from tauext.check.joint_fit import (
     SIGN,
     FitRows,
     JointFit,
+    basis_of,
     columns_of,
     robust_solve,
     spread_of,
@@ -81,30 +82,16 @@ def sign_vote(rows: FitRows, joint: int, fit: JointFit) -> SignVote:
 
 CERTAIN = 1.5
 """Sum of terms (standard errors times share of torque) that makes a sign certain; good data reach 3 to 6."""
-LIKELY = 1.0
-"""The same sum where the mean power of the torque is negative."""
-STRONG = 0.3
-"""Least spread of the model's gravity, as a share of the torque's spread, for judging its factor ..."""
-SHOWN = 0.2
-"""... or least spread of the fitted gravity, where all parts of the torque are small."""
 LOW, HIGH = 0.7, 1.45
 """Good torques have factors in this range, given payload, cables and rough models."""
 MOTOR_SIDE = 1 / 20
 """Factors below it mean torque before the gear: gear ratios exceed 30, and no joint's torque constant is so small in
 Nm/A."""
-ABSENT = 0.15
-"""Gravity factor below which there is no gravity in the torque ..."""
-ABSENT_SHARE = 0.2
-"""... unless gravity is this share of the torque; then the unit is too small."""
-FAR = 50.0
-"""Ratio of effort to model torque above which the unit is wrong; no friction of a loaded joint is so large."""
-LITTLE = 0.5
-"""Explained share of the variance below which an effort contains no gravity, friction or inertia."""
 
 
 def inverted(vote: SignVote) -> bool:
     """Whether the sign is inverted. Friction, inertia and mean power decide where they are conclusive, else gravity."""
-    if vote.motion < -LIKELY and vote.power_w < 0:
+    if vote.motion < -1.0 and vote.power_w < 0:
         return True
     if vote.motion < -CERTAIN:
         return vote.gravity < -CERTAIN
@@ -136,7 +123,7 @@ def strong_joints(rows: FitRows, fits: Sequence[JointFit]) -> list[int]:
         for j, fit in enumerate(fits)
         if fit.torque_nm > 0
         and rows.gravity[:, j].std() > 0.02 * rows.gravity.std(axis=0).max()
-        and (rows.gravity[:, j].std() > STRONG * fit.torque_nm or fit.gravity_nm > SHOWN * fit.torque_nm)
+        and (rows.gravity[:, j].std() > 0.3 * fit.torque_nm or fit.gravity_nm > 0.2 * fit.torque_nm)
     ]
 
 
@@ -145,7 +132,8 @@ def far_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit],
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
     for j, fit in enumerate(fits):
-        if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > FAR * model_nm[j]:
+        # no friction of a loaded joint is so large
+        if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > 50.0 * model_nm[j]:
             evidence = (
                 f"the effort varies by {fit.torque_nm:.3g} {unit}, gravity and inertia of the model by "
                 f"{model_nm[j]:.3g} Nm: {fit.torque_nm / model_nm[j]:.2g} times as much"
@@ -155,26 +143,22 @@ def far_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit],
     return found
 
 
-LARGEST_NM = 2e4
-"""No joint of an arm turns with more, except those of a few giants."""
-APART = 100.0
-"""Ratio of two successive joints, sorted by the spread of their torque, that no arm has."""
-
-
-def unit_findings(joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def unit_findings(joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
     """Findings of efforts in another unit, without a model: impossible torques, or joints far apart from the others."""
     found = []
     advice = "another unit, mNm for instance: convert it to Nm at import"
     spread = np.array([fit.torque_nm for fit in fits])
     order = [j for j in np.argsort(-spread) if spread[j] > 0]
-    far = next((k for k in range(1, len(order)) if spread[order[k - 1]] > APART * spread[order[k]]), 0)
+    # no arm has two successive joints, sorted by the spread of their torque, that are so far apart
+    far = next((k for k in range(1, len(order)) if spread[order[k - 1]] > 100.0 * spread[order[k]]), 0)
     for j in sorted(order[:far]):
         next_nm, other = spread[order[far]], joints[order[far]]
-        evidence = f"the effort varies by {spread[j]:.3g} {unit}, that of '{other}' by {next_nm:.3g} {unit}"
+        evidence = f"the effort varies by {spread[j]:.3g} Nm, that of '{other}' by {next_nm:.3g} Nm"
         found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     for j in order[far:]:
-        if spread[j] > LARGEST_NM:
-            evidence = f"the effort varies by {spread[j]:.3g} {unit}, more than any joint gives"
+        # no joint of an arm turns with more, [N m], except those of a few giants
+        if spread[j] > 2e4:
+            evidence = f"the effort varies by {spread[j]:.3g} Nm, more than any joint gives"
             found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     return found
 
@@ -185,28 +169,23 @@ def kind_findings(
     """Findings of efforts without gravity or before the gear, and the strong joints without such a finding."""
     found, left = [], []
     for j in strong:
-        fit = fits[j]
-        factor, error = fit.gravity_factor
-        model_nm = float(rows.gravity[:, j].std())
-        gravity_evidence = (
-            f"gravity factor {factor:.3g} ± {error:.1g} where the model's gravity varies by {model_nm:.3g} Nm"
-        )
-        if abs(factor) < ABSENT and fit.explained < LITTLE:
-            evidence = (
-                f"{gravity_evidence}; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
-            )
+        fit, (factor, error) = fits[j], fits[j].gravity_factor
+        code, absent = "effort-compensated", abs(factor) < 0.15
+        if absent and fit.explained < 0.5:
+            shown = f"; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
             advice = "this is already an external torque or an error: record the motor's or joint's torque instead"
-            found.append(Finding("effort-compensated", "fault", joints[j], evidence, advice))
-        elif abs(factor) < ABSENT and fit.gravity_nm < ABSENT_SHARE * fit.torque_nm:
-            evidence = f"{gravity_evidence}; friction and inertia explain {fit.explained:.0%} of the effort"
+        elif absent and fit.gravity_nm < 0.2 * fit.torque_nm:  # with more gravity, the unit is too small
+            shown = f"; friction and inertia explain {fit.explained:.0%} of the effort"
             advice = "the driver subtracts gravity: record the uncompensated torque, or add g(q) of the model at import"
-            found.append(Finding("effort-compensated", "fault", joints[j], evidence, advice))
         elif 0 < factor < MOTOR_SIDE and error < 0.3 * factor:
-            evidence = f"{gravity_evidence}: 1 / {1 / factor:.3g}"
+            code, shown = "effort-motor-side", f": 1 / {1 / factor:.3g}"
             advice = f"the torque before the gear: multiply by the gear ratio (about {1 / factor:.3g}) at import"
-            found.append(Finding("effort-motor-side", "fault", joints[j], evidence, advice))
         else:
             left.append(j)
+            continue
+        model_nm = float(rows.gravity[:, j].std())
+        evidence = f"gravity factor {factor:.3g} ± {error:.1g} where the model's gravity varies by {model_nm:.3g} Nm"
+        found.append(Finding(code, "fault", joints[j], evidence + shown, advice))
     return found, left
 
 
@@ -233,21 +212,12 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
 # --- Delay of the torque against the motion.
 
 
-LONGEST_S = 0.1
-STEPS = 10  # to either side
-LATE_S = 0.012
-"""Smallest reported delay, [s]: filter and bus cycle cause 1 to 5 ms; presliding and elasticity add apparent delay."""
-FALL = 0.95
-"""Largest ratio of errors, best lag to none, for a finding; friction at reversals lowers it on good clocks, too."""
-EXPLAINED = 0.7
-
-
 def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float, float, float]]:
     """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there.
 
     Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1.
     """
-    lags = np.linspace(-LONGEST_S, LONGEST_S, 2 * STEPS + 1)
+    lags = np.linspace(-0.1, 0.1, 21)
     weights, torques = [], [torque_rows(stretches, lag) for lag in lags]
     errors = np.empty((len(lags), rows.joints))
     for j in range(rows.joints):
@@ -257,8 +227,7 @@ def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float
         trust = robust_solve(columns, rows.tau[:, j])[1]
         root = np.sqrt(trust)
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-9)
-        basis, values, _ = np.linalg.svd(root[:, None] * columns / size, full_matrices=False)
-        basis = basis[:, values > 1e-6 * values[0]]
+        basis = basis_of(root[:, None] * columns / size)
         for k, torque in enumerate(torques):
             y = root * torque[:, j]
             errors[k, j] = np.sqrt(((y - basis @ (basis.T @ y)) ** 2).mean())
@@ -272,7 +241,7 @@ def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float
             if a - 2 * b + c > 0:
                 shift = 0.5 * (a - c) / (a - 2 * b + c)
                 lag, least = lag + shift * (lags[1] - lags[0]), b - 0.25 * (a - c) * shift
-        zero = errors[STEPS, j]
+        zero = errors[len(lags) // 2, j]
         inside = rows.has_model or 0 < best < len(lags) - 1
         ratio = float(np.sqrt(max(least, 0)) / zero) if zero > 0 and inside else 1.0
         found.append((float(lag), ratio, 1 - max(least, 0) / max(weights[j] ** 2, 1e-18)))
@@ -283,10 +252,11 @@ def delay_findings(
     lags: Sequence[tuple[float, float, float]], joints: Sequence[str], period_s: float
 ) -> tuple[list[Finding], float]:
     """Findings of delays, and one lag for all joints [s]; 0: none."""
+    # filter and bus cycle cause 1 to 5 ms, presliding and elasticity more; friction at reversals lowers the error, too
     late = [
         (lag, j)
         for j, (lag, ratio, explained) in enumerate(lags)
-        if abs(lag) > max(LATE_S, 1.25 * period_s) and ratio < FALL and explained > EXPLAINED
+        if abs(lag) > max(0.012, 1.25 * period_s) and ratio < 0.95 and explained > 0.7
     ]
     found = []
     for lag, j in late:
@@ -303,10 +273,8 @@ def delay_findings(
 # --- Whether the arm moves enough, and long enough, for training.
 
 
-STANDING_RAD = 0.05
 LEAST_RANGE_RAD = 0.2
 LEAST_SPEED_RAD_S = 0.1
-LEAST_SHARE = 0.05
 SEARCH_S = 30.0
 """Motion needed to judge order, axes and delay of torque, [s]: with less, some arrangement fits by chance."""
 FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
@@ -318,7 +286,7 @@ def excitation_findings(recordings: Sequence[Recording], stretches: Sequence[Str
     joints = recordings[0].joints
     ranges = np.max([np.ptp(r.q, axis=0) for r in recordings], axis=0)
     minutes = sum(r.duration_s for r in recordings) / 60
-    if ranges.max() < STANDING_RAD:
+    if ranges.max() < 0.05:
         evidence = f"the widest range of a joint is {ranges.max():.3g} rad in {minutes:.2g} minutes"
         advice = "an arm at rest gives the plain observer and its limits at this pose, no friction fit and no network"
         return [Finding("never-moves", "warning", None, evidence, advice)]
@@ -340,7 +308,7 @@ def _joint(joint: str, travelled_rad: float, dq: np.ndarray, seconds: np.ndarray
     forward, backward = float(seconds[dq > MOVING_RAD_S].sum()), float(seconds[dq < -MOVING_RAD_S].sum())
     speed, share = float(np.percentile(np.abs(dq), 99)), (forward + backward) / float(seconds.sum())
     one_way = min(forward, backward) < 0.05 * max(forward, backward)
-    if travelled_rad >= LEAST_RANGE_RAD and speed >= LEAST_SPEED_RAD_S and share >= LEAST_SHARE and not one_way:
+    if travelled_rad >= LEAST_RANGE_RAD and speed >= LEAST_SPEED_RAD_S and share >= 0.05 and not one_way:
         return []
     evidence = (
         f"range {travelled_rad:.3g} rad, speed up to {speed:.3g} rad/s, "

@@ -158,7 +158,7 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     case = PAPER_CASES[chosen_case(None, robot)[0]]
     given = Given(robot, case, training, dataset.recordings("validation"))
     results = check_results(dataset, given, TrainConfig(), terminal)
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]

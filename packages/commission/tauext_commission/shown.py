@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from tauext.bundle.history_file import is_commissioned
 from tauext.cli.place_argument import print_replaced
-from tauext.cli.progress import aligned, in_plain_letters
 from tauext.cli.show import lines
 from tauext.errors import ConfigError
 from tauext.files.copies import local_folder, staged
 from tauext.files.places import Place
+from tauext.progress import aligned, in_plain_letters
 from tauext_commission.history import describe_folder, write_arms, write_history
 
 

@@ -6,9 +6,9 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tauext.cli.progress import aligned
 from tauext.errors import ConfigError
 from tauext.files.places import Place
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext._core import Bundle

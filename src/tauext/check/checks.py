@@ -111,6 +111,13 @@ class Examination:
             vars(self).pop(name, None)
         vars(self).update(corrected)
 
+    def take(self, name: str, result: tuple[list[Finding], Any]) -> list[Finding]:
+        """The findings of a result; if there are any, its second part is the corrected `name`."""
+        found, corrected = result
+        if found:
+            self.correct(**{name: corrected})
+        return found
+
     def leave_out(self, odd: list[Finding]) -> list[Finding]:
         """Leave out the recordings of these findings, and return the findings."""
         names = {finding.recording for finding in odd}
@@ -171,18 +178,6 @@ def _open_model(x: Examination) -> list[Finding]:
     x.file = robot_file.open_robot(x.robot, x.joints, x.gravity)
     x.tree, x.torque_limits_nm = x.file.tree, x.file.torque_limits_nm
     return x.file.findings + robot_file.changed_findings(x.recordings, x.robot)
-
-
-def _stamps(x: Examination) -> list[Finding]:
-    found, recordings = clock.time_findings(x.recordings)
-    x.correct(recordings=recordings)
-    return found
-
-
-def _turns(x: Examination) -> list[Finding]:
-    found, recordings = clock.wrap_findings(x.recordings)
-    x.correct(recordings=recordings)
-    return found
 
 
 def _signs_of_drives(x: Examination) -> list[Finding]:
@@ -248,13 +243,6 @@ def _exchanged_efforts(x: Examination) -> list[Finding]:
     return found
 
 
-def _rearranged(x: Examination) -> list[Finding]:
-    found, moved = arrangement.rearranged(x.motion, x.model, x.joints)
-    if found:
-        x.correct(motion=moved)
-    return found
-
-
 def _signs(x: Examination) -> list[Finding]:
     votes = [effort.sign_vote(x.rows, j, fit) for j, fit in enumerate(x.fits)]
     found = effort.sign_findings(x.joints, votes, x.fits, x.unit)
@@ -266,17 +254,7 @@ def _signs(x: Examination) -> list[Finding]:
 
 def _delays(x: Examination) -> list[Finding]:
     x.lags = effort.torque_lags(x.motion, x.rows)
-    found, lag_s = effort.delay_findings(x.lags, x.joints, 1 / x.motion[0].rate_hz) if x.moves_long else ([], 0.0)
-    if lag_s:
-        x.correct(lag_s=lag_s)
-    return found
-
-
-def _gravity(x: Examination) -> list[Finding]:
-    found, tree = arrangement.gravity_finding(x.motion, x.model, x.rows)
-    if found:
-        x.correct(tree=tree)
-    return found
+    return x.take("lag_s", effort.delay_findings(x.lags, x.joints, 1 / x.motion[0].rate_hz)) if x.moves_long else []
 
 
 def _scales(x: Examination) -> list[Finding]:
@@ -338,8 +316,8 @@ CHECKS = [
     Check(("joint-names", "model-unusable", "inertia-impossible", "robot-file-changed"), SIGNALS, _open_model,
           ("robot file",)),
     Check(("contact-in-free-motion",), SIGNALS, lambda x: contacts.contact_findings(x.recordings, x.called_free)),
-    Check(("time-unit",), SIGNALS, _stamps, quick=True),
-    Check(("position-wraps",), SIGNALS, _turns, quick=True),
+    Check(("time-unit",), SIGNALS, lambda x: x.take("recordings", clock.time_findings(x.recordings)), quick=True),
+    Check(("position-wraps",), SIGNALS, lambda x: x.take("recordings", clock.wrap_findings(x.recordings)), quick=True),
     Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_rates(x.recordings))),
     Check(("supply-current", "unsigned-torque", "load-sign-bit"), SIGNALS, _signs_of_drives, quick=True),
     Check(("effort-duty", "current-signed"), SIGNALS, _kinds_of_drives),
@@ -364,10 +342,13 @@ CHECKS = [
     Check(("effort-sign",), VELOCITIES, lambda x: motion.pose_findings(x.recordings, x.model, x.joints),
           ("model", "sign", "no fit")),
     Check(("joint-order",), ORDER, _exchanged_efforts, ("fit", "half a minute")),
-    Check(("joint-order", "joint-axis", "position-offset"), PLACES, _rearranged, ("fit", "half a minute", "model")),
+    Check(("joint-order", "joint-axis", "position-offset"), PLACES,
+          lambda x: x.take("motion", arrangement.rearranged(x.motion, x.model, x.joints)),
+          ("fit", "half a minute", "model")),
     Check(("effort-sign",), SIGNS, _signs, ("fit",)),
     Check(("torque-delay",), DELAYS, _delays, ("fit", "measured torque")),
-    Check(("gravity-direction",), SCALES, _gravity, ("fit", "model")),
+    Check(("gravity-direction",), SCALES,
+          lambda x: x.take("tree", arrangement.gravity_finding(x.motion, x.model, x.rows)), ("fit", "model")),
     Check(("effort-scale", "effort-motor-side", "effort-compensated", "payload"), SCALES, _scales, ("fit", "model")),
     Check(("effort-scale",), SCALES, _units, ("fit", "no model")),
     Check(("torque-changes",), CHANGES,

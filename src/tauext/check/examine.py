@@ -13,7 +13,7 @@ from tauext.check.causes import causes_only
 from tauext.check.checks import CHECKS, STEPS, Examination, run
 from tauext.check.contacts import unlabelled_findings
 from tauext.check.drive import Effort, Rest, rests_of, without_scale
-from tauext.check.finding import SEVERITIES, Finding
+from tauext.check.finding import SEVERITIES, Finding, Severity
 from tauext.check.joint_fit import FitRows, JointFit
 from tauext.check.sensors import noise_nm, normal_ranges, spikes_of, steps_of, torque_step_nm, without_spikes
 from tauext.data.dataset import ROBOT_FILES, load_dataset
@@ -26,7 +26,7 @@ from tauext.files.copies import local_robot
 from tauext.files.kind import first_log, import_first
 from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT
-from tauext.progress import SILENT, Reporter
+from tauext.progress import SILENT, Reporter, aligned
 from tauext.robot.write import is_placeholder
 
 # --- The diagnosis: findings, and measured quantities of every joint.
@@ -215,15 +215,16 @@ COLUMNS = (
 
 def as_text(diagnosis: Diagnosis) -> str:
     """Text for a terminal: findings grouped by code, evidence and advice, then a table of the measured quantities."""
-    lines = []
-    shown = grouped(diagnosis.findings)
-    for finding, joints in shown:
-        where = f" ({', '.join(joints)})" if joints else ""
-        lines += [f"{finding.severity}: {finding.code}{where}"]
-        same = [one for one in diagnosis.findings if (one.code, one.severity) == (finding.code, finding.severity)]
+    lines: list[str] = []
+    groups: dict[tuple[Severity, str], list[Finding]] = {}
+    for finding in diagnosis.findings:
+        groups.setdefault((finding.severity, finding.code), []).append(finding)
+    for (severity, code), same in groups.items():
+        joints = ", ".join(dict.fromkeys(one.joint for one in same if one.joint))
+        lines.append(f"{severity}: {code}{f' ({joints})' if joints else ''}")
         lines += [f"    {one.joint + ': ' if one.joint else ''}{one.evidence}" for one in same]
         lines += [f"    -> {advice}" for advice in dict.fromkeys(one.advice for one in same)]
-    counts = [sum(finding.severity == severity for finding, _ in shown) for severity in SEVERITIES]
+    counts = [sum(of == severity for of, _ in groups) for severity in SEVERITIES]
     summary = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
     return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", summary])
 
@@ -239,16 +240,6 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
     if without_model:
         text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
     return text, as_data(diagnosis) | {"recordings": list(recordings)}
-
-
-def grouped(findings: list[Finding]) -> list[tuple[Finding, list[str]]]:
-    """The first finding of each code and severity, and the joints of all of them."""
-    groups: dict[tuple[str, str], tuple[Finding, list[str]]] = {}
-    for finding in findings:
-        _, joints = groups.setdefault((finding.code, finding.severity), (finding, []))
-        if finding.joint and finding.joint not in joints:
-            joints.append(finding.joint)
-    return list(groups.values())
 
 
 def as_data(diagnosis: Diagnosis) -> dict:
@@ -270,13 +261,7 @@ def _table(diagnosis: Diagnosis) -> list[str]:
         [joint, *(format(fact[key], form) if key in fact else "-" for key, _, _, form in shown)]
         for joint, fact in zip(diagnosis.joints, diagnosis.facts, strict=True)
     ]
-    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-
-    def line(row: list[str]) -> str:
-        first, *others = zip(row, widths, strict=True)
-        return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)])
-
-    return [line(row) for row in [head, *rows]]
+    return aligned([head, *rows])
 
 
 # --- Input: recordings of a dataset, a folder or by name, and the robot file beside them.

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 from tauext import plugins
 from tauext.cli.place_argument import JsonArg, MeshesArg, PlaceArg, print_replaced
-from tauext.cli.progress import Terminal, aligned
+from tauext.cli.progress import Terminal
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.copies import local_folder, local_robot, staged
 from tauext.files.places import is_stored
 from tauext.files.preflight import expect_folder, expect_new_file
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext.data.dataset import Dataset

@@ -95,7 +95,7 @@ def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None
     windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
     largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
     moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
-    if moving.sum() < 60:
+    if moving.sum() < 60:  # half a minute
         return []
     usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
     swings = np.stack([np.ptp(rows.tau[at], axis=0) for at in windows])

@@ -121,7 +121,7 @@ def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
     for file in (ROOT / "packages").glob("*/pyproject.toml"):
         project = tomllib.loads(file.read_text())["project"]
         added |= {name: file.parent.name for group in project["entry-points"].values() for name in group}
-    assert added == plugins.FOLDERS
+    assert added == {name: folders.split()[-1] for name, folders in plugins.FOLDERS.items()}
     monkeypatch.setattr(plugins, "entry_points", lambda group: ())
     with pytest.raises(ConfigError, match="--source ros2: 'ros2' is a plug-in: pip install ./packages/ros2"):
         open_source("ros2", {})
@@ -152,7 +152,7 @@ def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message
 def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypatch, capsys):
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["fleet", "run", "fleet.toml"]) == 2
-    told = "'fleet' is a plug-in: pip install ./packages/fleet in the source folder of tauext"
+    told = "'fleet' is a plug-in: pip install ./packages/lab ./packages/fleet in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"
 
 

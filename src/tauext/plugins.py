@@ -18,6 +18,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
@@ -28,11 +29,11 @@ SOURCES, COMMANDS, PARTS = "tauext.sources", "tauext.commands", "tauext.parts"
 OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force")
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
 FOLDERS = (
-    {"commission": "commission", "fleet": "fleet", "ros2": "ros2"}
+    {"commission": "lab commission", "fleet": "lab fleet", "ros2": "ros2"}
     | dict.fromkeys(OF_LAB, "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/, by the command, source or part that their packages add. No registry has these packages yet:
+"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these yet:
 their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
@@ -68,14 +69,15 @@ def part(name: str) -> Callable[..., Any]:
     entry = installed(PARTS).get(name)
     if entry is None:
         raise ConfigError(how_to_add(name) or f"no package adds '{name}'")
-    return load(entry, Callable)  # type: ignore[type-abstract]
+    return load(entry, FunctionType)
 
 
 def how_to_add(name: str) -> str | None:
     """Which package adds this command, source or part; None: it is there, or no package of this repository adds it."""
     there = installed(SOURCES) | installed(COMMANDS) | installed(PARTS)
-    folder = None if name in there else FOLDERS.get(name)
-    return folder and f"'{name}' is a plug-in: pip install ./packages/{folder} in the source folder of tauext"
+    folders = "" if name in there else FOLDERS.get(name, "")
+    named = " ".join(f"./packages/{folder}" for folder in folders.split())
+    return f"'{name}' is a plug-in: pip install {named} in the source folder of tauext" if named else None
 
 
 def optional_library(module: str, who: str, package: str) -> Any:

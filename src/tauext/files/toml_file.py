@@ -19,7 +19,6 @@ from tauext.config import described
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.kind import is_bundle
-from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
 
 REQUIRED = object()
@@ -122,7 +121,7 @@ def tables(each: str, default: Any = REQUIRED) -> Key:
     return Key(read, f"{many if 'NAME' in each or kind is list else 'a table'} {each}", default)
 
 
-def read_table(path: Place | str, table: str, content: Any, keys: Mapping[str, Key]) -> dict[str, Any]:
+def read_table(path: Path | str, table: str, content: Any, keys: Mapping[str, Key]) -> dict[str, Any]:
     """The values of all keys, defaults for those left out.
 
     Args:
@@ -148,7 +147,7 @@ def read_table(path: Place | str, table: str, content: Any, keys: Mapping[str, K
     return values
 
 
-def refuse_unknown(path: Place | str, table: str, content: Any, known: Iterable[str]) -> None:
+def refuse_unknown(path: Path | str, table: str, content: Any, known: Iterable[str]) -> None:
     """ConfigError unless the content is a table and all of its keys are known."""
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: {table} is {content!r}, must be a table")
@@ -158,7 +157,7 @@ def refuse_unknown(path: Place | str, table: str, content: Any, known: Iterable[
             raise unknown_key(str(path), key, listed, f" in {table}" if table else " at the top")
 
 
-def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
+def read_toml(path: Path, advice: str = "") -> dict[str, Any]:
     """The content of the file.
 
     Args:
@@ -178,7 +177,7 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
 
 
-def parse_toml(content: str, path: Place) -> dict[str, Any]:
+def parse_toml(content: str, path: Path) -> dict[str, Any]:
     """Content of a TOML text; raises as read_toml."""
     try:
         return toml_of(content)

@@ -208,7 +208,7 @@ def test_a_recording_of_another_rate_is_named(planar):
 
 
 def test_stamps_far_too_long_leave_rows_to_search(arm):
-    from tauext.check.arrangement import search_stretches
+    from tauext.check.corrections import search_stretches
     from tauext.check.motion import stretches
 
     _, _, good = arm
@@ -219,7 +219,7 @@ def test_stamps_far_too_long_leave_rows_to_search(arm):
 @pytest.mark.parametrize("length_s", [4.0, 30.0, 100.0])
 def test_the_search_has_its_time_of_motion_however_short_the_stretches_are(arm, length_s):
     """Servo arms move for seconds and rest: a share of each stretch was too short to count, and 51 rows were left."""
-    from tauext.check.arrangement import SEARCH_S, search_stretches
+    from tauext.check.corrections import SEARCH_S, search_stretches
     from tauext.check.motion import stretches
 
     _, _, good = arm

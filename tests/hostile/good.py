@@ -55,7 +55,7 @@ FLEET = """stages = ["train"]
 recipe = "observer"
 max_steps = 5
 [types.rig]
-accept = ["payload-missing"]
+accept = ["payload"]
 [[arms]]
 name = "one"
 type = "rig"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tauext.bundle.history_file import is_commissioned
 from tauext.cli.arguments import print_replaced
-from tauext.cli.progress import aligned, in_plain_letters
 from tauext.cli.show import lines
 from tauext.errors import ConfigError
+from tauext.progress import aligned, in_plain_letters
 from tauext_commission.history import describe_folder, write_arms, write_history
 
 

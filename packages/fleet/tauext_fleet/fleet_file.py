@@ -52,7 +52,7 @@ arm = "ur10e.toml"          # description of its recordings: `tauext import --ne
 # robot = "ur10e.urdf"      # instead of the dataset's own, as for `tauext train`
 # train.like = "ur10e.prior.json"   # prior from a fleet of this type: a minute of a new arm is enough
 # case = "none"             # model case: exact, mass, com, mass+com, none
-# accept = ["payload-missing"]      # codes of faults to accept
+# accept = ["payload"]      # codes of faults to accept
 
 [[arms]]
 name = "cell-01"            # names its folder and its bundle

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext.cli.progress import aligned
 from tauext.errors import ConfigError
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext._core import Bundle

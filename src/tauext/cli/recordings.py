@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 from tauext import plugins
 from tauext.cli.arguments import JsonArg, MeshesArg, print_replaced
-from tauext.cli.progress import Terminal, aligned
+from tauext.cli.progress import Terminal
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
 from tauext.files.preflight import expect_folder, expect_new_file
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext.data.dataset import Dataset
@@ -153,7 +154,7 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     case = PAPER_CASES[chosen_case(None, robot)[0]]
     given = Given(robot, case, training, dataset.recordings("validation"))
     results = check_results(dataset, given, TrainConfig(), terminal)
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]

@@ -33,7 +33,7 @@ from tauext.data.recording import Recording
 from tauext.data.servo import AMPERES, FROM_AMPERES
 from tauext.errors import TauextError
 from tauext.fit.torque_constants import GUESS, fit_torque_constants
-from tauext.monitor import known_load
+from tauext.monitor.known_load import weigh_constants
 from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.read import load_tree
@@ -130,11 +130,10 @@ def used(
     yield from forces(bundle, arm, pushes, about)
     weight = [recording for what, recording in loaded if what.mass_kg == KNOWN_KG]
     try:
-        known = known_load.weigh_constants(bundle, frame, [see(bundle, one) for one in weight], KNOWN_KG)
+        known = weigh_constants(bundle, frame, [see(bundle, one) for one in weight], KNOWN_KG)
     except (TauextError, IndexError):
         return
-    right = getattr(known_load, "corrected_bundle", lambda one, found: known_load.scaled_bundle(one, found.common))
-    weighed = right(bundle, known)
+    weighed = _core.corrected_bundle(bundle, known)
     about = about | {"constants": f"{kind}, weighed"}
     yield from weights(weighed, frame, loaded, about)
     yield from forces(weighed, arm, pushes, about)

@@ -17,6 +17,19 @@ from tauext.train.preparation import Given, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
 
+def chosen_baselines(names: Collection[str] | None, skip: Collection[str]) -> dict[str, str]:
+    """Recipes of these baselines by name, None: of all, without those to skip.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    known = baselines()
+    for name in (*(names or ()), *skip):
+        if name not in known:
+            raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    return {name: recipe for name, recipe in known.items() if name not in skip and (names is None or name in names)}
+
+
 def train_baselines(
     dataset: Dataset,
     robot: Path | None,
@@ -46,10 +59,7 @@ def train_baselines(
         ConfigError: an unknown name, a bundle with other settings in the folder, no training recording, or a case that
             needs a model that the dataset lacks.
     """
-    known = baselines()
-    for name in (*(names or ()), *skip):
-        if name not in known:
-            raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    chosen = chosen_baselines(names, skip)
     expect_codes(accept)
     robot_file = dataset.robot_file(robot)
     case_name, note = chosen_case(case_name, robot_file)
@@ -58,9 +68,7 @@ def train_baselines(
     case, calibration = PAPER_CASES[case_name], dataset.stretches("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}
-    for name, recipe in known.items():
-        if name in skip or (names is not None and name not in names):
-            continue
+    for name, recipe in chosen.items():
         if impossible := why_impossible(recipe_of(recipe), case):
             report.say(f"{name} is left out: {impossible}")
             continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -124,13 +125,7 @@ def evaluate(
     require_threads(threads)
     require(keep_free_estimates >= 0, "keep_free_estimates", keep_free_estimates, ">= 0")
     expect_folder(out)
-    for path in bundles:
-        if not path.is_file():  # before baselines are trained for minutes
-            raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
-    if methods and not baselines:
-        raise ConfigError("--methods chooses among the baselines; give --baselines, too")
-    if not bundles and not baselines:
-        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
+    expect_something(bundles, baselines, methods)
     print_replaced(out / "results.json")
     dataset = load_dataset(data)
     paths = list(bundles)
@@ -140,24 +135,34 @@ def evaluate(
         own, kinds = out / "bundles", methods or None
         trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
         paths = [*trained.values(), *paths]
+    evaluate_bundles(
+        dataset, by_names(paths), out, seed, threads, command_line(), keep_free_estimates=keep_free_estimates,
+        sanity=baselines, events=events, report=Terminal(), inject=inject,
+    )  # fmt: skip
+    print(out / "results.json")
+
+
+def expect_something(bundles: Sequence[Path], baselines: bool, methods: Sequence[str]) -> None:
+    """Raise ConfigError unless there is something to evaluate; before baselines are trained for minutes."""
+    for path in bundles:
+        if not path.is_file():
+            raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
+    if methods and not baselines:
+        raise ConfigError("--methods chooses among the baselines; give --baselines, too")
+    if not bundles and not baselines:
+        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
+
+
+def by_names(paths: Sequence[Path]) -> dict[str, Path]:
+    """Bundles by their file names.
+
+    Raises:
+        ConfigError: two have the same.
+    """
     names = [path.stem for path in paths]
     if len(set(names)) < len(names):
         raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
-    named = dict(zip(names, paths, strict=True))
-    evaluate_bundles(
-        dataset,
-        named,
-        out,
-        seed,
-        threads,
-        command_line(),
-        keep_free_estimates=keep_free_estimates,
-        sanity=baselines,
-        events=events,
-        report=Terminal(),
-        inject=inject,
-    )
-    print(out / "results.json")
+    return dict(zip(names, paths, strict=True))
 
 
 # --- `tauext report`: figures and one self-contained page from results, or of one flight.
@@ -189,7 +194,6 @@ def report(
         trace_methods: names of the bundles whose traces the page holds; default: the best five.
     """
     from tauext.data.dataset import load_dataset
-    from tauext_lab.report.flight import write_flight_report, write_flights_report
     from tauext_lab.report.page import write_report
 
     if folders:
@@ -206,15 +210,7 @@ def report(
             raise ConfigError("give either --results and --data, or --flight; not both")
         if trace_methods:
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
-        there = {page.name for page in out.glob("*.html")}
-        if flight.is_dir():
-            with Terminal().progress("draw the flights") as show:
-                page = write_flights_report(flight, out, page_mb, show)
-        else:
-            page = write_flight_report(flight, out, page_mb)
-        if page.name in there:
-            print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
-        print(page)
+        report_flight(flight, out, page_mb)
     elif results is not None and data is not None:
         print_replaced(out / "report.html")
         print(write_report(results, load_dataset(data).folder, out, page_mb, trace_methods))
@@ -224,3 +220,18 @@ def report(
             f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
             "folder of `tauext commission`"
         )
+
+
+def report_flight(flight: Path, out: Path, page_mb: float) -> None:
+    """Draw a flight, or each one of a folder and the page that lists them."""
+    from tauext_lab.report.flight import write_flight_report, write_flights_report
+
+    there = {page.name for page in out.glob("*.html")}
+    if flight.is_dir():
+        with Terminal().progress("draw the flights") as show:
+            page = write_flights_report(flight, out, page_mb, show)
+    else:
+        page = write_flight_report(flight, out, page_mb)
+    if page.name in there:
+        print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
+    print(page)

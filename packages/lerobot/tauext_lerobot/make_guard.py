@@ -13,6 +13,7 @@ import numpy as np
 
 from tauext.cli.arguments import AcceptArg
 from tauext.cli.progress import Terminal
+from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import new_folder
 from tauext.progress import SILENT
@@ -76,8 +77,7 @@ def guard(
     from tauext.train.stage import train_bundle
     from tauext_lerobot.guard import ARM, BUNDLE, CALIBRATION, SETTINGS
 
-    if at_most_nm is not None and not 0 < at_most_nm < 1e6:
-        raise ConfigError(f"at_most_nm = {at_most_nm} must be > 0")
+    require(at_most_nm is None or 0 < at_most_nm < 1e6, "at_most_nm", at_most_nm, "> 0")
     if arm is not None and calibration is not None:
         raise ConfigError("--calibration goes without --arm; name the file in arm.toml ([robot] calibration)")
     motors = calibration if arm is None else named_calibration(arm)
@@ -93,22 +93,24 @@ def guard(
         dataset = load_dataset(folder / "data")
         training = dataset.training()
         minutes = sum(recording.duration_s for recording in training) / 60
-        if minutes < LEAST_MINUTES:
-            raise ConfigError(
-                f"{', '.join(map(str, source))}: {minutes:.1f} minutes of motion are too few for a guard; record at "
-                f"least {LEAST_MINUTES:g}, better 10, in which every joint moves as it will move later"
-            )
+        expect_minutes(minutes, source)
         expect_motion(training, source)
-        joints = training[0].joints
-        name = gripper_of(joints, gripper)
+        name = gripper_of(training[0].joints, gripper)
         config = TrainConfig(recipe="prior", fit_torque_constants=False)
         bundle = train_bundle(dataset, folder / BUNDLE, config=config, report=Bars(), accept=accept)
         settings, notes = learned(bundle, training, name, at_most_nm)
         (folder / SETTINGS).write_text(settings_text(settings, bundle, source, minutes, notes))
         shutil.rmtree(folder / "data")
-    for note in notes:
-        print(note)
-    print(out)
+    print(*notes, out, sep="\n")
+
+
+def expect_minutes(minutes: float, sources: list[Path]) -> None:
+    """Raise ConfigError where there is too little motion."""
+    if minutes < LEAST_MINUTES:
+        raise ConfigError(
+            f"{', '.join(map(str, sources))}: {minutes:.1f} minutes of motion are too few for a guard; record at "
+            f"least {LEAST_MINUTES:g}, better 10, in which every joint moves as it will move later"
+        )
 
 
 class Bars(Terminal):

@@ -19,9 +19,13 @@ from tauext.sources.open import open_source
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.loop import Loop, LoopSettings
+    from tauext.monitor.mcap_sink import McapSink
+    from tauext.monitor.record_sink import FlightSink, RecordCount, RecordSink
+    from tauext.monitor.source import Source
 
 STDIN = Path("-")
 MOST_CORES = 1024
@@ -147,8 +151,6 @@ def watch(
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
-    from tauext.monitor.record_sink import FlightSink, RecordSink
-    from tauext.monitor.source import settings_of
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
@@ -156,28 +158,17 @@ def watch(
     phases, unmonitored = phases_of(extras.phases, bundle)
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
-    flights = None
-    if (kept := extras.flights) is not None:
-        flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source.name)
-    record = None
-    if extras.record is not None:
-        record = RecordSink(extras.record, settings_of(bundle), source.name, extras.segment_s, lambda: bundle.name)
-    mcap = None
-    if extras.mcap is not None:
-        from tauext.monitor.mcap_sink import McapSink
-
-        mcap = McapSink(extras.mcap, bundle, source.name, settings.wrench)
+    flights, record, mcap = written(extras, bundle, source.name, settings.wrench)
     sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
     reactions = start_reactions(rules, source, publishers)
-    recorder = flights.recorder if flights else None
     with ExitStack() as stack:
         stack.callback(reactions.end)
+        recorder = flights.recorder if flights else None
         loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, phases=phases)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
-        shown = OutputSink(output, aside, loop, reactions, flights, remedy)
-        loop.sinks.append(shown)
+        loop.sinks.append(shown := OutputSink(output, aside, loop, reactions, flights, remedy))
         for sink in (record, mcap):
             if sink is not None:
                 sink.note = shown.note
@@ -192,27 +183,54 @@ def watch(
         shown.print_news()
         if mcap is not None:
             shown.note(f"{mcap.path}: {mcap.samples:,} samples")
-        if recorder is not None:
-            shown.flights.missed = recorder.missed
-        shown.flights.repeated = flights.repeated if flights else 0
+        if flights is not None:
+            shown.flights.missed, shown.flights.repeated = flights.recorder.missed, flights.repeated
         outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
         outcome.monitored = loop.monitored
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))
+    expect_samples(source, loop, ran_s)
+    expect_nothing_lost(outcome.recorded, mcap)
+    shown.flights.expect_all_written()
+
+
+def written(
+    extras: Extras, bundle: Bundle, source: str, wrench: str | None
+) -> tuple[FlightSink | None, RecordSink | None, McapSink | None]:
+    """Sinks that write flights, recordings and a file for viewers, as far as they are asked for."""
+    from tauext.monitor.record_sink import FlightSink, RecordSink
+    from tauext.monitor.source import settings_of
+
+    flights = record = mcap = None
+    if (kept := extras.flights) is not None:
+        flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source)
+    if extras.record is not None:
+        record = RecordSink(extras.record, settings_of(bundle), source, extras.segment_s, lambda: bundle.name)
+    if extras.mcap is not None:
+        from tauext.monitor.mcap_sink import McapSink
+
+        mcap = McapSink(extras.mcap, bundle, source, wrench)
+    return flights, record, mcap
+
+
+def expect_samples(source: Source, loop: Loop, ran_s: float) -> None:
+    """Raise AwayError where the source gave none."""
     if not loop.samples and not loop.stopped:
         refused = source.counts.refused
         came = f"none of {refused} samples could be used" if refused else "no sample came"
         raise AwayError(
             f"{source.name}: {came} in {ran_s:.1f} s; check that the robot sends, and the options of --source"
         )
-    recorded = outcome.recorded
+
+
+def expect_nothing_lost(recorded: RecordCount | None, mcap: McapSink | None) -> None:
+    """Raise ConfigError where samples were not written."""
     if recorded is not None and recorded.lost:
         of = recorded.lost + recorded.samples
         raise ConfigError(f"{recorded.lost} of {of} samples of the recording are lost: {recorded.error}")
     if mcap is not None and mcap.error:
         raise ConfigError(f"{mcap.lost} of {mcap.lost + mcap.samples} samples of the MCAP file are lost: {mcap.error}")
-    shown.flights.expect_all_written()
 
 
 @contextmanager

@@ -141,7 +141,7 @@ def aligned(words: Mapping[str, str]) -> list[str]:
 def describe_bundle(file: Path) -> Content:
     """Content of a bundle; loading it also replays its reference."""
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.units import left_out, not_monitored, own_shares, situations
+    from tauext.bundle.units import left_out, own_shares, situations
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -165,20 +165,7 @@ def describe_bundle(file: Path) -> Content:
         "sample_rate_hz": 1 / period_s,
         "network": None,
         "prior": None,
-        "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
-        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
-        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
-        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
-        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
-        "not_monitored": not_monitored(bundle),
-        "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
-        "collision_hold_s": bundle.hold_s,
-        "contact_hold_s": bundle.contact_hold_s,
-        "contact_release_s": bundle.contact_release_s,
-        "after_contact_factor": bundle.after_contact_factor,
-        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
-        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
-        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
+        **describe_limits(bundle, names),
         "load": describe_load(bundle.load_settings),
         "shapes_of_links": describe_shapes(bundle, names),
         "reference": "replayed, equal",
@@ -205,6 +192,31 @@ def describe_bundle(file: Path) -> Content:
     if found := situations(bundle):
         content["situations"] = found
     return content
+
+
+def describe_limits(bundle: Bundle, names: list[str]) -> Content:
+    """Limits of the estimates, and ranges of the signals."""
+    from tauext.bundle.units import not_monitored
+
+    def of_joints(values: Any) -> Content:
+        return dict(zip(names, values, strict=True))
+
+    return {
+        "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
+        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
+        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
+        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
+        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
+        "not_monitored": not_monitored(bundle),
+        "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
+        "collision_hold_s": bundle.hold_s,
+        "contact_hold_s": bundle.contact_hold_s,
+        "contact_release_s": bundle.contact_release_s,
+        "after_contact_factor": bundle.after_contact_factor,
+        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
+        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
+        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
+    }
 
 
 def in_order(facts: Any, names: list[str]) -> Any:

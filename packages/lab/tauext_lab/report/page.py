@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -342,7 +343,6 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     """
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     shown = shown_bundle(results)
-    noticed = shown.noticed_force
     return render_template(
         TEMPLATE,
         first=first_screen(results),
@@ -373,17 +373,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         touch_kinds=tables.kinds_table(results),
         touch_estimates=tables.touch_estimates_table(results),
         extremes=tables.extremes(results),
-        noticed=noticed_table(noticed),
-        noticed_by=shown.label,
-        noticed_refused=noticed and noticed.refused,
-        noticed_gain=noticed and noticed.gain_per_s,
-        noticed_times=surely(noticed.error_share) if noticed and noticed.error_share else None,
-        noticed_closing=CLOSING,
-        injected=shown.injected,
-        injected_words=injected_words(shown.injected) if shown.injected and shown.injected.curves else "",
-        pressed_words=pressed_words(shown.injected) if shown.injected else "",
-        injected_closing=ASSUMED,
-        injected_table=injected_table(results.bundles, shown),
+        **forces_of(shown, results),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, results.ten, traces.recordings) if results.ten else None,
         all_collisions=tables.collisions(results, results.collisions, traces.recordings)
@@ -395,6 +385,24 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         figures=figures,
         traces=traces,
     )
+
+
+def forces_of(shown: EvaluatedBundle, results: Results) -> dict[str, Any]:
+    """How large a force is noticed, and how many added ones were found."""
+    noticed, injected = shown.noticed_force, shown.injected
+    return {
+        "noticed": noticed_table(noticed),
+        "noticed_by": shown.label,
+        "noticed_refused": noticed and noticed.refused,
+        "noticed_gain": noticed and noticed.gain_per_s,
+        "noticed_times": surely(noticed.error_share) if noticed and noticed.error_share else None,
+        "noticed_closing": CLOSING,
+        "injected": injected,
+        "injected_words": injected_words(injected) if injected and injected.curves else "",
+        "pressed_words": pressed_words(injected) if injected else "",
+        "injected_closing": ASSUMED,
+        "injected_table": injected_table(results.bundles, shown),
+    }
 
 
 def facts(results: Results) -> list[tuple[str, str]]:

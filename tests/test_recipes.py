@@ -21,7 +21,7 @@ from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.toml_file import field_help
+from tauext.files.typed_table import field_help
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ridge import Regressors, fit_ridge
 from tauext.fit.training_set import Setup

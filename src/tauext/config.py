@@ -10,7 +10,19 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from tauext.errors import ConfigError
 from tauext.recipes import RECIPES, Recipe, recipe_of
@@ -442,6 +454,30 @@ def brief(value: object, as_text: Callable[[object], str] = repr) -> str:
 NUMBERS = {bool: "true or false", int: "a whole number", float: "a number"}
 NUMBER_KINDS: Mapping[type, type] = {int: numbers.Integral, float: numbers.Real}
 """NumPy's numbers are numbers, too."""
+
+
+class Rule(NamedTuple):
+    """A rule beyond the type of an annotation: `Annotated[float, Rule(" > 0", lambda value: value > 0)]`."""
+
+    words: str
+    """Follow the type in messages."""
+    holds: Callable[[Any], Any]
+
+
+def within(lowest: float, highest: float) -> Rule:
+    """From lowest to highest, both included."""
+    return Rule(f" from {lowest:g} to {highest:g}", lambda value: lowest <= value <= highest)
+
+
+def above(lowest: float, highest: float = math.inf) -> Rule:
+    """Above lowest, at most highest."""
+    most = f", at most {highest:g}" if highest < math.inf else ""
+    return Rule(f" > {lowest:g}{most}", lambda value: lowest < value <= highest)
+
+
+AT_LEAST_0 = Rule(" >= 0", lambda value: value >= 0)
+NOT_0 = Rule(", not 0", bool)
+NOT_EMPTY = Rule(", not empty", lambda value: value.strip() if isinstance(value, str) else value)
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
@@ -449,6 +485,8 @@ Result = TypeVar("Result")
 def fits(value: Any, hint: Any) -> bool:
     """Whether the value is of the type of an annotation; of containers, every value."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return fits(value, inner[0]) and all(one.holds(value) for one in inner[1:] if isinstance(one, Rule))
     if origin in (Union, UnionType):
         return any(fits(value, one) for one in inner)
     if origin is Literal:
@@ -470,28 +508,35 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def described(hint: Any) -> str:
-    """The type of an annotation for a message."""
+    """The type and the rules of an annotation for a message."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return described(inner[0]) + "".join(one.words for one in inner[1:] if isinstance(one, Rule))
     if origin in (Union, UnionType):
         return " or ".join(described(choice) for choice in inner if choice is not NoneType)
     if origin is Literal:
-        return f"one of {', '.join(map(str, inner))}"
+        return f"one of {', '.join(map(str, inner))}" if len(inner) > 1 else f'"{inner[0]}"'
     if origin is tuple and inner[-1] is Ellipsis:
-        return f"a list ({described(inner[0])} each)"
+        return f"a list, each {described(inner[0])}"
+    if origin is tuple:
+        return f"a list of {len(inner)}, each {described(inner[0])}"
+    if origin is dict:
+        return "a table"
     if origin is not None and inner:
         return f"{origin.__name__} of {', '.join(map(described, inner))}"
     name = getattr(hint, "__name__", str(hint))
-    return NUMBERS.get(hint) or {"str": "text", "Path": "a path"}.get(name, name)
+    return NUMBERS.get(hint) or {"str": "text", "Path": "a path", "dict": "a table"}.get(name, name)
 
 
 @functools.cache
-def _hints(thing: Any) -> dict[str, Any]:
-    return get_type_hints(thing)
+def hints_of(thing: Any) -> dict[str, Any]:
+    """The annotations of a class or function, with their rules."""
+    return get_type_hints(thing, include_extras=True)
 
 
 def expect_types(values: Mapping[str, Any], of: Any, before: str = "") -> None:
     """Raise ConfigError unless each value is of the type that its annotation in a class or function states."""
-    hints = _hints(of)
+    hints = hints_of(of)
     for name, value in values.items():
         if name in hints and not fits(value, hints[name]):
             raise ConfigError(f"{before}{name} = {brief(value)} must be {described(hints[name])}")

@@ -36,7 +36,7 @@ def commission(
     out: LocalArg | None = None,
     robot: LocalArg | None = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    reactions: PlaceArg | None = None,
+    cell: PlaceArg | None = None,
     no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -53,7 +53,8 @@ def commission(
         out: folder of this arm. It holds description, recordings, labels, bundles, events and log.
         robot: URDF or MJCF of the arm. None: no model; the page shows bars.
         options: options of some sources.
-        reactions: TOML file of reactions to a collision, contact or fault; docs/running.md.
+        cell: TOML file of the cell: reactions to a collision, contact or fault, and bus, the joints of servos;
+            docs/running.md.
         no_page: serve no page.
         host: address on which the page listens. 127.0.0.1: this computer only; 0.0.0.0: the network, with a token in
             the printed address.
@@ -81,7 +82,7 @@ def commission(
     require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(1 <= port <= 65535, "port", port, "1 to 65535")
 
-    from tauext.monitor.reaction_file import load_reactions
+    from tauext.monitor.cell_file import Cell, load_cell
     from tauext_commission.page import serve
     from tauext_commission.page.door import LOOPBACK, listening_socket
     from tauext_commission.run import Options, run
@@ -99,7 +100,7 @@ def commission(
     chosen = Options(
         robot=robot,
         source=given(options),
-        reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
+        cell=lambda joints: Cell() if cell is None else load_cell(cell, joints),
         page=None if no_page else serve,
         address=address,
         host=host,

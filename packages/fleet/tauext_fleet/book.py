@@ -11,7 +11,7 @@ from typing import Any
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, write_json
-from tauext.files.toml_file import flat, plain
+from tauext.files.typed_table import flat, plain
 from tauext_fleet.fleet_file import (
     STAGES,
     Arm,

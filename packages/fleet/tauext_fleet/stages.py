@@ -11,7 +11,7 @@ from tauext.config import EventsConfig, TrainConfig
 from tauext.files.copies import local_folder
 from tauext.files.places import Place
 from tauext.files.places import place_of as any_place
-from tauext.files.toml_file import settings_of
+from tauext.files.typed_table import read_table
 from tauext_fleet.config import CalibrateStage, EvaluateStage
 from tauext_fleet.task import Stage
 
@@ -55,7 +55,7 @@ def train_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
-    config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
+    config = replace(read_table(TrainConfig, work["settings"], "train:"), threads=1)
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
     known = place(work, "like")
     like = None if known is None else load_fleet_prior(known)
@@ -67,7 +67,7 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.data.dataset import load_dataset
     from tauext.train.calibrate import recalibrate
 
-    settings = settings_of(CalibrateStage, work["settings"], "calibrate")
+    settings = read_table(CalibrateStage, work["settings"], "calibrate:")
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
     recalibrate(
         any_place(work["bundle"]),
@@ -86,7 +86,7 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
 
     from tauext.data.dataset import load_dataset
 
-    settings = settings_of(EvaluateStage, work["settings"], "evaluate")
+    settings = read_table(EvaluateStage, work["settings"], "evaluate:")
     evaluate_bundles(
         load_dataset(any_place(work["dataset"])),
         {work["name"]: any_place(work["bundle"])},

@@ -20,7 +20,7 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.files.toml_file import plain
+from tauext.files.typed_table import plain
 from tauext.fit.fleet_prior import content, load_fleet_prior, table, write_fleet_prior
 from tauext.progress import SILENT
 from tauext.train.limits import UNPROMISED_FACTOR, scale_settings

@@ -307,7 +307,7 @@ def table_lines(
         if in_force and evidence and name in evidence:
             lines += comment_lines(f"Evidence: {evidence[name]}.")
         value = json.dumps(values[name]) if name in values else example_of(kind, name)
-        line = f"{'' if in_force and name in values else '# '}{name} = {value}"
+        line = f"{'' if in_force and name in values else '# '}{name} = {value}".rstrip()
         beside = f"{line}  # {words}".removesuffix(".") if words else line
         lines += [beside] if len(beside) <= WIDTH else [*comment_lines(words), line]
     return [*lines, ""]

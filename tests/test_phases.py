@@ -260,10 +260,10 @@ def test_a_phase_that_the_bundle_cannot_have_is_refused_by_name(arm, tmp_path):
         ("a b", "cannot be read"),
         ("a", "seconds is missing"),
         ("a seconds=0x", "seconds = '0x' must be a number"),
-        ("frame=t axis=0,0,x seconds=1", "axis = '0,0,x' must be three numbers"),
+        ("frame=t axis=0,0,x seconds=1", "axis = '0,0,x' must be a list of 3"),
         ("frame=t at_most_n=5", "seconds is missing"),
         ("frame=t frame=u seconds=1", "given twice"),
-        ("newtons=5", "newtons is unknown"),
+        ("newtons=5", "unknown key 'newtons'"),
     ],
 )
 def test_a_control_line_that_cannot_be_read_is_answered(line, message):

@@ -11,8 +11,10 @@ import difflib
 import inspect
 import json
 import math
+import re
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
 from itertools import pairwise
@@ -23,6 +25,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from tauext.config import NOT_EMPTY, Rule, described, hints_of
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
+from tauext.files.plain_file import number_of
 
 # --- Annotations of fields, beside Python's types and the rules of tauext.config.
 
@@ -241,6 +244,28 @@ def rule_words(hint: Any, joints: Sequence[str] = ()) -> str:
     if choices_of(hint) != (hint,):
         return " or ".join(rule_words(one, joints) for one in choices_of(hint))
     return described(hint)
+
+
+def table_of_line(kind: type, line: str, where: str) -> tuple[str, dict[str, Any]]:
+    """The words before the first key of a line `words key=value key=value`, and its table for read_table.
+
+    A value is a text where the field of its key is one, else a number, or a list of numbers between commas or spaces.
+
+    Raises:
+        ConfigError: a key is given twice.
+    """
+    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", line.strip())
+    table: dict[str, Any] = {}
+    for key, value in zip(rest[::2], rest[1::2], strict=True):
+        if key in table:
+            raise ConfigError(f"{where} {key} is given twice")
+        text, hint = value.strip(" ,\t"), base_of(hints_of(kind).get(key, str))
+        table[key] = text
+        if hint is not str and get_origin(hint) is not Literal:
+            with suppress(ValueError):  # the text breaks the rule, and is reported as it is
+                numbers = [number_of(one) for one in re.split(r"[\s,]+", text.strip("[]() ,\t")) if one]
+                table[key] = numbers[0] if len(numbers) == 1 else numbers
+    return head.strip(" ,\t"), table
 
 
 # --- Templates and help.

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from tauext._core import Load, LoadSettings
 from tauext.config import NOT_EMPTY, Rule, within
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.plain_file import number_of, read_toml
-from tauext.files.typed_table import read_table
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import read_table, table_of_line
 
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; only mass is required"
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
@@ -39,6 +38,9 @@ class LoadTable:
     def load(self) -> Load:
         whole = self.mass, self.com, self.inertia + (0.0,) * (6 - len(self.inertia))
         return Load(*whole) if self.error is None else Load(*whole, self.error)
+
+
+AnyLoad = TypeVar("AnyLoad", bound=LoadTable)
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,14 @@ class Expected:
     at_most: float
 
 
+@dataclass(frozen=True)
+class LoadLine(LoadTable):
+    """Keys of a load in a control line."""
+
+    ago: Annotated[float, within(0, MOST_AGO_S)] | None = None
+    """Time since the load was picked up, [s]."""
+
+
 def expected_of_text(text: str) -> Expected:
     """Parse the expected load in a line such as `seconds=3 at_most=2.5`.
 
@@ -79,10 +89,9 @@ def expected_of_text(text: str) -> Expected:
         ConfigError: names the error and the syntax.
     """
     where = f"expect {text.strip()[:80]!r}"
-    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
-    if head.strip(" ,\t") or len(rest) != 4:
+    head, table = table_of_line(Expected, text, where)
+    if head or not table:
         raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
-    table = {key: _number(where, value.strip(" ,\t")) for key, value in zip(rest[::2], rest[1::2], strict=True)}
     return read_table(Expected, table, f"{where}:")
 
 
@@ -92,32 +101,27 @@ def load_of_text(text: str) -> Load:
     Raises:
         ConfigError: names the error and the syntax.
     """
-    return load_and_ago_of_text(text, extra=())[0]
+    return _load_of_line(LoadTable, text).load
 
 
-def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
+def load_and_ago_of_text(text: str) -> tuple[Load, float | None]:
     """Parse the load in a line, and the time since it was picked up, [s], if the line has `ago=0.4`."""
+    found = _load_of_line(LoadLine, text)
+    return found.load, found.ago
+
+
+def _load_of_line(kind: type[AnyLoad], text: str) -> AnyLoad:
     where = f"load {text.strip()[:80]!r}"
-    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
-    first = head.strip(" ,\t")
-    if first not in ("", "none"):
+    first, table = table_of_line(kind, text, where)
+    if first not in ("", "none") or not (first or table):
         bare = re.fullmatch(r"([0-9.eE+-]+)\s*(?:kg)?", first)
-        meant = f"; did you mean 'mass={bare[1]}'?" if bare and not rest else ""
+        meant = f"; did you mean 'mass={bare[1]}'?" if bare and not table else ""
         raise ConfigError(f"{where} cannot be read{meant}; a load is {USAGE}")
-    table: dict[str, Any] = {}
-    for key, value in zip(rest[::2], rest[1::2], strict=True):
-        if key not in (*LoadTable.__dataclass_fields__, *extra) or key in table:
-            raise ConfigError(f"{where}: {key} is {'given twice' if key in table else 'unknown'}; a load is {USAGE}")
-        numbers = [_number(where, one) for one in re.split(r"[\s,]+", value.strip("[]() ,\t")) if one]
-        if len(numbers) != 1 and key not in ("com", "inertia"):
-            raise ConfigError(f"{where}: {key} must be one number; a load is {USAGE}")
-        table[key] = numbers if key in ("com", "inertia") else numbers[0]
-    ago = table.pop("ago", None)
-    if ago is not None and not 0 <= ago <= MOST_AGO_S:
-        raise ConfigError(f"{where}: ago = {ago:g} s must be 0 to {MOST_AGO_S:g}")
-    if first == "none" and table:
-        raise ConfigError(f"{where}: none has no {next(iter(table))}")
-    return (NOTHING if first == "none" else read_table(LoadTable, table, f"{where}:").load), ago
+    if first == "none":
+        if more := [key for key in table if key != "ago"]:
+            raise ConfigError(f"{where}: none has no {more[0]}")
+        table["mass"] = 0.0
+    return read_table(kind, table, f"{where}:")
 
 
 def read_loads(path: Place) -> list[TimedLoad]:
@@ -151,10 +155,3 @@ def load_words(load: Load, frame: str = "") -> str:
 def load_facts(load: Load) -> dict[str, Any]:
     """Convert the load to plain JSON."""
     return {"mass_kg": load.mass, "com_m": list(load.com), "inertia_kg_m2": list(load.inertia)}
-
-
-def _number(where: str, value: str) -> float:
-    try:
-        return number_of(value)
-    except ValueError:
-        raise ConfigError(f"{where}: {value[:40]!r} must be a number") from None

@@ -8,13 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tauext._core import DeclaredContact, Monitor, WrenchAxes
 from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.plain_file import number_of
-from tauext.files.typed_table import TableName, read_table
+from tauext.files.typed_table import TableName, read_table, table_of_line
 from tauext.monitor.changes import DeclaredChange
 
 AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
@@ -22,7 +21,6 @@ Vector = tuple[float, float, float]
 LARGEST = 1e6
 """Largest force, moment and time; a larger one is a mistake of units."""
 Amount = Annotated[float, within(0, LARGEST)]
-VECTORS = ("point", "axis")
 USAGE = (
     "`contact PHASE seconds=S` of the cell's file, `contact none [PHASE]`, or `contact frame=NAME axis=X,Y,Z "
     "half_angle_deg=A at_most_n=N at_most_nm=M seconds=S`, with joint=NAME at_most_nm=M instead for a torque of one "
@@ -88,10 +86,17 @@ class Phase(ContactTable):
 
 
 @dataclass(frozen=True)
-class Duration:
-    """The key of a control line beside those of its contact."""
+class PhaseLine:
+    """The key of a control line that announces a phase."""
 
     seconds: Amount
+
+
+@dataclass(frozen=True)
+class ContactLine(ContactTable):
+    """Keys of a control line that announces a contact."""
+
+    seconds: Amount = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -220,34 +225,13 @@ def announced_of_text(line: str) -> Announced:
         ConfigError: names the error and the syntax.
     """
     where = f"contact {line.strip()[:80]!r}"
-    words = line.split()
-    plain = [word for word in words if "=" not in word]
-    pairs = [word.partition("=") for word in words if "=" in word]
-    keys = [key for key, _, _ in pairs]
-    if unknown := [key for key in keys if key not in (*ContactTable.__dataclass_fields__, "seconds")]:
-        raise ConfigError(f"{where}: {unknown[0]} is unknown; it is {USAGE}")
-    if len(set(keys)) < len(keys):
-        raise ConfigError(f"{where}: a key is given twice")
-    if plain[:1] == ["none"] and len(plain) < 3 and not pairs:
+    head, table = table_of_line(ContactLine, line, where)
+    plain, has_bounds = head.split(), bool(set(table) - {"seconds"})
+    if plain[:1] == ["none"] and len(plain) < 3 and not table:
         return Announced(plain[1] if len(plain) == 2 else "", ends=True)
-    table: dict[str, Any] = {key: _value(where, key, value) for key, _, value in pairs}
-    bounds = {key: value for key, value in table.items() if key != "seconds"}
-    if len(plain) != (not bounds):
+    if len(plain) != (not has_bounds):
         raise ConfigError(f"{where} cannot be read; it is {USAGE}")
-    given = {key: value for key, value in table.items() if key == "seconds"}
-    seconds = read_table(Duration, given, f"{where}:").seconds
     if plain:
-        return Announced(plain[0], seconds=seconds)
-    return Announced("", read_table(ContactTable, bounds, f"{where}:").contact, seconds)
-
-
-def _value(where: str, key: str, value: str) -> Any:
-    if key in ("frame", "joint", "axes"):
-        return value
-    try:
-        found = [number_of(one) for one in value.split(",")]
-    except ValueError as error:
-        raise ConfigError(
-            f"{where}: {key} = {value[:40]!r} must be {'three numbers' if key in VECTORS else 'a number'}"
-        ) from error
-    return found if key in VECTORS else found[0] if len(found) == 1 else found
+        return Announced(plain[0], seconds=read_table(PhaseLine, table, f"{where}:").seconds)
+    found = read_table(ContactLine, table, f"{where}:")
+    return Announced("", found.contact, found.seconds)

@@ -22,8 +22,7 @@ from tauext import _core
 from tauext.config import within
 from tauext.data.servo import settings_by_type
 from tauext.errors import ConfigError
-from tauext.files.plain_file import number_of
-from tauext.files.typed_table import JointName, read_table
+from tauext.files.typed_table import JointName, read_table, table_of_line
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.monitor.stop_signals import without_interrupts
 from tauext_lab.sim.arms import ARMS, GearedArm
@@ -117,24 +116,11 @@ def command_of(text: str, joints: Sequence[str]) -> Command:
     Raises:
         ConfigError: names the command, the key and the rule.
     """
-    name, *rest = text.split() or [""]
-    if name not in COMMANDS:
+    name = text.split(maxsplit=1)[0] if text.strip() else ""
+    head, table = table_of_line(COMMANDS.get(name, Halt), text, f"sim: {name}")
+    if name not in COMMANDS or head != name:
         raise ConfigError(f"sim: {text[:60]!r} must be {USAGE} or `move`")
-    table: dict[str, Any] = {}
-    for one in rest:
-        key, _, value = one.partition("=")
-        words = value.split(",")
-        table[key] = words[0] if key == "joint" else _numbers(words)
     return Command(name, read_table(COMMANDS[name], table, f"sim: {name}", joints))
-
-
-def _numbers(words: list[str]) -> Any:
-    """A number, or a list of several; text where one is not a number, which no rule accepts."""
-    try:
-        found = [number_of(word) for word in words]
-    except ValueError:
-        return ",".join(words)
-    return found[0] if len(found) == 1 else found
 
 
 # --- Simulated arms, one sample at a time.

@@ -340,7 +340,7 @@ MISTAKES = {
     "choice": (dict(tau='timing = "later"'), "timing = 'later' must be one of held, instant, averaged"),
     "current": (dict(tau='unit = "A"'), 'torque_constant = .* must be Nm/A, one a joint, or "unknown"'),
     "constant": (dict(tau="torque_constant = 1"), "torque_constant = .* must be left out, since the unit is Nm"),
-    "names": (dict(robot='names = ["x", "x"]'), r"\[robot\] names = .* must be names that differ"),
+    "names": (dict(robot='names = ["x", "x"]'), r"\[robot\] names = .* must be .*, names that differ"),
     "interval": (dict(rest='[contact.intervals]\n"a.bag" = [[2, 1]]'), r"must be .*, \[t0, t1\] with t0 < t1"),
     "payload": (dict(rest="[payload]\nmass_kg = 1.0"), "model = '' must be a robot file, where there is a payload"),
     "toml": (dict(rest="[["), "not readable as TOML"),

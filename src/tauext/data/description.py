@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from tauext.config import AT_LEAST_0, NOT_0, Rule, above, within
+from tauext.config import AT_LEAST_0, NOT_0, NOT_EMPTY, Rule, above, within
 from tauext.data.recording import TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
@@ -29,6 +29,8 @@ TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 # --- Tables of an arm.toml: reader and template use the annotation, default and docstring of each key.
 
 
+DIFFERENT = Rule(", names that differ", lambda names: len(set(names)) == len(names))
+Names = Annotated[OneOrMore[Text], DIFFERENT]
 NotZero = Annotated[float, NOT_0]
 AtLeast0 = Annotated[float, AT_LEAST_0]
 Positive = Annotated[float, above(0)]
@@ -41,15 +43,15 @@ Span = Annotated[tuple[float, float], Rule(", [t0, t1] with t0 < t1", lambda spa
 class RobotTable:
     """Robot file and joints."""
 
-    joints: OneOrMore[Text]
+    joints: Annotated[Names, NOT_EMPTY]
     """Joints in use, as the robot file names them, from the base on."""
     model: str = ""
     """URDF or MJCF file, relative to this file. "": no model; train then uses the case none."""
-    names: Annotated[OneOrMore[Text], Example('["Base", "Shoulder"]')] = ()
+    names: Annotated[EachJoint[Text], DIFFERENT, Example('["Base", "Shoulder"]')] = ()
     """Names of these joints in the recording, where they differ."""
-    locked: Annotated[OneOrMore[Text], Example('["finger_joint1"]')] = ()
+    locked: Annotated[Names, Example('["finger_joint1"]')] = ()
     """Movable joints of the robot file that are not in use. All others but a gripper's must be in use."""
-    ignored: Annotated[OneOrMore[Text], Example('["gripper"]')] = ()
+    ignored: Annotated[Names, Example('["gripper"]')] = ()
     """Joints of the recording that are not used. All others but a gripper's must be used."""
     gear_ratio: Annotated[EachJoint[NotZero], Example("1")] = ()
     """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
@@ -194,7 +196,7 @@ class ServoTable:
     """torque: [signals.tau]; leave that out for all others. phase-current: [signals.current] is that of the windings,
     signed. supply-current: [signals.current] is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
     position loop times goal minus position, [signals.q_des] minus q."""
-    type: Annotated[OneOrMore[ServoName], Example('"sts3215-7.4v"')] = ()
+    type: Annotated[EachJoint[ServoName], Example('"sts3215-7.4v"')] = ()
     """Left out: an unknown servo. The constants below are those that the type lacks or that differ from it, all at the
     joint, after the gear."""
     gain: Annotated[EachJoint[Positive], Example("16")] = ()
@@ -288,11 +290,6 @@ class Arm:
 
     def __post_init__(self) -> None:
         robot, payload = self.robot, self.payload
-        for name in ("joints", "names", "locked", "ignored"):
-            listed = getattr(robot, name)
-            self._require(len(set(listed)) == len(listed), "robot", name, list(listed), "names that differ")
-        self._require(bool(robot.joints), "robot", "joints", [], "the names of the joints in use, at least one")
-        self._check_count("robot", "names", robot.names)
         for name, used in (("locked", robot.joints), ("ignored", self.names)):
             both = [one for one in getattr(robot, name) if one in used]
             self._require(not both, "robot", name, both, "joints that are not in use")
@@ -358,8 +355,9 @@ class Arm:
         none = not signal.columns
         derived = name == "dq" or (name == "tau" and self.makes_torque)
         self._require(not none or derived, table, "columns", "''", "given (only a velocity can be derived)")
-        if len(signal.columns) > 1:
-            self._check_count(table, "columns", signal.columns)
+        joints = len(self.robot.joints)
+        counts = len(signal.columns) in (0, 1, joints)
+        self._require(counts, table, "columns", list(signal.columns), f"as many as joints, {joints}")
         if name != "tau":
             return
         constant = signal.torque_constant
@@ -376,8 +374,6 @@ class Arm:
         return self.servo is not None and self.servo.torque_from != "torque"
 
     def _check_servo(self, servo: ServoTable) -> None:
-        if len(servo.type) > 1:
-            self._check_count("servo", "type", servo.type)
         if servo.torque_from == "torque":
             return
         needed = NEEDS[servo.torque_from]
@@ -395,10 +391,6 @@ class Arm:
                 f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it uses that of [signals.duty], or "
                 "of goal minus position, [signals.q_des]; both are missing"
             )
-
-    def _check_count(self, table: str, key: str, values: tuple) -> None:
-        joints = len(self.robot.joints)
-        self._require(len(values) in (0, joints), table, key, list(values), f"as many as joints, {joints}")
 
     def _require(self, ok: bool, table: str, key: str, value: object, rule: str) -> None:
         if not ok:
@@ -462,26 +454,26 @@ def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
 def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) -> Arm:
     _expect_confirmed(content, path)
     expect_known(f"{path}:", content, (*TABLES, "signals"))
-    if "robot" not in content:
+    robot, signals = content.get("robot"), content.get("signals", {})
+    if robot is None:
         raise ConfigError(f"{path}: the table [robot] is missing")
-    given, signals = dict(content), content.get("signals", {})
-    given.pop("signals", None)
-    joints = content["robot"].get("joints", ()) if isinstance(content["robot"], dict) else ()
-    joints = joints if isinstance(joints, list) else [joints]
     expect_known(f"{path}: [signals]", signals, SIGNALS)
+    joints = robot.get("joints", []) if isinstance(robot, dict) else []
+    joints = joints if isinstance(joints, list) else [joints]
     read: dict[str, Any] = {
-        name: read_table(TABLES[name], table, f"{path}: [{name}]", joints) for name, table in given.items()
+        name: read_table(TABLES[name], table, f"{path}: [{name}]", joints)
+        for name, table in content.items()
+        if name != "signals"
     }
-    read["signals"] = {
-        name: _signal(name, signals[name], f"{path}: [signals.{name}]", joints) for name in SIGNALS if name in signals
-    }
-    read["signals"].setdefault("dq", SignalTable((), "rad/s"))
+    given = {name: signals[name] for name in SIGNALS if name in signals}
+    found = {name: _signal(name, table, f"{path}: [signals.{name}]", joints) for name, table in given.items()}
+    found.setdefault("dq", SignalTable((), "rad/s"))
     if calibration is not None:
         read["robot"] = replace(read["robot"], calibration=str(calibration.absolute()))
     servo = read.get("servo")
-    if servo is not None and servo.torque_from != "torque" and "tau" not in signals:
-        read["signals"]["tau"] = _made_torque(servo, len(joints))
-    return Arm(**read, path=path)
+    if servo is not None and servo.torque_from != "torque" and "tau" not in found:
+        found["tau"] = _made_torque(servo)
+    return Arm(**read, signals=found, path=path)
 
 
 def _signal(name: str, content: Any, where: str, joints: Sequence[str]) -> SignalTable:
@@ -493,9 +485,8 @@ def _signal(name: str, content: Any, where: str, joints: Sequence[str]) -> Signa
     return replace(table, unit=table.unit or units[0])
 
 
-def _made_torque(servo: ServoTable, joints: int) -> SignalTable:
+def _made_torque(servo: ServoTable) -> SignalTable:
     """Table of a torque computed from servo signals, as if read from a column; in A without a torque constant."""
     known = servo.torque_constant or tuple(SERVO_TYPES[name].nm_per_ampere or 0.0 for name in servo.type)
-    known = known * joints if len(known) == 1 and not isinstance(known, str) else known
     constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
     return SignalTable((), "A", torque_constant=constant, timing=servo.timing)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_fleets import FRICTION, QUICKER, fleet, run_here, write_fleet
 from made_planar import CONFIG, dataset, moving
-from tauext_fleet.book import plan_fleet
+from tauext_fleet.book import plain, plan_fleet
 from tauext_fleet.fleet_file import load_fleet
 from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import distinct, fleet_arms, own_terms_of
@@ -20,7 +20,6 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.files.typed_table import plain
 from tauext.fit.fleet_prior import content, load_fleet_prior, table, write_fleet_prior
 from tauext.progress import SILENT
 from tauext.train.limits import UNPROMISED_FACTOR, scale_settings

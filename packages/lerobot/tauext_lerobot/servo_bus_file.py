@@ -65,7 +65,7 @@ def servo_bus(cell: Cell) -> ServoBusFile:
     bus, where = read_table(BusTable, cell.bus, f"{cell.path}: [bus]"), f"{cell.path}: [bus.joints"
     tables: dict[str, dict[str, Any]] = {}
     if bus.calibration:
-        place = cell.path.parent / Path(bus.calibration).expanduser()
+        place = cell.path.parent / str(Path(bus.calibration).expanduser())
         tables = {name: calibrated(one) for name, one in load_lerobot_calibration(place).items()}
     for name, table in bus.joints.items():
         tables[name] = tables.get(name, {}) | table

@@ -488,5 +488,5 @@ def _signal(name: str, content: Any, where: str, joints: Sequence[str]) -> Signa
 def _made_torque(servo: ServoTable) -> SignalTable:
     """Table of a torque computed from servo signals, as if read from a column; in A without a torque constant."""
     known = servo.torque_constant or tuple(SERVO_TYPES[name].nm_per_ampere or 0.0 for name in servo.type)
-    constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
+    constant: Any = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
     return SignalTable((), "A", torque_constant=constant, timing=servo.timing)

@@ -20,7 +20,7 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 from tauext.config import NOT_EMPTY, Rule, described, hints_of
 from tauext.errors import ConfigError
@@ -66,7 +66,7 @@ def read_table(
     """The dataclass with the values of a table, and defaults for the others.
 
     Args:
-        content: tables within are dataclasses or dicts; lists of tables are tuples of dataclasses.
+        content: tables within are dataclasses, or dicts by their names.
         where: begins every message: `arm.toml: [robot]`, and `arm.toml:` at the top of the file.
         joints: names of the arm's joints; empty: not known, and any name is accepted.
         known: fields that are keys of this table; None: all.
@@ -76,13 +76,11 @@ def read_table(
         ConfigError: the content is no table, a key is unknown (the nearest is named) or missing, or a value breaks its
             rule.
     """
-    values = values_of(kind, content, where, joints, known)
+    values, hints = values_of(kind, content, where, joints, known), hints_of(cast(Any, kind))
     for one in keys_of(kind, known):
         if one.name not in values and one.default is MISSING and one.default_factory is MISSING:
-            raise ConfigError(
-                f"{where} {one.name} is missing; it must be {rule_words(hints_of(kind)[one.name], joints)}"
-            )
-    values |= {key: name for key, hint in hints_of(kind).items() if Mark.NAME in marks_of(hint)}
+            raise ConfigError(f"{where} {one.name} is missing; it must be {rule_words(hints[one.name], joints)}")
+    values |= {key: name for key, hint in hints.items() if Mark.NAME in marks_of(hint)}
     try:
         return kind(**values)
     except ConfigError as error:
@@ -120,36 +118,33 @@ def expect_known(where: str, content: Any, known: Iterable[str]) -> None:
 
 def value_of(hint: Any, value: Any, where: str, key: str, joints: Sequence[str] = ()) -> Any:
     """The value of a key by its annotation; raises as read_table."""
-    inside = f"{where[:-1]}.{key}]" if where.endswith("]") else f"{where} [{key}]"
-    nested = [one for one in choices_of(hint) if is_table(one)]
+    choices = choices_of(hint)
+    nested = [one for one in choices if is_table(one)]
     try:
-        if nested and (isinstance(value, dict) or len(nested) == len(choices_of(hint))):
-            found = table_of(nested[0], value, inside, joints)
-        elif is_dataclass(item := first_of(hint)):
-            listed = list(enumerate(converted(value, list), 1))
-            names = [one.get("name", k) if isinstance(one, dict) else k for k, one in listed]
-            parts = [f"{where} [[{key}]] {name!r}" for name in names]
-            found = tuple(read_table(item, one, part, joints) for (_, one), part in zip(listed, parts, strict=True))
-        else:
+        if not nested or not (isinstance(value, dict) or len(choices) == 1):
             return converted(value, hint, joints)
+        found = table_of(base_of(nested[0]), value, inside(where, key), joints)
         expect_rules(hint, found)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ConfigError(f"{where} {key} = {value!r} must be {rule_words(hint, joints)}") from None
     return found
 
 
 def table_of(hint: Any, value: Any, where: str, joints: Sequence[str]) -> Any:
     """A table within a table: a dataclass, or a dict by names."""
-    base = base_of(hint)
-    if is_dataclass(base):
-        return read_table(base, value, where, joints)  # type: ignore[arg-type]
+    if is_dataclass(hint):
+        return read_table(hint, value, where, joints)  # type: ignore[arg-type]
     if not isinstance(value, dict):
         raise TypeError
-    inner = (get_args(base) or (str, Any))[1]
+    inner = get_args(hint)[1]
     if is_dataclass(inner):
-        tables = {name: f"{where[:-1]}.{name}]" for name in value}
-        return {name: read_table(inner, one, tables[name], joints, name=name) for name, one in value.items()}  # type: ignore[arg-type]
+        return {name: read_table(inner, one, inside(where, name), joints, name=name) for name, one in value.items()}  # type: ignore[arg-type]
     return {name: value_of(inner, one, where, name, joints) for name, one in value.items()}
+
+
+def inside(where: str, key: str) -> str:
+    """Begins messages about a table within: `arm.toml: [contact.intervals]`."""
+    return f"{where[:-1]}.{key}]" if where.endswith("]") else f"{where} [{key}]"
 
 
 def is_table(hint: Any) -> bool:
@@ -162,11 +157,6 @@ def base_of(hint: Any) -> Any:
 
 def marks_of(hint: Any) -> tuple[Any, ...]:
     return get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-
-
-def first_of(hint: Any) -> Any:
-    """The first type within a container's."""
-    return (get_args(base_of(hint)) or (None,))[0]
 
 
 def choices_of(hint: Any) -> tuple[Any, ...]:
@@ -234,13 +224,11 @@ def rule_words(hint: Any, joints: Sequence[str] = ()) -> str:
         return f"one of {', '.join(joints)}" if joints else "the name of a joint"
     if Mark.EACH_JOINT in marks:
         several = f", one for all joints or a list of {len(joints)}" if joints else ""
-        return f"{rule_words(first_of(hint), joints)}{several}{rules}"
+        return f"{rule_words(get_args(base)[0], joints)}{several}{rules}"
     if Mark.OR_ONE in marks:
-        return f"{rule_words(first_of(hint), joints)}, or a list of such{rules}"
+        return f"{rule_words(get_args(base)[0], joints)}, or a list of such{rules}"
     if is_dataclass(base):
         return "a table"
-    if get_origin(base) is tuple and is_dataclass(first_of(base)):
-        return f"one or more tables{rules}"
     if choices_of(hint) != (hint,):
         return " or ".join(rule_words(one, joints) for one in choices_of(hint))
     return described(hint)
@@ -347,7 +335,7 @@ def example_of(kind: Any, name: str) -> str:
     return "" if default is None else json.dumps(default)
 
 
-def settings_text(kind: type, table: str = "", about: str = "") -> str:
+def settings_text(kind: Any, table: str = "", about: str = "") -> str:
     """Every key of the settings in TOML, as a comment with its default and its help; tables within follow."""
     helps = key_help(kind)
     within = {name: hint for name, hint in hints_of(kind).items() if is_dataclass(hint)}
@@ -370,29 +358,3 @@ def write_template(path: Path, content: str) -> None:
             part.write_text(content, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
-
-
-# --- Settings as a table.
-
-
-def plain(settings: Any) -> dict[str, Any]:
-    """The settings as a table that read_table reads: without what is None, as TOML has no such value."""
-    found: dict[str, Any] = {}
-    for one in fields(settings):
-        value = getattr(settings, one.name)
-        if is_dataclass(value):
-            found[one.name] = plain(value)
-        elif value is not None:
-            found[one.name] = list(value) if isinstance(value, tuple) else value
-    return found
-
-
-def flat(table: Mapping[str, Any], before: str) -> dict[str, str]:
-    """Values as words by dotted names: {"train.alarm.in_hours": "8.0"}."""
-    found: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            found |= flat(value, f"{before}{key}.")
-        else:
-            found[f"{before}{key}"] = repr(value)
-    return found

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from tauext._core import Load, LoadSettings
-from tauext.config import NOT_EMPTY, Rule, within
+from tauext.config import Rule, within
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
-from tauext.files.typed_table import read_table, table_of_line
+from tauext.files.typed_table import expect_known, read_table, table_of_line
 
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; only mass is required"
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
@@ -48,13 +48,6 @@ class LaterLoad(LoadTable):
     """Keys of a load in a file of loads."""
 
     from_s: Annotated[float, within(0, LATEST_S)] = 0.0
-
-
-@dataclass(frozen=True)
-class LoadFile:
-    """A file of loads with times."""
-
-    load: Annotated[tuple[LaterLoad, ...], NOT_EMPTY]
 
 
 @dataclass(frozen=True)
@@ -130,8 +123,12 @@ def read_loads(path: Place) -> list[TimedLoad]:
     Raises:
         ConfigError: no such file, or a value that breaks a rule.
     """
-    found: list[TimedLoad] = []
-    for count, one in enumerate(read_table(LoadFile, read_toml(path), f"{path}:").load, 1):
+    content, found = read_toml(path), list[TimedLoad]()
+    expect_known(f"{path}:", content, ("load",))
+    if not isinstance(listed := content.get("load"), list) or not listed:
+        raise ConfigError(f"{path}: load is missing; it must be one or more tables [[load]]")
+    for count, table in enumerate(listed, 1):
+        one = read_table(LaterLoad, table, f"{path}: [[load]] {count}")
         if found and one.from_s < found[-1].from_s:
             raise ConfigError(f"{path}: [[load]] {count} from_s = {one.from_s:g} must not be before the load above it")
         found.append(TimedLoad(one.from_s, one.load))

@@ -32,7 +32,6 @@ from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.data.servo import AMPERES, FROM_AMPERES
 from tauext.errors import TauextError
-from tauext.files.places import place_of
 from tauext.fit.torque_constants import GUESS, fit_torque_constants
 from tauext.monitor import known_load
 from tauext.monitor.weighing import identify, load_frame, see
@@ -93,7 +92,7 @@ def of_arm(maker: Maker, seed: int, trained: bool) -> Iterator[dict[str, Any]]:
             yield about | {"what": "constant", "off": float(off), "error": float(share)}
         if trained and kind != "tool missing":
             with tempfile.TemporaryDirectory() as folder:
-                out = place_of(Path(folder) / "arm.tauext")
+                out = Path(folder) / "arm.tauext"
                 given = Given(maker.model, PAPER_CASES["exact"], [training], [], model=tree)
                 train_on_recordings(given, TrainConfig(recipe="prior"), out)
                 bundle = load_bundle(out)

@@ -48,7 +48,6 @@ from tauext.bundle.estimates import OK
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
-from tauext.files.places import place_of
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.train.calibrate import calibrate_bundle, remove_checkpoint, write_calibrated
 
@@ -106,10 +105,10 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
         if bundle.servo.on:  # recordings of servos go through import: its limits are those of the training's minutes
             return bundle
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
-        found, limits = calibrate_bundle(bundle, "promised", loaders, AlarmConfig(), 1, out=place_of(promised))
+        found, limits = calibrate_bundle(bundle, "promised", loaders, AlarmConfig(), 1, out=Path(promised))
         print(presser.maker.name, found.sentence(), flush=True)
-        write_calibrated(bundle, place_of(promised), json.loads(bundle.provenance) | {"limits": limits}, started)
-        remove_checkpoint(place_of(promised))
+        write_calibrated(bundle, Path(promised), json.loads(bundle.provenance) | {"limits": limits}, started)
+        remove_checkpoint(Path(promised))
     return load_bundle(promised)
 
 

@@ -12,7 +12,7 @@ SOURCE = Path(__file__).parent.parent / "src" / "tauext"
 OPEN = {"errors", "config", "recipes", "progress", "plugins", "files", "_core"}
 """What every package may import."""
 ORDER = {
-    "files": {"pyarrow"},
+    "files": set(),
     "robot": {"numpy", "mujoco"},
     "data": {"numpy", "pyarrow"},
     "bundle": {"numpy", "pyarrow"},

@@ -30,7 +30,9 @@ WORK = ROOT / "build" / "dist" / "try"
 PAGE = "docs/install.md"  # README.md has the same commands: tests/test_install_page.py
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
-CORE_RECIPES = ("observer", "friction", "prior", "tauext", "paper")
+SHORT = ("--max-steps", "20")
+CORE_RECIPES = {"observer": (), "friction": (), "prior": (), "tauext": SHORT, "paper": SHORT}
+"""What the core alone trains, with the options that make it short."""
 MAKE_CSV = """
 from pathlib import Path
 import numpy as np
@@ -92,15 +94,15 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
 
 
 def core_alone(version: str, tauext: Path, folder: Path, settings: dict[str, str]) -> None:
-    """Without any package: import, train by each recipe of CORE_RECIPES, run; commands of packages name their package."""
+    """Without packages: import, train by each recipe of CORE_RECIPES, run; commands of packages name their package."""
     generators = settings | {"PYTHONPATH": str(ROOT / "tests")}
     timed(version, "recordings", [tauext.with_name("python"), "-c", MAKE_CSV], folder, generators)
     new = ["--new", "arm.toml", "--source", "first.csv", "--robot", "arm.xml"]
     timed(version, "import --new", [tauext, "import", *new], folder, settings)
     sources = ["--source", "first.csv", "second.csv", "--arm", "arm.toml", "--out", "data"]
     timed(version, "import", [tauext, "import", *sources], folder, settings)
-    for recipe in CORE_RECIPES:
-        words = ["--data", "data", "--recipe", recipe, "--max-steps", "20", "--out", f"{recipe}.tauext"]
+    for recipe, options in CORE_RECIPES.items():
+        words = ["--data", "data", "--recipe", recipe, *options, "--out", f"{recipe}.tauext"]
         timed(version, f"train {recipe}", [tauext, "train", *words], folder, settings)
         timed(version, "run", [tauext, "run", f"{recipe}.tauext", "data/first-test.parquet"], folder, settings)
     for command, package in (("report", "lab"), ("commission", "commission"), ("fleet", "fleet"), ("guard", "lerobot")):

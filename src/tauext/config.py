@@ -6,7 +6,6 @@ import functools
 import inspect
 import math
 import numbers
-import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -286,16 +285,6 @@ class FilterConfig(Settings):
 
 
 @dataclass(frozen=True)
-class EventsConfig(Settings):
-    """Comparison of alarms with labels that may be imprecise."""
-
-    shortest_event_s: Seconds = 0.0
-    """Shortest labelled event that counts, [s]; shorter ones are neither an event nor free motion."""
-    tolerance_s: Seconds = 0.1
-    """Time before and after an event's label in which an alarm counts for the event, [s]."""
-
-
-@dataclass(frozen=True)
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
@@ -526,31 +515,3 @@ def require_seed(seed: int) -> None:
 def require_threads(threads: int) -> None:
     """Raise ConfigError unless the number of threads is valid; 0: one a core."""
     require(0 <= threads <= MOST_THREADS, "threads", threads, f"0 (one a core) to {MOST_THREADS}")
-
-
-@dataclass(frozen=True)
-class StoreConfig:
-    """Timeouts and retries of object stores."""
-
-    connect_s: float = 5.0
-    """Time to establish a connection, [s]."""
-    stall_s: float = 20.0
-    """Time without data after which a request is retried, [s]. Even a slow line sends something every second."""
-    tries: int = 4
-    """Number of attempts of a request, with growing pauses, before the command fails."""
-
-    @classmethod
-    def of_environment(cls) -> StoreConfig:
-        """TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES, where they are set.
-
-        Raises:
-            ConfigError: one of them is no number, or out of range.
-        """
-        try:
-            stall_s = float(os.environ.get("TAUEXT_STORE_STALL_S") or cls.stall_s)
-            tries = int(os.environ.get("TAUEXT_STORE_TRIES") or cls.tries)
-        except ValueError as error:
-            raise ConfigError(f"TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES must be numbers ({error})") from error
-        require(1 <= stall_s <= 3600, "TAUEXT_STORE_STALL_S", stall_s, "1 to 3600")
-        require(1 <= tries <= 100, "TAUEXT_STORE_TRIES", tries, "1 to 100")
-        return cls(min(cls.connect_s, stall_s), stall_s, tries)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
@@ -32,8 +33,8 @@ FOLDERS = (
     | dict.fromkeys(OF_LAB, "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these packages
-yet: their names there may be those of strangers."""
+"""Folders of packages/ to install, by the command, source or part that the last one adds. No registry has these yet:
+their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
 
@@ -68,7 +69,7 @@ def part(name: str) -> Callable[..., Any]:
     entry = installed(PARTS).get(name)
     if entry is None:
         raise ConfigError(how_to_add(name) or f"no package adds '{name}'")
-    return load(entry, Callable)  # type: ignore[type-abstract]
+    return load(entry, FunctionType)
 
 
 def how_to_add(name: str) -> str | None:

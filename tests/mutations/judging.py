@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.events import EventMeasures, Labels, event_time
 
-from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.monitor.estimate import estimate_recording

@@ -8,11 +8,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
@@ -33,10 +33,10 @@ def commission(
         str | None,
         tyro.conf.arg(help=f"source of the samples: {SOURCES}."),
     ] = None,
-    out: LocalArg | None = None,
-    robot: LocalArg | None = None,
+    out: Path | None = None,
+    robot: Path | None = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    cell: PlaceArg | None = None,
+    cell: Path | None = None,
     no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
     host: str = "127.0.0.1",
     port: int = 8080,

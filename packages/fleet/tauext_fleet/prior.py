@@ -6,13 +6,13 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
 from tauext.config import PriorConfig, TrainConfig
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.coverage import fit_coverage, seen_too
@@ -153,7 +153,7 @@ LEAST_JUDGED = 3
 
 def make_fleet_prior(
     arms: Sequence[FleetArm],
-    out: Place,
+    out: Path,
     config: TrainConfig = TrainConfig(recipe="prior"),  # noqa: B008
     accept: Sequence[str] = (),
     report: Reporter = SILENT,

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
+from tauext.cli.arguments import local_path
 from tauext.config import PAPER_CASES, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import first_seconds
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.places import Place, place_of
 from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
@@ -31,8 +31,8 @@ class FleetArm:
     """One arm: its recordings, and the bundle that was trained on them where there is one."""
 
     name: str
-    data: Place
-    bundle: Place | None = None
+    data: Path
+    bundle: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ def fleet_arms(words: Sequence[str]) -> list[FleetArm]:
     Raises:
         ConfigError: fewer than LEAST_ARMS, or one twice.
     """
-    pairs: list[tuple[Place, Place | None]] = []
+    pairs: list[tuple[Path, Path | None]] = []
     for word in words:
         bundle, found, data = word.partition(BUNDLE_AND_DATA)
-        pairs.append((place_of(data), place_of(f"{bundle}.tauext")) if found else (place_of(word), None))
+        pairs.append((Path(data), Path(f"{bundle}.tauext")) if found else (local_path([word]), None))
     folders = [data.resolve() for data, _ in pairs]
     twice = [str(data) for k, data in enumerate(folders) if data in folders[:k]]
     if twice:
@@ -79,7 +79,7 @@ def expect_enough(arms: int) -> None:
         )
 
 
-def distinct(folders: Sequence[Place]) -> list[str]:
+def distinct(folders: Sequence[Path]) -> list[str]:
     """Names of folders: as many of their last parts as make them distinct, without those that all have."""
     most = max(len(folder.parts) for folder in folders)
     for count in range(1, most + 1):

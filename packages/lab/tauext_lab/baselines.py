@@ -9,7 +9,6 @@ from tauext.check.before_training import expect_codes
 from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import chosen_case
@@ -20,7 +19,7 @@ from tauext.train.stage import train_on_recordings
 
 def train_baselines(
     dataset: Dataset,
-    robot: Place | None,
+    robot: Path | None,
     case_name: CaseName | None,
     folder: Path,
     seed: int,

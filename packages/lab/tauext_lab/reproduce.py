@@ -11,10 +11,9 @@ from pathlib import Path
 from threading import Lock
 from typing import Literal
 
-from tauext.cli.place_argument import PlaceArg, print_replaced
+from tauext.cli.arguments import print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
-from tauext.files.copies import staged
 from tauext.files.preflight import expect_folder
 from tauext.progress import SILENT, Reporter, Show, WallTimes
 from tauext_lab.commands import command_line
@@ -215,7 +214,7 @@ def together(train: Callable[[str, Reporter], None], names: Sequence[str], worke
 
 
 def reproduce(
-    out: PlaceArg,
+    out: Path,
     scale: Literal["smoke", "quick", "full"] = "quick",
     cases: tuple[CaseName, ...] = ("exact", "mass", "com", "mass+com", "none"),
     seed: int = 0,
@@ -237,6 +236,5 @@ def reproduce(
     require_seed(seed)
     expect_folder(out)
     print_replaced(out / "results" / "results.json", out / "report" / "report.html")
-    with staged(out) as folder:
-        page = reproduce_paper(folder, scale, SCALES[scale], cases, seed, command_line(), Terminal())
-    print(out / page.relative_to(folder).as_posix())
+    page = reproduce_paper(out, scale, SCALES[scale], cases, seed, command_line(), Terminal())
+    print(page)

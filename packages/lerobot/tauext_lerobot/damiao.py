@@ -12,7 +12,6 @@ import numpy as np
 
 from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.typed_table import TableName, Text, read_table
 from tauext.monitor.cell_file import Cell
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
@@ -135,7 +134,7 @@ class DamiaoSource(BusSource):
     would continue.
     """
 
-    def __init__(self, channel: str, bus: CanBus, path: Place = Path("cell.toml")):
+    def __init__(self, channel: str, bus: CanBus, path: Path = Path("cell.toml")):
         super().__init__(f"damiao {channel}")
         self._channel, self._of_bus, self._path = channel, bus, path
         self._bus: Any = None

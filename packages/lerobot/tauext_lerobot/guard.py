@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -16,8 +17,6 @@ from tauext.config import NOT_EMPTY, within
 from tauext.data.description import Arm, load_arm
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.copies import local_file
-from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import Text, read_table
 from tauext.monitor.source import CountedTime
@@ -250,7 +249,7 @@ def held_at_rest(values: np.ndarray, q: np.ndarray, rate_hz: float, hold_s: floa
 # --- A guard's folder.
 
 
-def load_guard(folder: Place) -> tuple[_core.Bundle, Arm, GuardSettings]:
+def load_guard(folder: Path) -> tuple[_core.Bundle, Arm, GuardSettings]:
     """Load the folder that `tauext guard` writes.
 
     Raises:
@@ -258,6 +257,6 @@ def load_guard(folder: Place) -> tuple[_core.Bundle, Arm, GuardSettings]:
     """
     path = folder / SETTINGS
     settings = read_table(GuardSettings, read_toml(path, "`tauext guard` writes the folder"), f"{path}:")
-    motors = local_file(folder / CALIBRATION) if (folder / CALIBRATION).is_file() else None
+    motors = folder / CALIBRATION if (folder / CALIBRATION).is_file() else None
     arm = load_arm(folder / ARM, motors)
     return load_bundle(folder / BUNDLE), arm, settings

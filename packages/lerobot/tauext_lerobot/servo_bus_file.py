@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from tauext.config import within
 from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.typed_table import TableName, read_table
 from tauext.monitor.cell_file import Cell
 
@@ -51,7 +50,7 @@ class BusTable:
 class ServoBusFile:
     """A bus and its servos."""
 
-    path: Place
+    path: Path
     joints: dict[str, ServoJoint]
     baud: int = BAUD
 

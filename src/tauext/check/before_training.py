@@ -27,8 +27,7 @@ from tauext.data.labels import labels_key
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.copies import cache_folder, version_of
-from tauext.files.places import Place, is_stored
+from tauext.files.checkpoint import cache_folder
 from tauext.files.provenance import VERSION
 from tauext.progress import Reporter
 
@@ -191,10 +190,8 @@ def digest_of(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def file_digest(path: Place) -> str:
-    """Digest of a file's bytes, or a store's content tag; an unreadable file has the digest of no content."""
-    if is_stored(path):
-        return version_of(path)
+def file_digest(path: Path) -> str:
+    """Digest of a file's bytes; an unreadable file has the digest of no content."""
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -420,7 +417,7 @@ def check_training(
 
 
 def check_calibration(
-    files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter
+    files: Sequence[Path], limits_nm: np.ndarray | None, threads: int, report: Reporter
 ) -> CheckResult:
     """Run the quick checks on every calibration recording; findings are cached by content.
 
@@ -448,7 +445,7 @@ def check_calibration(
 def check_for_bundle(
     bundle: _core.Bundle,
     name: str,
-    files: Sequence[Place],
+    files: Sequence[Path],
     where: str,
     accept: Sequence[str],
     threads: int,

@@ -73,9 +73,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
 from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque, torque_unit
 from tauext.errors import ConfigError
-from tauext.files.copies import local_robot
 from tauext.files.kind import first_log, import_first
-from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT
 from tauext.progress import SILENT, Reporter
 from tauext.robot.write import is_placeholder
@@ -568,14 +566,14 @@ MOST_MINUTES = 30.0
 
 
 def gather(
-    data: tuple[Place, ...], robot: Place | None, report: Reporter = SILENT
+    data: tuple[Path, ...], robot: Path | None, report: Reporter = SILENT
 ) -> tuple[list[Recording], set[str], Path | None]:
     """Load recordings, up to MOST_MINUTES; also returns names of those in free sets, and the robot file.
 
     Raises:
         ConfigError: nothing to check.
     """
-    files: list[Place] = []
+    files: list[Path] = []
     free: set[str] = set()
     for path in data:
         if not path.is_dir():
@@ -589,9 +587,7 @@ def gather(
         else:
             files += sorted(path.glob("*.parquet"))
         robot = robot or next((path / name for name in ROBOT_FILES if (path / name).is_file()), None)
-    robot_file = None if robot is None else local_robot(robot)
-    if robot_file is not None and is_placeholder(robot_file):
-        robot_file = None
+    robot_file = None if robot is None or is_placeholder(robot) else robot
     if not files:
         log = next((log for path in data if path.is_dir() and (log := first_log(path))), None)
         remedy = f"; {import_first(log)}" if log is not None else ""
@@ -599,7 +595,7 @@ def gather(
     return _evenly(files, report), free, robot_file
 
 
-def _evenly(files: list[Place], report: Reporter) -> list[Recording]:
+def _evenly(files: list[Path], report: Reporter) -> list[Recording]:
     """Load the recordings; of too many, every second or third."""
     heads = [describe(file) for file in files]
     minutes = sum(head.samples / head.rate_hz for head in heads) / 60

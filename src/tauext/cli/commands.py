@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from tauext import plugins
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def command_named(name: str) -> Command | None:
     return plugins.named(name, OWN, plugins.COMMANDS, Command)
 
 
-def folders_like(folder: Place) -> Folders | None:
+def folders_like(folder: Path) -> Folders | None:
     """What other commands do with this folder; None: no command makes such folders.
 
     Raises:

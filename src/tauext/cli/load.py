@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from tauext._core import LoadSums
-from tauext.cli.place_argument import BundleArg, JsonArg, PlaceArg, RecordingsArg, expect_another, write_another
+from tauext.cli.arguments import BundleArg, JsonArg, RecordingsArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 def set_constants(
     bundle: Bundle,
-    path: Place,
+    path: Path,
     where: NamedFrame,
     parts: list[Seen],
     mass_kg: float,
     com_m: tuple[float, float, float] | None,
     reach_m: float,
-    out: Place | None,
+    out: Path | None,
     as_json: bool,
 ) -> None:
     """Find the factors, print them, and write a bundle with the common factor if `out` is given.
@@ -113,7 +113,7 @@ def load(
     reach_m: float = LoadSums.USUAL_REACH_M,
     known_kg: float | None = None,
     known_com_m: tuple[float, float, float] | None = None,
-    out: PlaceArg | None = None,
+    out: Path | None = None,
     as_json: JsonArg = False,
 ) -> None:
     """Weigh the arm's payload: mass and centre of mass, from seconds of ordinary motion or several standing poses.

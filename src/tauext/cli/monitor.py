@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import AwayError, ConfigError
-from tauext.files.places import Place
 from tauext.sources.open import open_source
 
 if TYPE_CHECKING:
@@ -42,25 +40,25 @@ class Extras:
 
 
 def monitor(
-    bundle: Annotated[PlaceArg | None, tyro.conf.Positional] = None,
+    bundle: Annotated[Path | None, tyro.conf.Positional] = None,
     source: Annotated[str | None, tyro.conf.arg(help=f"source of the samples: {SOURCES}.")] = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    cell: PlaceArg | None = None,
+    cell: Path | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
     acknowledge_after_s: float | None = None,
     duration_s: float | None = None,
-    flights: LocalArg | None = None,
+    flights: Path | None = None,
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
-    record: LocalArg | None = None,
+    record: Path | None = None,
     segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
     wrench: str | None = None,
-    mcap: LocalArg | None = None,
+    mcap: Path | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -113,7 +111,7 @@ def monitor(
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
-    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
+    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
     extras = Extras(kept, record, segment_s, control, mcap)
     output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
     watch(bundle, source, given(options), cell, settings, extras, output)
@@ -126,10 +124,10 @@ def require_positive(**values: float | None) -> None:
 
 
 def watch(
-    path: Place,
+    path: Path,
     text: str,
     options: dict[str, Any],
-    of_cell: Place | None,
+    of_cell: Path | None,
     settings: LoopSettings,
     extras: Extras,
     output: Output,

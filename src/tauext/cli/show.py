@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from tauext import plugins
 from tauext.bundle.history_file import BUNDLES
+from tauext.cli.arguments import JsonArg
 from tauext.cli.commands import folders_like, loaded
-from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.kind import LOGS, import_first
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
@@ -48,12 +48,12 @@ IN_WORDS = ("provenance", "situations", "table")
 
 
 def show(
-    file: tyro.conf.Positional[PlaceArg],
+    file: tyro.conf.Positional[Path],
     as_json: JsonArg = False,
     force: bool = False,
-    data: tuple[PlaceArg, ...] = (),
+    data: tuple[Path, ...] = (),
     frame: tuple[str, ...] = (),
-    picture: PlaceArg | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Print what is in a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of
     `tauext commission`.
@@ -140,7 +140,7 @@ def aligned(words: Mapping[str, str]) -> list[str]:
 # --- A bundle.
 
 
-def describe_bundle(file: Place) -> Content:
+def describe_bundle(file: Path) -> Content:
     """Content of a bundle; loading it also replays its reference."""
     from tauext.bundle.bundle_file import load_bundle
     from tauext.bundle.units import left_out, not_monitored, own_shares, situations
@@ -418,7 +418,7 @@ def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:
 # --- A recording.
 
 
-def describe_recording(file: Place) -> Content:
+def describe_recording(file: Path) -> Content:
     """Content of a recording."""
     from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
     from tauext.data.recording_file import load_recording
@@ -449,7 +449,7 @@ def describe_recording(file: Place) -> Content:
 # --- A fleet prior: its arms in a table, and what the next arm begins with.
 
 
-def describe_fleet_prior(file: Place) -> Content:
+def describe_fleet_prior(file: Path) -> Content:
     """Content of a fleet prior's file; `table` is what `tauext fleet prior` prints at its end.
 
     Raises:
@@ -465,7 +465,7 @@ def describe_fleet_prior(file: Place) -> Content:
         raise ConfigError(f"{file}: its data of the arms is damaged ({why}); `tauext fleet prior` makes one") from error
 
 
-def described(file: Place, prior: FleetPrior) -> Content:
+def described(file: Path, prior: FleetPrior) -> Content:
     """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
     from tauext.fit.fleet_prior import ODD, table
 

@@ -6,15 +6,15 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, MeshesArg, PlaceArg, expect_another, print_replaced
+from tauext.cli.arguments import AcceptArg, BundleArg, JsonArg, MeshesArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import field_help, values_of
 
@@ -52,7 +52,7 @@ else:
     TrainOptions = TypedDict("TrainOptions", options(TrainConfig, COMMON) | options(AlarmConfig, ALARM), total=False)
 
 
-def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
+def train_settings(file: Path | None, given: Mapping[str, Any]) -> TrainConfig:
     """Settings of the file, under those that are given.
 
     Raises:
@@ -67,7 +67,7 @@ def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
         raise (error if file is None or wrong in given else ConfigError(f"{file}: {error}")) from None
 
 
-def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
+def alarm_settings(file: Path | None, given: Mapping[str, Any]) -> AlarmConfig:
     """Settings of the table [alarm] alone, under those that are given."""
     return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}:"), given)
 
@@ -81,14 +81,14 @@ def promise(values: Mapping[str, Any], given: Mapping[str, Any]) -> AlarmConfig:
 
 
 def train(
-    data: PlaceArg,
-    out: PlaceArg,
-    config: PlaceArg | None = None,
+    data: Path,
+    out: Path,
+    config: Path | None = None,
     case: CaseName | None = None,
-    robot: PlaceArg | None = None,
+    robot: Path | None = None,
     meshes: MeshesArg = (),
-    like: PlaceArg | None = None,
-    network: PlaceArg | None = None,
+    like: Path | None = None,
+    network: Path | None = None,
     accept: AcceptArg = (),
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
@@ -142,14 +142,14 @@ def train(
 
 
 def calibrate(
-    bundle: PlaceArg,
-    data: PlaceArg,
-    out: PlaceArg,
-    config: PlaceArg | None = None,
+    bundle: Path,
+    data: Path,
+    out: Path,
+    config: Path | None = None,
     options: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
     threads: int = 0,
     refit_error_scale: bool = False,
-    cell: PlaceArg | None = None,
+    cell: Path | None = None,
     accept: AcceptArg = (),
 ) -> None:
     """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
@@ -205,11 +205,11 @@ def calibrate(
 
 def refit(
     bundle: BundleArg,
-    data: PlaceArg,
-    out: PlaceArg,
+    data: Path,
+    out: Path,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
-    like: PlaceArg | None = None,
+    like: Path | None = None,
     threads: int = 0,
     accept: AcceptArg = (),
     as_json: JsonArg = False,

@@ -13,8 +13,6 @@ from tauext.config import AT_LEAST_0, NOT_0, NOT_EMPTY, Rule, above, within
 from tauext.data.recording import TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.copies import local_robot
-from tauext.files.places import Place, place_of
 from tauext.files.plain_file import parse_toml, read_toml
 from tauext.files.typed_table import EachJoint, Example, OneOrMore, Text, expect_known, read_table
 
@@ -285,7 +283,7 @@ class Arm:
     contact: ContactTable = field(default_factory=ContactTable)
     split: SplitTable = SplitTable()
     servo: ServoTable | None = None
-    path: Place = Path("arm.toml")
+    path: Path = Path("arm.toml")
     """File of the description; the robot model's path is relative to it."""
 
     def __post_init__(self) -> None:
@@ -316,10 +314,10 @@ class Arm:
 
     @property
     def model(self) -> Path | None:
-        """The robot file, or its copy on this machine; None: there is no model."""
+        """The robot file; None: there is no model."""
         if not self.robot.model:
             return None
-        return local_robot(place_of(self.robot.model, self.path.parent))
+        return self.path.parent / self.robot.model
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -334,7 +332,7 @@ class Arm:
         Raises:
             ConfigError: no such file, no LeRobot calibration file, or a joint is missing in it.
         """
-        path = place_of(self.robot.calibration, self.path.parent)
+        path = self.path.parent / self.robot.calibration
         listed = load_lerobot_calibration(path)
         for name in self.names:
             if name.removesuffix(".pos") not in listed:
@@ -406,7 +404,7 @@ TABLES = {
 }  # fmt: skip
 
 
-def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
+def load_arm(path: Path | str, calibration: Path | None = None) -> Arm:
     """Read an arm.toml.
 
     Args:
@@ -416,13 +414,13 @@ def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
         ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
             or against its rule.
     """
-    path = place_of(path)
+    path = Path(path)
     return _arm(read_toml(path, f"`tauext import --new {path}` writes a template"), path, calibration)
 
 
-def parse_arm(content: str, path: Place | str = "arm.toml") -> Arm:
+def parse_arm(content: str, path: Path | str = "arm.toml") -> Arm:
     """Parse the text of an arm.toml, as load_arm()."""
-    path = place_of(path)
+    path = Path(path)
     return _arm(parse_toml(content, path), path)
 
 
@@ -441,7 +439,7 @@ def open_entries(content: Any, table: str = "", key: str = "") -> list[str]:
     return [f"[{table}] {key} has '{content}'"] if guessed else []
 
 
-def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
+def _expect_confirmed(content: dict[str, Any], path: Path) -> None:
     """Raise ConfigError where a guess of the template is neither confirmed nor replaced."""
     entries = open_entries(content)
     if entries:
@@ -451,7 +449,7 @@ def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
         )
 
 
-def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) -> Arm:
+def _arm(content: dict[str, Any], path: Path, calibration: Path | None = None) -> Arm:
     _expect_confirmed(content, path)
     expect_known(f"{path}:", content, (*TABLES, "signals"))
     robot, signals = content.get("robot"), content.get("signals", {})

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from tauext.config import require, within
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_json
 from tauext.files.typed_table import TableName, read_table
 
@@ -150,7 +150,7 @@ class MotorCalibration:
         return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts))
 
 
-def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
+def load_lerobot_calibration(path: Path) -> dict[str, MotorCalibration]:
     """Read the motors of a LeRobot calibration file (~/.cache/huggingface/lerobot/calibration), by name.
 
     Raises:
@@ -167,7 +167,7 @@ def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
     return motors
 
 
-def _motor(path: Place, name: str, table: object) -> MotorCalibration:
+def _motor(path: Path, name: str, table: object) -> MotorCalibration:
     kept = [one.name for one in fields(MotorCalibration)]
     known = {key: value for key, value in table.items() if key in kept} if isinstance(table, dict) else table
     return read_table(MotorCalibration, known, f"{path}: motor {name!r}:", name=name)

@@ -10,10 +10,10 @@ import re
 import stat
 import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place, answers
 
 FORMAT = 1
 """Format number of every kind of file that this version writes and reads."""
@@ -23,7 +23,7 @@ LARGEST_TEXT = 1 << 28
 """Largest size of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
 
-def expect_file(path: Place) -> None:
+def expect_file(path: Path) -> None:
     """Raise OSError unless the path is a file: opening a pipe blocks, and a device may have no end."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
@@ -33,7 +33,7 @@ def expect_file(path: Place) -> None:
 
 
 def expect_format(
-    content: object, path: Place, remedy: str, error: type[TauextError] = ConfigError, key: str = "format"
+    content: object, path: Path, remedy: str, error: type[TauextError] = ConfigError, key: str = "format"
 ) -> None:
     """Raise the error unless a file's content names, under this key, the format that this version reads."""
     found = content.get(key) if isinstance(content, dict) else None
@@ -46,21 +46,21 @@ def expect_format(
         )
 
 
-def read_bytes(path: Place) -> bytes:
+def read_bytes(path: Path) -> bytes:
     """The content of a file.
 
     Raises:
         OSError: there is no such file, or it is none, or larger than any that is meant.
     """
     expect_file(path)
-    with answers(path), path.open("rb") as file:
+    with path.open("rb") as file:
         raw = file.read(LARGEST_TEXT + 1)
     if len(raw) > LARGEST_TEXT:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return raw
 
 
-def read_text(path: Place) -> str:
+def read_text(path: Path) -> str:
     """The text of a file.
 
     Raises:
@@ -81,7 +81,7 @@ def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = Non
         raise ValueError("it is nested too deeply") from None
 
 
-def read_json(path: Place, missing: str = "there is no such file", kind: str = "") -> Any:
+def read_json(path: Path, missing: str = "there is no such file", kind: str = "") -> Any:
     """The value in a JSON file.
 
     Args:
@@ -94,7 +94,7 @@ def read_json(path: Place, missing: str = "there is no such file", kind: str = "
     return _parsed(path, lambda: json_of(read_text(path)), f"{kind}not readable as JSON", missing)
 
 
-def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
+def read_toml(path: Path, advice: str = "") -> dict[str, Any]:
     """The content of a TOML file.
 
     Args:
@@ -107,12 +107,12 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
     return _parsed(path, lambda: toml_of(read_text(path)), "not readable as TOML", missing)
 
 
-def parse_toml(content: str, path: Place) -> dict[str, Any]:
+def parse_toml(content: str, path: Path) -> dict[str, Any]:
     """The content of a TOML text; raises as read_toml."""
     return _parsed(path, lambda: toml_of(content), "not readable as TOML")
 
 
-def _parsed(path: Place, parse: Callable[[], Any], wrong: str, missing: str = "") -> Any:
+def _parsed(path: Path, parse: Callable[[], Any], wrong: str, missing: str = "") -> Any:
     try:
         return parse()
     except FileNotFoundError as error:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import FORMAT, expect_format, json_of, read_text
 from tauext.files.provenance import write_json
 from tauext.fit.prior import bound_loads, branches_of
@@ -345,7 +345,7 @@ OPTIONAL = ("trust", "errors", "coverage", "days")
 COVERAGE = ("fastest_rad_s", "turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together")
 
 
-def write_fleet_prior(prior: FleetPrior, path: Place) -> None:
+def write_fleet_prior(prior: FleetPrior, path: Path) -> None:
     """Write the file, whole or not at all.
 
     Raises:
@@ -358,7 +358,7 @@ def write_fleet_prior(prior: FleetPrior, path: Place) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def expect_name(path: Place) -> None:
+def expect_name(path: Path) -> None:
     """Raise ConfigError unless the name ends as a fleet prior's does."""
     if not path.name.endswith(SUFFIX):
         raise ConfigError(f"{path}: a fleet prior's name ends in {SUFFIX}")
@@ -400,7 +400,7 @@ def plain(values: Mapping[str, Any]) -> dict:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
 
 
-def load_fleet_prior(path: Place) -> FleetPrior:
+def load_fleet_prior(path: Path) -> FleetPrior:
     """Read a fleet prior's file.
 
     Raises:

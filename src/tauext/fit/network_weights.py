@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from tauext import _core
 from tauext.config import MOST_HIDDEN
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import LARGEST_TEXT, read_bytes
 from tauext.fit.training_set import Scaling
 
@@ -73,7 +73,7 @@ class NetworkWeights:
         return {"file": self.file, "sha256": self.sha256, "hidden": self.shape.hidden}
 
 
-def load_network(path: Place) -> NetworkWeights:
+def load_network(path: Path) -> NetworkWeights:
     """Read the weights and scales of a network that was trained elsewhere.
 
     Args:
@@ -113,7 +113,7 @@ def load_network(path: Place) -> NetworkWeights:
     )
 
 
-def read_arrays(path: Place, raw: bytes) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, raw: bytes) -> dict[str, np.ndarray]:
     """Arrays of an npz by key, without pickled objects; ConfigError where it is none."""
     try:
         with ZipFile(BytesIO(raw)) as archive:
@@ -127,7 +127,7 @@ def read_arrays(path: Place, raw: bytes) -> dict[str, np.ndarray]:
         raise ConfigError(f"{path}: no file of numpy.savez with plain arrays ({reason})") from error
 
 
-def named_arrays(path: Place, stored: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def named_arrays(path: Path, stored: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """float64 arrays under PyTorch's names without their prefix.
 
     Raises:
@@ -157,7 +157,7 @@ def named_arrays(path: Place, stored: Mapping[str, np.ndarray]) -> dict[str, np.
     return arrays
 
 
-def expect_shapes(path: Place, arrays: Mapping[str, np.ndarray]) -> None:
+def expect_shapes(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ConfigError unless all arrays fit H of weight_hh_l0 and n of the head's bias."""
     W_h, bias = arrays["weight_hh_l0"], arrays["bias"]
     H, n = W_h.shape[-1] if W_h.ndim else 0, bias.size
@@ -183,7 +183,7 @@ def expect_shapes(path: Place, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def expect_range(
-    path: Place, name: str, array: np.ndarray, holds: Callable[[np.ndarray], np.ndarray], rule: str
+    path: Path, name: str, array: np.ndarray, holds: Callable[[np.ndarray], np.ndarray], rule: str
 ) -> None:
     """Raise ConfigError unless the rule holds for all elements; it does not hold for NaN."""
     wrong = np.argwhere(~holds(array))

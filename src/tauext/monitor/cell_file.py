@@ -11,7 +11,6 @@ from tauext._core import Bundle, Monitor
 from tauext.bundle.estimates import TOUCHES
 from tauext.config import NOT_EMPTY, Rule, within
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import JointName, OneOrMore, TableName, expect_known, value_of
 from tauext.monitor.phases import Phase, Phases
@@ -70,7 +69,7 @@ class Reaction:
 class Cell:
     """Content of a cell's file; a table that is left out is empty."""
 
-    path: Place = Path("cell.toml")
+    path: Path = Path("cell.toml")
     profiles: Profiles | None = None
     reactions: tuple[Reaction, ...] = ()
     phases: Phases | None = None
@@ -82,7 +81,7 @@ class Cell:
         return [] if self.phases is None else self.phases.check(Monitor(bundle))
 
 
-def load_cell(path: Place, joints: Sequence[str] = ()) -> Cell:
+def load_cell(path: Path, joints: Sequence[str] = ()) -> Cell:
     """Read the file of a cell.
 
     Args:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from tauext._core import Load, LoadSettings
 from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import expect_known, read_table, table_of_line
 
@@ -117,7 +117,7 @@ def _load_of_line(kind: type[AnyLoad], text: str) -> AnyLoad:
     return read_table(kind, table, f"{where}:")
 
 
-def read_loads(path: Place) -> list[TimedLoad]:
+def read_loads(path: Path) -> list[TimedLoad]:
     """Read loads with times from a TOML file of tables [[load]]: from_s, mass, com, inertia, error.
 
     Raises:

@@ -14,7 +14,6 @@ import numpy as np
 
 from tauext.config import NOT_0, within
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import expect_known, read_table
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
@@ -34,7 +33,7 @@ class ConstantsFile:
     """Joint torque a unit of current, after the gear, [N m/A]."""
 
 
-def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
+def load_torque_constants(path: Path, joints: Sequence[str]) -> np.ndarray:
     """Joint torque a unit of current, after the gear, (joints,) [N m/A], from a TOML file of one table:
 
         [nm_per_ampere]
@@ -97,7 +96,7 @@ class UrSource(ReaderSource):
     robot_joints = 6
     dashboard_port = PORT
 
-    def __init__(self, host: str, torque_constants: Place | None = None):
+    def __init__(self, host: str, torque_constants: Path | None = None):
         """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants

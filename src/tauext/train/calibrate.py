@@ -27,9 +27,7 @@ from tauext.data.labels import labels_key, read_labels
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.copies import at_home
 from tauext.files.kind import is_simulated
-from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION, provenance
 from tauext.progress import SILENT, Reporter, WallTimes
@@ -50,7 +48,7 @@ SCALE_SHARE = 0.2
 """Share of the calibration recordings for refitting the error scale."""
 
 
-def no_calibration(folder: Place | None) -> str:
+def no_calibration(folder: Path | None) -> str:
     """End of a message: a dataset without calibration recordings, and how to get some.
 
     Args:
@@ -67,9 +65,9 @@ def no_calibration(folder: Place | None) -> str:
 
 @checked
 def recalibrate(
-    bundle: Place,
+    bundle: Path,
     dataset: Dataset,
-    out: Place,
+    out: Path,
     alarm: AlarmConfig,
     threads: int = 0,
     report: Reporter = SILENT,
@@ -128,7 +126,7 @@ def recalibrate(
 
 
 def opened(
-    bundle: Place, dataset: Dataset, out: Place
+    bundle: Path, dataset: Dataset, out: Path
 ) -> tuple[Sequence[Callable[[], Recording]], _core.Bundle, Sequence[Any], dict]:
     """Calibration recordings, the bundle, its loss history and provenance, before anything is done."""
     loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
@@ -140,9 +138,9 @@ def opened(
 
 
 def calibrate_contacts(
-    bundle: Place,
+    bundle: Path,
     dataset: Dataset,
-    out: Place,
+    out: Path,
     contacts: Callable[[int], Contacts],
     threads: int = 0,
     report: Reporter = SILENT,
@@ -177,7 +175,7 @@ def calibrate_contacts(
 
 def write_calibrated(
     bundle: _core.Bundle,
-    out: Place,
+    out: Path,
     facts: dict,
     started: float,
     history: Sequence[Any] = (),
@@ -275,7 +273,7 @@ def calibrate_bundle(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     report: Reporter = SILENT,
-    out: Place | None = None,
+    out: Path | None = None,
     poses: Sequence[Sequence[float]] | None = None,
 ) -> tuple[PromisedLimits, dict]:
     """Set the bundle's limits from the recordings; returns their promise and facts for provenance.
@@ -346,7 +344,7 @@ def set_limits(
 
 
 def kept_peaks(
-    out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
+    out: Path | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
 ) -> KeptPeaks | None:
     """Checkpoint of an interrupted run for these files and this bundle; None: none."""
     if out is None or not all(isinstance(load, partial) for load in loaders):
@@ -358,23 +356,23 @@ def kept_peaks(
     return KeptPeaks(Checkpoint(checkpoint_file(out), hashlib.sha256(work.encode()).hexdigest()))
 
 
-def folders_of(loaders: Sequence[Callable[[], Recording]]) -> list[Place]:
+def folders_of(loaders: Sequence[Callable[[], Recording]]) -> list[Path]:
     """Folders of the files that a dataset's loaders read; none for recordings in memory."""
     folders = [file_of(load).parent for load in loaders if isinstance(load, partial)]
     return list({str(one): one for one in folders}.values())
 
 
-def file_of(load: Callable[[], Recording]) -> Place:
+def file_of(load: Callable[[], Recording]) -> Path:
     """File that a dataset's loader reads."""
     assert isinstance(load, partial)
-    return place_of(load.args[0])
+    return Path(load.args[0])
 
 
-def checkpoint_file(out: Place) -> Path:
-    """Path of the checkpoint for a bundle's limits, on this machine."""
-    return at_home(out).with_suffix(".limits.half-done")
+def checkpoint_file(out: Path) -> Path:
+    """Path of the checkpoint for a bundle's limits."""
+    return out.with_suffix(".limits.half-done")
 
 
-def remove_checkpoint(out: Place) -> None:
+def remove_checkpoint(out: Path) -> None:
     """Delete the checkpoint after the bundle is written."""
     checkpoint_file(out).unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from tauext.config import AlarmConfig, DriftConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.places import Place
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
 from tauext.fit.fleet_prior import FleetErrors
 from tauext.fit.network_weights import LIMIT, NetworkWeights
@@ -225,7 +225,7 @@ def limits_kind(
     config: TrainConfig,
     calibration: Sequence[object],
     network: NetworkWeights | None = None,
-    folder: Place | None = None,
+    folder: Path | None = None,
 ) -> str:
     """Return the kind of limits: promised, supported, paper, or given with a network that was trained elsewhere.
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from tauext._core import Bundle, Tree
 from tauext.config import PAPER_GAIN_PER_S, TrainConfig, require
-from tauext.files.copies import at_home
 from tauext.fit.bundle_writing import make_bundle, set_signal_ranges
 from tauext.fit.network_training import Progress, TrainedNetwork, train_network
 from tauext.fit.network_weights import NetworkWeights
@@ -65,7 +64,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
                 training,
                 validation,
                 job.config,
-                checkpoint_path=at_home(job.out).with_suffix(CHECKPOINT),
+                checkpoint_path=job.out.with_suffix(CHECKPOINT),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
                 report=report,
             )

@@ -28,7 +28,6 @@ from tauext.data.labels import Label
 from tauext.data.recording import Recording
 from tauext.data.servo import from_amperes, in_amperes
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
 from tauext.fit.bundle_writing import build_setup, reference_recording
@@ -451,7 +450,7 @@ class Job:
     tree: Tree
     case: ModelCase
     config: TrainConfig
-    out: Place
+    out: Path
     possible: PossibleMotion
     calibration: list[Callable[[], Recording]]
     """Loaders of recordings, contacts included."""
@@ -520,7 +519,7 @@ class Job:
         self.report.say(f"{self.name}: {sentence}")
 
 
-def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None = None) -> Job:
+def prepare(given: Given, config: TrainConfig, out: Path, report: Reporter, like: FleetPrior | None = None) -> Job:
     """Cut to the chosen minutes, leave out impossible samples and contacts, and find torque constants.
 
     See train_on_recordings for the arguments.

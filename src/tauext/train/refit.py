@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -24,8 +25,6 @@ from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possibl
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TooLittleMotionError, TrainingError
-from tauext.files.copies import local_file
-from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.fleet_prior import CLOSE, FleetPrior
@@ -335,9 +334,9 @@ class Span:
 
 @checked
 def refit_bundle(
-    bundle: Place,
-    data: Place,
-    out: Place,
+    bundle: Path,
+    data: Path,
+    out: Path,
     span: Span = Span(),
     threads: int = 0,
     report: Reporter = SILENT,
@@ -486,7 +485,7 @@ def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
     return Touch(recording.name, recording.joints[touch.joint], from_s, to_s, touch.share, touch.counted)
 
 
-def expect_prior(bundle: _core.Bundle, path: Place) -> None:
+def expect_prior(bundle: _core.Bundle, path: Path) -> None:
     """Raise TrainingError if the bundle has no prior to refit."""
     if not bundle.prior.terms:
         raise TrainingError(
@@ -495,7 +494,7 @@ def expect_prior(bundle: _core.Bundle, path: Place) -> None:
         )
 
 
-def recording_files(data: Place) -> list[Place]:
+def recording_files(data: Path) -> list[Path]:
     """Files of a recording or of a dataset's training recordings.
 
     Raises:
@@ -509,7 +508,7 @@ def recording_files(data: Place) -> list[Place]:
     return files
 
 
-def file_sha256(path: Place) -> str:
+def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes."""
-    with local_file(path).open("rb") as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
@@ -16,7 +17,6 @@ from tauext.data.labels import Label, read_labels
 from tauext.data.recording import Recording
 from tauext.data.servo import TORQUE_WORDS, made_from, makes_torque, other_sources, servo_of_recordings
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.bundle_writing import set_drift
 from tauext.fit.fleet_prior import FleetPrior
@@ -79,7 +79,7 @@ def accepted_settings(
     calibration: Sequence[object],
     like: FleetPrior | None,
     network: NetworkWeights | None = None,
-    folder: Place | None = None,
+    folder: Path | None = None,
 ) -> TrainConfig:
     """Resolve the settings of a training and refuse impossible ones before any recording is read.
 
@@ -146,15 +146,15 @@ def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[
 @checked
 def train_bundle(
     dataset: Dataset,
-    out: Place | str,
+    out: Path | str,
     case: CaseName | None = None,
-    robot: Place | None = None,
+    robot: Path | None = None,
     config: TrainConfig = TrainConfig(),  # noqa: B008
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
     check: bool = True,
     like: FleetPrior | None = None,
-    network: Place | str | None = None,
+    network: Path | str | None = None,
     meshes: MeshFolders = MeshFolders(),  # noqa: B008
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
@@ -181,12 +181,12 @@ def train_bundle(
             case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
-    out = place_of(out)
+    out = Path(out)
     expect_codes(accept)
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
-    own = None if network is None else load_network(place_of(network))
+    own = None if network is None else load_network(Path(network))
     config = accepted_settings(config, dataset.split.calibration, like, own, dataset.folder)
     robot_file = dataset.robot_file(robot)
     expect_meshes(robot_file, meshes)
@@ -213,7 +213,7 @@ def train_bundle(
 def train_on_recordings(
     given: Given,
     config: TrainConfig,
-    out: Place,
+    out: Path,
     report: Reporter = SILENT,
     checked: dict | None = None,
     like: FleetPrior | None = None,
@@ -288,7 +288,7 @@ def train_on_recordings(
 
 
 def fitted(
-    given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None, times: WallTimes
+    given: Given, config: TrainConfig, out: Path, report: Reporter, like: FleetPrior | None, times: WallTimes
 ) -> tuple[Job, Setup, PriorFit | None]:
     """The prepared job, its setup without the prior, and the prior; see train_on_recordings."""
     with times.phase("prepare"):

@@ -12,7 +12,6 @@ from tauext.bundle.bundle_file import write_bundle
 from tauext.data.free_motion import total_s
 from tauext.data.servo import servo_of_recordings
 from tauext.errors import RobotError
-from tauext.files.copies import at_home
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
 from tauext.robot.mesh_files import MeshFolders
@@ -31,7 +30,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     history = [list(entry) for entry in network.trained.history] if network else []
     write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, job.times)
     remove_checkpoint(job.out)
-    at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
+    job.out.with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
     job.say(job.times.sentence())
 
 

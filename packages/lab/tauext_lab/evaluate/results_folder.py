@@ -15,16 +15,16 @@ from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
 from tauext.check.before_training import WORTH_A_WARNING
-from tauext.config import EventsConfig, checked
+from tauext.config import checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.injected import FIRST_S, SLOT_S
 from tauext_lab.evaluate.results import EvaluatedBundle, Results, to_json
 
@@ -40,7 +40,7 @@ def why_nothing_injected(dataset: Dataset) -> str:
 @checked
 def evaluate_bundles(
     dataset: Dataset,
-    bundles: Mapping[str, Place],
+    bundles: Mapping[str, Path],
     out: Path,
     seed: int = 0,
     threads: int = 0,

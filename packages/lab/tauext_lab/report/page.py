@@ -15,7 +15,6 @@ import matplotlib
 from tauext.check.before_training import WORTH_A_WARNING
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
-from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.fit.tail import duration
 from tauext_lab.evaluate.results import EvaluatedBundle, FreeMotion, Numbers, Results, load_results
@@ -461,7 +460,7 @@ LARGEST_PAGE_MB = 1000.0
 
 
 def write_report(
-    results_dir: Path, dataset_dir: Place, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
+    results_dir: Path, dataset_dir: Path, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 

@@ -30,7 +30,6 @@ ALSO = {
     "data/importers/ros1_bag": {"rosbags"},
     "data/ros_messages": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
-    "fit/torch_backend": {"torch"},
     "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},
 }

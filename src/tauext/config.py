@@ -25,7 +25,7 @@ from typing import (
 )
 
 from tauext.errors import ConfigError
-from tauext.recipes import RECIPES, Recipe, recipe_of
+from tauext.recipes import Recipe, recipe_of, summaries
 
 Backend = Literal["core", "torch"]
 LimitsKind = Literal["auto", "promised", "supported", "paper"]
@@ -124,12 +124,11 @@ PAPER_CASES = {
     )
 }
 
-# Choices from the tables, as the help lists them. Type checkers need literal choices and accept any name here.
+# Choices from the table, as the help lists them. Type checkers need literal choices and accept any name here.
 if TYPE_CHECKING:
     CaseName = str
-    RecipeName = str
 else:
-    CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
+    CaseName = Literal[tuple(PAPER_CASES)]
 
 
 @dataclass(frozen=True)
@@ -288,9 +287,7 @@ class FilterConfig(Settings):
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = field(
-        default="prior", metadata={"choices": {name: recipe.summary for name, recipe in RECIPES.items()}}
-    )
+    recipe: str = field(default="prior", metadata={"choices": summaries})
     """Method to train."""
     minutes: Annotated[float, above(0, 1e9)] | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
@@ -313,8 +310,8 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (`pip install
-    torch`)."""
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (package
+    tauext-lab, `pip install torch`)."""
     seed: Seed = 0
     """Seed of the initial weights and of the order of the windows."""
     threads: Threads = 0
@@ -359,9 +356,8 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        require(isinstance(self.recipe, str), "recipe", brief(self.recipe), f"one of {', '.join(RECIPES)}")
-        recipe_of(self.recipe)  # a package may have added it: the annotation lacks it
-        expect_types({name: value for name, value in vars(self).items() if name != "recipe"}, type(self))
+        super().__post_init__()
+        recipe_of(self.recipe)
         drawn = self.row.draws
         require(
             self.observer.gain_per_s != "auto" or self.row.chooses_gain,
@@ -482,14 +478,14 @@ def described(hint: Any) -> str:
 
 
 @functools.cache
-def hints_of(thing: Any) -> dict[str, Any]:
+def annotations_of(thing: Any) -> dict[str, Any]:
     """The annotations of a class or function, with their rules."""
     return get_type_hints(thing, include_extras=True)
 
 
 def expect_types(values: Mapping[str, Any], of: Any, before: str = "") -> None:
     """Raise ConfigError unless each value is of the type that its annotation in a class or function states."""
-    hints = hints_of(of)
+    hints = annotations_of(of)
     for name, value in values.items():
         if name in hints and not fits(value, hints[name]):
             raise ConfigError(f"{before}{name} = {brief(value)} must be {described(hints[name])}")

@@ -35,9 +35,9 @@ def prior(
         accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
-    from tauext.fit.fleet_prior import table
     from tauext_fleet.prior import make_fleet_prior
     from tauext_fleet.prior_arms import fleet_arms
+    from tauext_fleet.prior_content import table
 
     config = TrainConfig(recipe="prior", threads=threads)
     fleet = fleet_arms(arms)

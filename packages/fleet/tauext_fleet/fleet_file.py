@@ -69,7 +69,7 @@ calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another pro
 
 
 if TYPE_CHECKING:
-    from tauext.fit.fleet_prior import FleetPrior
+    from tauext_fleet.like import Like
 
 Stage = Literal["import", "check", "train", "calibrate", "evaluate"]
 STAGES = get_args(Stage)
@@ -190,8 +190,17 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
             raise ConfigError(f"{where} [{key}] threads is not set here: {ONE_THREAD}")
     keys = read_table(ArmKeys, merged, where)
     like = None if keys.train.like is None else located(keys.train.like, base)
-    settings = {"train": keys.train.config, "like": like, "calibrate": keys.calibrate, "evaluate": keys.evaluate}
-    arm = Arm(keys.name, keys.type, stages=(), case=keys.case, accept=keys.accept, **settings)
+    arm = Arm(
+        keys.name,
+        keys.type,
+        stages=(),
+        case=keys.case,
+        accept=keys.accept,
+        train=keys.train.config,
+        like=like,
+        calibrate=keys.calibrate,
+        evaluate=keys.evaluate,
+    )
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
@@ -265,18 +274,17 @@ def expect_different(arms: tuple[Arm, ...], path: Path) -> None:
 
 def expect_likes(arms: tuple[Arm, ...], path: Path) -> None:
     """Raise ConfigError of a fleet prior that is none, or that an arm's recipe cannot take."""
-    from tauext.fit.fleet_prior import load_fleet_prior
-    from tauext.train.fitting import like_settings
+    from tauext_fleet.like import load_like
 
-    priors: dict[Location, FleetPrior] = {}
+    priors: dict[Location, Like] = {}
     for arm in arms:
         if arm.like is None:
             continue
         try:
             if arm.like not in priors:
                 with local_copy(arm.like) as prior:
-                    priors[arm.like] = load_fleet_prior(prior)
-            like_settings(arm.train, priors[arm.like])
+                    priors[arm.like] = load_like(prior)
+            priors[arm.like].settings(arm.train)
         except ConfigError as error:
             raise ConfigError(f"{path}: arm '{arm.name}': [train] {error}") from None
 

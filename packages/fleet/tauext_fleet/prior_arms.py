@@ -14,13 +14,14 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import first_seconds
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
-from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
+from tauext.train.fitting import fit_prior, observe
 from tauext.train.network import choose_gain
-from tauext.train.preparation import Given, Job, prepare
+from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
+from tauext_fleet.fleet_prior import ArmType
+from tauext_fleet.like import arm_type
 
 LEAST_ARMS = 3
 BUNDLE_AND_DATA = ".tauext:"
@@ -96,7 +97,7 @@ def job_of(
     arm: FleetArm,
     config: TrainConfig,
     minutes: float | None = None,
-    like: FleetPrior | None = None,
+    start: Start = NOTHING,
     accept: Sequence[str] | None = None,
     report: Reporter = SILENT,
 ) -> Job:
@@ -116,12 +117,12 @@ def job_of(
     if model.no_model:
         raise ConfigError(f"{arm.data}: it has no model, and a fleet prior holds corrections of one; import with one")
     training = dataset.training()
-    given = Given(robot, model, training)
+    given = Given(robot, model, training, start=start)
     if accept is not None:
         check_data(dataset, given, config, accept, report)
-    config = replace(like_settings(config, like), minutes=minutes)
+    config = replace(start.settings(config), minutes=minutes)
     name = Path(f"{arm.name}.tauext")
-    return prepare(given, config, name, report, like)
+    return prepare(given, config, name, report)
 
 
 def own_terms_of(arm: FleetArm, config: TrainConfig, accept: Sequence[str], report: Reporter) -> OwnTerms:

@@ -51,14 +51,15 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with the files beside it."""
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.train.preparation import NOTHING
     from tauext.train.stage import train_bundle
+    from tauext_fleet.like import load_like
 
     config = replace(read_table(TrainConfig, work["settings"], "train:"), threads=1)
     dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
     known = path_of(work, "like")
-    like = None if known is None else load_fleet_prior(known)
-    train_bundle(dataset, out, work["case"], path_of(work, "robot"), config, accept=work["accept"], like=like)
+    start = NOTHING if known is None else load_like(known)
+    train_bundle(dataset, out, work["case"], path_of(work, "robot"), config, accept=work["accept"], start=start)
 
 
 def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:

@@ -137,7 +137,8 @@ def digest_of(content: object) -> str:
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
 """Packages of tauext whose code decides a task's output, beside its root modules."""
 MORE_FILES = ("monitor/changes.py", "monitor/touch_place.py")
-OWN_FILES = ("config.py", "locations.py", "stages.py", "store.py", "task.py")
+FOR_LIKE = ("expected_friction.py", "fleet_prior.py", "hierarchy.py", "like.py", "map_regression.py")
+OWN_FILES = ("config.py", "locations.py", "stages.py", "store.py", "task.py", *FOR_LIKE)
 """Of this package."""
 ROOTS = Path(tauext.__file__).parent, Path(__file__).parent
 """Of tauext, and of this package."""

@@ -10,7 +10,7 @@ from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
-from tauext.recipes import RECIPES, baselines
+from tauext.recipes import baselines, recipe_of
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.preparation import Given, finished, why_impossible
@@ -61,7 +61,7 @@ def train_baselines(
     for name, recipe in known.items():
         if name in skip or (names is not None and name not in names):
             continue
-        if impossible := why_impossible(RECIPES[recipe], case):
+        if impossible := why_impossible(recipe_of(recipe), case):
             report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"

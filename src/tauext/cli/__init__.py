@@ -137,7 +137,7 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status.
 
-    0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
+    0 done, 1 a fault or failure in the data, 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
     """
     argv = sys.argv[1:] if argv is None else argv
     # Range checks report an overflow; the interpreter's own warnings add nothing.

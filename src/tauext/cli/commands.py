@@ -62,7 +62,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "train": Command("train a bundle on a dataset's free motion", "tauext.cli.train:train"),
         "calibrate": Command("set other limits in a trained bundle", "tauext.cli.train:calibrate"),
         "refit": Command("update a bundle's friction with a minute of today's motion", "tauext.cli.train:refit"),
-        "show": Command("print a bundle, a recording, a fleet prior or a commissioned arm", "tauext.cli.show:show"),
+        "show": Command("print a bundle, a recording, a prior or a commissioned arm", "tauext.cli.show:show"),
     },
     "Monitor": {
         "run": Command("run the monitor on recordings", "tauext.cli.run:run"),

@@ -1,10 +1,10 @@
-"""`tauext show`: what is in a bundle, a recording or a fleet prior."""
+"""`tauext show`: what is in a bundle or a recording; packages show files and folders of theirs."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +19,10 @@ from tauext.files.kind import LOGS, import_first
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
-    from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Content = dict[str, Any]
 """Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
-SHOWN = "a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of `tauext commission`"
+SHOWN = "a bundle (*.tauext), a recording (*.parquet), a prior (*.prior.json) or a folder of `tauext commission`"
 UNITS = {
     "_nm": "Nm",
     "_per_s": "1/s",
@@ -55,12 +54,11 @@ def show(
     frame: tuple[str, ...] = (),
     picture: Path | None = None,
 ) -> None:
-    """Print what is in a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of
-    `tauext commission`.
+    """Print what is in a bundle (*.tauext), a recording (*.parquet), a prior of arms of one type (*.prior.json) or a
+    folder of `tauext commission`.
 
     Args:
-        file: bundle (*.tauext), recording (*.parquet), fleet prior (*.prior.json) or folder of `tauext commission` to
-            show.
+        file: bundle (*.tauext), recording (*.parquet), prior (*.prior.json) or folder of `tauext commission` to show.
         as_json: print what is found as JSON for scripts.
         force: print what force at each link's end goes over a bundle's limits, in newtons.
         data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
@@ -93,7 +91,7 @@ def show(
         content = describe_recording(file)
         text = lines(content)
     elif file.name.endswith(".prior.json"):
-        content = describe_fleet_prior(file)
+        content = plugins.part("prior-content")(file)
         text = [*content["table"], *lines(content)]
     else:
         remedy = f"; {import_first(file)}" if file.suffix in LOGS else ""
@@ -444,86 +442,3 @@ def describe_recording(file: Path) -> Content:
         f"largest_tau_{torque_unit([recording]).lower()}": largest(recording.tau),
         "source": recording.source,
     }
-
-
-# --- A fleet prior: its arms in a table, and what the next arm begins with.
-
-
-def describe_fleet_prior(file: Path) -> Content:
-    """Content of a fleet prior's file; `table` is what `tauext fleet prior` prints at its end.
-
-    Raises:
-        ConfigError: the file is no fleet prior, or damaged.
-    """
-    from tauext.fit.fleet_prior import load_fleet_prior
-
-    prior = load_fleet_prior(file)
-    try:
-        return described(file, prior)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(f"{file}: its data of the arms is damaged ({why}); `tauext fleet prior` makes one") from error
-
-
-def described(file: Path, prior: FleetPrior) -> Content:
-    """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
-    from tauext.fit.fleet_prior import ODD, table
-
-    facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
-    odd = {one["name"]: [name for name, share in one["trust"].items() if share < ODD] for one in facts["arms"]}
-    return {
-        "fleet_prior": file.name,
-        "table": table(dict(facts)).splitlines(),
-        "arms": len(facts["arms"]),
-        "minutes": round(sum(float(one["minutes"]) for one in facts["arms"]), 3),
-        "not_like_the_others": {name: parts for name, parts in odd.items() if parts},
-        "left_out": dict(facts["left_out"]),
-        "joints": names,
-        "model_case": kind.case,
-        "sample_rate_hz": kind.rate_hz,
-        "torque_is": kind.torque_timing,
-        "takes_tau_in": dict(zip(names, (unit.replace("newton_metre", "N m") for unit in kind.units), strict=True)),
-        "gain_per_s": prior.gain_per_s,
-        "presliding_widths_rad": list(prior.widths_rad),
-        "terms": {joint: dict(term_counts(group)) for joint, group in zip(names, prior.own, strict=True)},
-        "usual_error_nm": dict(zip(names, prior.weights.error_nm.tolist(), strict=True)),
-        "errors_last_s": dict(zip(names, prior.weights.memory_s.tolist(), strict=True)),
-        "weight_of_a_row": prior.weights.trust,
-        "error_after_a_minute_by_that_with_all": dict(facts["after_a_minute"]),
-        **describe_errors(prior.errors, names),
-        **describe_days(prior.days, names),
-        "made_by": {key: facts.get(key) for key in ("command", "version", "seed", "machine")},
-        "made_from": {name: str(data) for name, data in facts["settings"]["data"].items()},
-        "sha256": prior.sha256,
-    }
-
-
-def term_counts(group: Any) -> Iterator[tuple[str, int]]:
-    """How many of a joint's terms are of each kind."""
-    kinds = [term.kind.name for term in group]
-    return ((kind, kinds.count(kind)) for kind in dict.fromkeys(kinds))
-
-
-def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Content:
-    """Basis of the next arm's limits: errors of the fleet's arms, or its own minute alone."""
-    if errors is None:
-        return {"limits_of_the_next_arm": "follow from its own minute: no three arms showed more than a minute"}
-    return {
-        "limits_of_the_next_arm": (
-            f"rest on the errors in {errors.hours:.3g} h of {errors.arms} arms, each taken for a new one with "
-            f"{errors.minutes:g} min of its own"
-        ),
-        "limits_sliding_nm": dict(zip(joints, errors.sliding_limit_nm.tolist(), strict=True)),
-        "limits_near_stiction_nm": dict(zip(joints, errors.near_stiction_limit_nm.tolist(), strict=True)),
-        "factor_for_different_arms": errors.facts["arms_factor"],
-        "collision_hold_s": errors.hold_s,
-        "limits_promise": errors.facts["sentence"],
-    }
-
-
-def describe_days(days: FleetDays | None, joints: list[str]) -> Content:
-    """How much the friction of one arm differs between recordings, which `refit --like` goes by."""
-    if days is None:
-        return {"friction_change_share": None}
-    shares = {joint: math.sqrt(days.covariance[j, j]) for j, joint in enumerate(joints)}
-    return {"friction_change_share": shares, "friction_change_from": {"recordings": days.recordings, "arms": days.arms}}

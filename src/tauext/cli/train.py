@@ -7,16 +7,17 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import tyro
 
+from tauext import plugins
 from tauext.cli.arguments import AcceptArg, BundleArg, JsonArg, MeshesArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
 from tauext.files.plain_file import read_toml
-from tauext.files.typed_table import field_help, values_of
+from tauext.files.typed_table import field_help, hints_of, values_of
 
 # --- Settings: those of a file, and the few that are options of the command line, too.
 
@@ -32,7 +33,7 @@ ALARM = ("false_alarms", "in_hours")
 
 def options(kind: type, names: tuple[str, ...]) -> dict[str, Any]:
     """Types of these fields for the parser, with their help and defaults; an option that is not given has no value."""
-    hints, words, defaults = get_type_hints(kind), field_help(kind), kind()
+    hints, words, defaults = hints_of(kind), field_help(kind), kind()
     found = {}
     for name in names:
         hint, default = hints[name], getattr(defaults, name)
@@ -109,22 +110,24 @@ def train(
             mass+com), or no model (none). Default: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
         meshes: folders of the meshes that the URDF names, as in `tauext import`, for shapes that the dataset lacks.
-        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`); one minute of this arm's motion
-            is then enough. None: no fleet prior.
+        like: NAME.prior.json with what arms of this type have in common; one minute of this arm's motion is then
+            enough. None: this arm's motion alone.
         network: FILE.npz with the weights of a network that was trained in PyTorch (recipe paper); nothing is trained.
             None: the recipe trains its own.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         options: settings that are often changed.
     """
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.robot.mesh_files import mesh_folders
+    from tauext.train.preparation import NOTHING
     from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     settings = train_settings(config, options)
-    known = None if like is None else load_fleet_prior(like)
+    require(like is None or network is None, "network", network, "left out with --like: a training has one start")
+    starts = {"like": like, "network": network}
+    start = next((plugins.part(name)(file) for name, file in starts.items() if file is not None), NOTHING)
     print_replaced(out)
     train_bundle(
         load_dataset(data),
@@ -134,8 +137,7 @@ def train(
         settings,
         Terminal(),
         accept,
-        like=known,
-        network=network,
+        start=start,
         meshes=mesh_folders(meshes),
     )
     print(out)
@@ -227,19 +229,18 @@ def refit(
         out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
-        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
-            the others as far as the fleet's joints changed together between recordings.
+        like: NAME.prior.json with what arms of this type have in common: a joint that hardly moved follows the others
+            as far as joints of these arms changed together between recordings.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.files.provenance import json_text
-    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.refit import Span, refit_bundle
 
     require_threads(threads)
     expect_another(out, bundle, "start from")
-    known = None if like is None else load_fleet_prior(like)
+    known = None if like is None else plugins.part("like")(like)
     print_replaced(out)
     span = Span(from_s, to_s)
     found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)

@@ -20,9 +20,9 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from tauext.config import NOT_EMPTY, Rule, described, hints_of
+from tauext.config import NOT_EMPTY, Rule, annotations_of, described
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import number_of
@@ -76,7 +76,7 @@ def read_table(
         ConfigError: the content is no table, a key is unknown (the nearest is named) or missing, or a value breaks its
             rule.
     """
-    values, hints = values_of(kind, content, where, joints, known), hints_of(cast(Any, kind))
+    values, hints = values_of(kind, content, where, joints, known), hints_of(kind)
     for one in keys_of(kind, known):
         if one.name not in values and one.default is MISSING and one.default_factory is MISSING:
             raise ConfigError(f"{where} {one.name} is missing; it must be {rule_words(hints[one.name], joints)}")
@@ -95,6 +95,12 @@ def values_of(
     expect_known(where, content, names)
     hints = hints_of(kind)
     return {key: value_of(hints[key], value, where, key, joints) for key, value in content.items()}
+
+
+def hints_of(kind: Any) -> dict[str, Any]:
+    """The annotations of a dataclass; a field with `choices` in its metadata has one of these."""
+    chosen = {one.name: one.metadata["choices"] for one in fields(kind) if "choices" in one.metadata}
+    return annotations_of(kind) | {name: Literal[tuple(choices())] for name, choices in chosen.items()}
 
 
 def keys_of(kind: Any, known: Collection[str] | None = None) -> list[Field]:
@@ -270,7 +276,7 @@ def field_help(kind: type) -> dict[str, str]:
                 found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
     for name, choices in ((one.name, one.metadata.get("choices")) for one in fields(kind)):
         if choices:
-            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices.items())}."
+            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices().items())}."
     return found
 
 

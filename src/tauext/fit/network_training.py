@@ -13,14 +13,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from tauext import _core
+from tauext import _core, plugins
 from tauext.bundle.estimates import OK
 from tauext.config import TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.files.atomic_write import atomic_write
 from tauext.fit.core_backend import Adam, CoreBackend
-from tauext.fit.training_set import Setup, TooShort, WindowSet
+from tauext.fit.training_set import Scaling, Setup, TooShort, WindowSet
 from tauext.recipes import Drawing
 
 # --- Targets and sizes of training steps: the paper's schedule, and the dense one.
@@ -321,6 +321,14 @@ class TrainedNetwork:
     seconds: float
 
 
+@dataclass(frozen=True)
+class ScaledNetwork:
+    """A trained network with the scales of its inputs and outputs."""
+
+    scaling: Scaling
+    trained: TrainedNetwork
+
+
 def train_network(
     setup: Setup,
     training: WindowSet,
@@ -419,13 +427,10 @@ def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss
 
 def make_backend(setup: Setup, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:
     """The backend that the config names, for sequences of this length and so many targets."""
-    if config.backend == "torch":
-        from tauext.fit.torch_backend import TorchBackend, lstm_module
-
-        module = lstm_module(setup, config.hidden, config.seed)
-        backend: Backend = TorchBackend(module, setup, training, length, targets)
+    if config.backend == "core":
+        backend: Backend = CoreBackend(setup, training, config.hidden, length, targets, config.threads)
     else:
-        backend = CoreBackend(setup, training, config.hidden, length, targets, config.threads)
+        backend = plugins.part(config.backend)(setup, training, config, length, targets)
     drawing = config.row.drawing
     if not config.row.draws or (drawing.speed_factor, drawing.change_factor) == (1.0, 0.0):
         return backend

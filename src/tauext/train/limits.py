@@ -1,4 +1,4 @@
-"""Limits of a training: by a promise, from minutes of data, from a fleet, or as in the paper."""
+"""Limits of a training: by a promise, from minutes of data, or as in the paper."""
 
 from __future__ import annotations
 
@@ -9,29 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext import _core
 from tauext._core import Bundle
-from tauext.config import AlarmConfig, DriftConfig, TrainConfig
+from tauext.config import TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
-from tauext.fit.fleet_prior import FleetErrors
-from tauext.fit.network_weights import LIMIT, NetworkWeights
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.train.calibrate import calibrate_bundle, no_calibration
 from tauext.train.error_scale import (
-    FEATURES,
     ErrorRows,
     Judged,
-    LevelLimits,
     add_friction,
-    blind_sigma,
     collect_rows,
     fit_error_scale,
-    freeze_floor_nm,
     ignore_standing,
     paper_limits,
     put_constant_error,
@@ -52,91 +45,6 @@ from tauext.train.promised_limits import (
     torque_steps_nm,
 )
 from tauext.train.wrench import fit_wrench
-
-# --- Limits of an arm with a minute of its own motion, from the errors of a fleet's arms.
-#
-# Each arm of the fleet was fitted to a minute of its own with the prior of the others and evaluated on the rest of its
-# motion. Errors, limits and their growth with the motion apply to another arm of the type up to a factor, its size: a
-# joint's held-out errors on its own minute, divided by the prediction of the fleet's scale.
-
-
-ENOUGH_S = 540.0
-"""Time of motion from which an arm's own errors determine limits better than the fleet's, [s]. From this time on, short
-recordings need no friction reserve either."""
-LEAST_SIZE, LARGEST_SIZE = 0.5, 2.0
-"""Bounds of an arm's errors relative to the fleet's: a minute cannot prove smaller ones; larger ones are reported."""
-
-
-def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
-    """The fleet's errors for this arm; None: none, or the arm's own errors determine more."""
-    like = job.like
-    if like is None or like.errors is None or bundle.has_network:
-        return None
-    same = like.gain_per_s == bundle.observer.gain_per_s
-    return like.errors if same and total_s(job.motion.uncut) < ENOUGH_S else None
-
-
-def sizes(rows: ErrorRows, scale: _core.ErrorScaleSettings) -> np.ndarray:
-    """Ratio of each joint's errors to the scale's prediction for the same motion, (n,)."""
-    used = [FEATURES.index(kind) for kind in scale.features]
-    F, n = rows.features[:, :, used], rows.error_nm.shape[1]
-    sliding, near = (
-        np.einsum("rjf,jf->rj", F, np.array(w).reshape(n, -1)) for w in (scale.sigma_weights, scale.sigma_near_weights)
-    )
-    sigma = np.where(rows.near_stiction, near, sliding)
-    return np.sqrt(np.mean(rows.error_nm**2, axis=0) / np.maximum(np.mean(sigma**2, axis=0), 1e-300))
-
-
-def scale_settings(errors: FleetErrors, size: np.ndarray) -> _core.ErrorScaleSettings:
-    """The fleet's error scale for an arm with this size of errors relative to the fleet's, (n,)."""
-    scale = _core.ErrorScaleSettings()
-    scale.features = [getattr(_core.MotionFeature, name) for name in errors.features]
-    by_joint = size[:, None]
-    scale.limit_weights = (by_joint * errors.limit_weights).ravel().tolist()
-    scale.sigma_weights = (by_joint * errors.sigma_weights).ravel().tolist()
-    scale.sigma_near_weights = (by_joint * errors.sigma_near_weights).ravel().tolist()
-    scale.largest = (size * errors.largest).tolist()
-    scale.largest_sigma = (size * errors.largest_sigma).tolist()
-    return scale
-
-
-def put_fleet_scale(
-    job: Job, bundle: _core.Bundle, judged: Sequence[Recording | Judged], errors: FleetErrors, drift: DriftConfig
-) -> None:
-    """Set the fleet's error scale, adjusted to the size of this arm's errors."""
-    rows = collect_rows(bundle, judged, job.threads, job.config.margins)
-    found = sizes(rows, scale_settings(errors, np.ones(bundle.joints)))
-    size = np.clip(found, LEAST_SIZE, None)
-    bundle.error_scale = scale_settings(errors, size)
-    blind_sigma(bundle)
-    if bundle.drift.time_constant_s > 0:
-        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
-        bundle.drift.freeze_floor_nm = np.maximum(
-            drift.freeze_floor_share * np.array(bundle.drift.size_nm), seen
-        ).tolist()
-    by_joint = dict(zip(job.joints, found.round(4).tolist(), strict=True))
-    job.facts["error_scale"] = {"hours": rows.hours, "like": by_joint}
-    loud = [f"{name} {value:.1f}" for name, value in by_joint.items() if value > LARGEST_SIZE]
-    if loud:
-        job.notes.append(
-            f"errors are larger than the fleet's by {', '.join(loud)}: this arm differs from the others there, and its "
-            "limits are raised as much"
-        )
-
-
-def put_fleet_limits(bundle: _core.Bundle, errors: FleetErrors, alarm: AlarmConfig) -> tuple[str, dict]:
-    """Set the fleet's limits; returns their basis as text, and facts."""
-    set_limits(bundle, LevelLimits(errors.sliding_limit_nm, errors.near_stiction_limit_nm), alarm)
-    LevelLimits(errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm).put(bundle, "contact_")
-    bundle.hold_s, bundle.contact_hold_s = errors.hold_s, errors.contact_hold_s
-    words = (
-        f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
-        f"prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as this arm's "
-        f"own errors beside theirs. {errors.facts['sentence']} They are {errors.facts['arms_factor']:.2f} times that, "
-        "so that none of these arms was over limits that the others ask for."
-    )
-    return words, dict(errors.facts) | {"sentence": words, "like": True}
-
 
 # --- Limits from a promise, from minutes of motion, or as in the paper.
 
@@ -162,7 +70,7 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
-    config, kind = job.config, limits_kind(job.config, job.calibration, job.network)
+    config, kind = job.config, limits_kind(job.config, job.calibration)
     scaled = config.resolved().error_scale == "on"
     if scaled and kind == "supported" and bundle.region_width >= 0:
         bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s
@@ -172,14 +80,11 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
     judged = [*unseen, *left_out]
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
-    fleet = fleet_errors(job, bundle) if scaled else None
     rows = None
-    if fleet is not None:
-        put_fleet_scale(job, bundle, judged, fleet, config.drift)
-    elif scaled:
-        rows = collect_rows(bundle, judged, job.threads, config.margins)
-        job.facts["error_scale"] = fit_error_scale(bundle, rows, config.drift)
     if scaled:
+        rows = collect_rows(bundle, judged, job.threads, config.margins)
+        started = job.start.put_scale(job, bundle, rows)
+        job.facts["error_scale"] = fit_error_scale(bundle, rows, config.drift) if started is None else started
         for one in left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
@@ -189,14 +94,15 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         put_constant_error(bundle, collect_rows(bundle, motion, job.threads, config.margins))
         job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, motion, job.threads, config.margins)
     poses = job.facts.get("wrench", {}).get("poses", [])
-    if kind == "promised":
+    own = job.start.put_limits(job, bundle, kind)
+    if own is not None:
+        words, job.facts["limits"] = own
+        job.notes.append(words)
+    elif kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
             bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out, poses
         )
         job.report.say(promised.sentence())
-    elif kind == "supported" and fleet is not None:
-        words, job.facts["limits"] = put_fleet_limits(bundle, fleet, config.alarm)
-        job.notes.append(words)
     elif kind == "supported":
         words, job.facts["limits"] = set_supported_limits(
             bundle, judged, config, job.threads, fit, rows, poses, len(job.suspects)
@@ -207,11 +113,6 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         units = dict(zip(job.joints, bundle.estimate_units, strict=True))
         for moment in (Moment(**facts) for facts in job.facts["limits"].get("one_moment", [])):
             job.notes.append(moment.sentence(units[moment.joint]))
-    elif kind == "given" and job.network is not None and job.network.limit_nm is not None:
-        set_limits(bundle, LevelLimits(job.network.limit_nm, job.network.limit_nm), config.alarm)
-        words = f"limits are {LIMIT} of {job.network.file}, and promise nothing"
-        job.facts["limits"] = {"sentence": words}
-        job.notes.append(words)
     else:
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
     if fit is not None:
@@ -221,13 +122,8 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         job.notes.extend(put_limit_findings(bundle, job.facts))
 
 
-def limits_kind(
-    config: TrainConfig,
-    calibration: Sequence[object],
-    network: NetworkWeights | None = None,
-    folder: Path | None = None,
-) -> str:
-    """Return the kind of limits: promised, supported, paper, or given with a network that was trained elsewhere.
+def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path | None = None) -> str:
+    """Return the kind of limits: promised, supported or paper.
 
     Args:
         folder: see no_calibration().
@@ -239,8 +135,6 @@ def limits_kind(
         raise ConfigError(f"limits = promised {no_calibration(folder)}")
     if config.limits != "auto":
         return config.limits
-    if network is not None and network.limit_nm is not None:
-        return "given"
     if config.row.largest_error_limits:
         return "paper"
     return "promised" if calibration else "supported"

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from doc_pages import Page, parses
 from made_results import run_command
+from tauext_lab.own_network import load_network
 
 from tauext import _core
 from tauext.cli import main
 from tauext.config import ObserverConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.fit.network_weights import load_network
 from tauext.train.stage import train_bundle
 
 HIDDEN, JOINTS = 7, 2
@@ -81,7 +81,7 @@ def data(tmp_path_factory):
 
 def trained(data, file, out, **settings) -> _core.Bundle:
     config = TrainConfig(**({"recipe": "paper"} | settings))
-    return train_bundle(load_dataset(data), out, case="none", config=config, check=False, network=file)
+    return train_bundle(load_dataset(data), out, case="none", config=config, check=False, start=load_network(file))
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])

@@ -213,7 +213,7 @@ WRONG = [
     (("train", "--data", "{data}", "--out", "a.bundle"), ["a.bundle", ".tauext"]),
     (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "arm.urdf"), ["arm.urdf", "robot file"]),
     (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "{other}"), ["joint1", "shoulder"]),
-    (("train", "--data", "{data}", "--out", "a.tauext", "--batch", "0"), ["batch", ">= 1"]),
+    (("train", "--data", "{data}", "--out", "a.tauext", "--batch", "0"), ["batch", "a whole number from 1"]),
     (("evaluate", "--data", "{data}", "--bundles", "gone.tauext", "--out", "r"), ["gone.tauext", "tauext train"]),
     (("evaluate", "--data", "{data}", "--bundles", "{broken}", "--out", "r"), ["broken.tauext", "not a tauext bundle"]),
     (("evaluate", "--data", "{data}", "--out", "r"), ["nothing to evaluate", "--baselines"]),

@@ -504,7 +504,7 @@ def test_send_ends_with_two_where_nobody_listens_or_answers(tmp_path, capsys):
         (("contact = 3", "contact = 3.01"), r"\[profiles.pressing\] contact = 3.01 must be a number from 0.5 to 3"),
         (("contact = 3", "contact = nan"), r"contact = nan must be a number"),
         (("contact = 3", 'contact = "3"'), r"contact = '3' must be a number"),
-        (("elbow = 2.0", "elbow = 9"), r"\[profiles.pressing.collision\] elbow = 9 must be a number from 0.5 to 3"),
+        (("elbow = 2.0", "elbow = 9"), r"\[profiles.pressing.collision\] elbow = 9.0 must be a number from 0.5 to 3"),
         (
             ("elbow = 2.0", "wrist = 2"),
             r"\[profiles.pressing.collision\] unknown key 'wrist'; .*; known are shoulder, elbow, others",

@@ -284,7 +284,7 @@ class FilterConfig(Settings):
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Settings):
     """Settings of a training. None: the recipe's own value."""
 
     recipe: str = field(default="prior", metadata={"choices": summaries})

@@ -327,18 +327,21 @@ def test_a_source_without_a_clock_needs_a_column_of_times_or_a_rate():
 MISTAKES = {
     "unknown key": (
         dict(tau="torque_const = 1"),
-        "unknown key 'torque_const' in .signals.tau.; the nearest known is 'tor",
+        ".signals.tau. unknown key 'torque_const'; the nearest known is 'tor",
     ),
-    "unknown table": (dict(rest="[contcat]"), "unknown key 'contcat' at the top; the nearest known is 'contact'"),
+    "unknown table": (dict(rest="[contcat]"), "unknown key 'contcat'; the nearest known is 'contact'"),
     "unit": (dict(q='unit = "degrees"'), r"\[signals.q\] unit = 'degrees' must be one of rad, deg"),
-    "sign": (dict(tau="sign = 2"), r"\[signals.tau\] sign = .* must be 1 or -1"),
-    "count": (dict(tau="sign = [1, 1, 1]"), r"sign = \[1, 1, 1\] must be 1 or -1, one for all joints or a list of 2"),
+    "sign": (dict(tau="sign = 2"), r"\[signals.tau\] sign = .* must be one of 1, -1"),
+    "count": (
+        dict(tau="sign = [1, 1, 1]"),
+        "must be one of 1, -1, one for all joints or a list of 2",
+    ),
     "type": (dict(time='rate_hz = "fast"'), r"\[time\] rate_hz = 'fast' must be a number"),
     "choice": (dict(tau='timing = "later"'), "timing = 'later' must be one of held, instant, averaged"),
     "current": (dict(tau='unit = "A"'), 'torque_constant = .* must be Nm/A, one a joint, or "unknown"'),
     "constant": (dict(tau="torque_constant = 1"), "torque_constant = .* must be left out, since the unit is Nm"),
-    "names": (dict(robot='names = ["x", "x"]'), r"\[robot\] names = .* must be names that differ"),
-    "interval": (dict(rest='[contact.intervals]\n"a.bag" = [[2, 1]]'), r"must be .* \[\[t0, t1\], ...\], t0 < t1"),
+    "names": (dict(robot='names = ["x", "x"]'), r"\[robot\] names = .* must be .*, names that differ"),
+    "interval": (dict(rest='[contact.intervals]\n"a.bag" = [[2, 1]]'), r"must be .*, \[t0, t1\] with t0 < t1"),
     "payload": (dict(rest="[payload]\nmass_kg = 1.0"), "model = '' must be a robot file, where there is a payload"),
     "toml": (dict(rest="[["), "not readable as TOML"),
 }

@@ -19,11 +19,11 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, NONE, OK, STALE, WARMING_UP
 from tauext.errors import ConfigError
 from tauext.monitor import exchange
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import AlarmChange, DriftChange, HealthChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged, NoMonitor, Ring, why_not_exchange
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.profiles import load_profiles
 from tauext.monitor.replay import EventStream
 from tauext.monitor.source import Sample, settings_of
 
@@ -311,11 +311,11 @@ def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_pat
         loop._reactions = SimpleNamespace(threads=[SimpleNamespace(reaction=rule)], end=lambda: None)
         loop.run()
         assert why in swap.answer and isinstance(loop.monitor, NoMonitor)
-    (tmp_path / "profiles.toml").write_text(
-        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\nload = { mass = 1.0, com = [0, 0, 0] }\n"
+    (tmp_path / "cell.toml").write_text(
+        "[profiles]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\nload = { mass = 1.0, com = [0, 0, 0] }\n"
     )
     with pytest.raises(ConfigError, match="profile usual: nothing is monitored yet"):
-        Loop(None, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", JOINTS), arm=ARM)
+        Loop(None, ScriptedSource([]), profiles=load_cell(tmp_path / "cell.toml", JOINTS).profiles, arm=ARM)
 
 
 def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
@@ -366,10 +366,8 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
             self.followed.append((bundle.name, monitor))
 
     sink = Following()
-    (tmp_path / "profiles.toml").write_text(
-        "[bounds]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n"
-    )
-    profiles = load_profiles(tmp_path / "profiles.toml", JOINTS)
+    (tmp_path / "cell.toml").write_text("[profiles]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n")
+    profiles = load_cell(tmp_path / "cell.toml", JOINTS).profiles
     samples = samples_of(pushed(seconds=4, pushes=((1.0, 0, 12.0), (3.0, 0, 12.0))))
     swap = Swap(saved(bundle_of("first"), tmp_path))
     script = [*samples[:2800], swap, *samples[2800:]]

@@ -16,12 +16,12 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.torque_constants import with_constants
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import ChangeFinder, FoundLoad
 from tauext.monitor.control_lines import obey
 from tauext.monitor.events import found_load_words
 from tauext.monitor.loads import Expected, expected_of_text
 from tauext.monitor.loop import Loop
-from tauext.monitor.profiles import load_profiles
 
 PICKED, SAMPLES = 2500, 6500
 MASS = 1.6
@@ -148,19 +148,19 @@ def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
 
 def test_a_profile_says_what_is_expected(arm, tmp_path):
     bundle, picks = arm
-    text = "[bounds]\nlowest = 1.0\nhighest = 3.0\n[profiles.usual]\n[profiles.grasping]\n"
-    path = tmp_path / "profiles.toml"
+    text = "[profiles]\nlowest = 1.0\nhighest = 3.0\n[profiles.usual]\n[profiles.grasping]\n"
+    path = tmp_path / "cell.toml"
     path.write_text(text + "expect = { seconds = 2, at_most = 3.0 }\n")
     keeper = Keeper(lambda verdict: verdict.row == PICKED - 200 and keeper.control.use_profile("grasping", "test"))
-    profiles = load_profiles(path, picks.joints)
+    profiles = load_cell(path, picks.joints).profiles
     Loop(bundle, ScriptedSource(samples_of(picks, slice(0, PICKED + 800))), [keeper], profiles=profiles).run()
     assert any(isinstance(change, FoundLoad) for change in keeper.changes)
     path.write_text(text + "expect = { seconds = 99, at_most = 3.0 }\n")
     with pytest.raises(ConfigError, match="profile grasping: a load can be expected for 60 s"):
-        Loop(bundle, ScriptedSource([]), profiles=load_profiles(path, picks.joints))
+        Loop(bundle, ScriptedSource([]), profiles=load_cell(path, picks.joints).profiles)
     path.write_text(text + "expect = { seconds = 2 }\n")
     with pytest.raises(ConfigError, match="at_most is missing"):
-        load_profiles(path, picks.joints)
+        load_cell(path, picks.joints)
 
 
 def test_only_what_is_news_is_told_of_a_load_that_is_weighed_on():

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doc_pages import Page
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
 from made_results import run_command
@@ -21,11 +20,11 @@ from tauext.data.recording_file import load_recording
 from tauext.data.servo import in_amperes
 from tauext.errors import ConfigError, TauextError
 from tauext.files.plain_file import number_of
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import AlarmChange, HealthChange
 from tauext.monitor.control_lines import ControlSocket, listen_at, obey
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.profiles import load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder
@@ -213,18 +212,17 @@ def test_quantiles_are_those_of_all_times_within_a_bin():
 # Control and profiles.
 
 
-def profiles_file(tmp_path, text: str):
-    path = tmp_path / "profiles.toml"
+def profiles_of(tmp_path, text: str, joints=JOINTS):
+    path = tmp_path / "cell.toml"
     path.write_text(text)
-    return path
+    return load_cell(path, joints).profiles
 
 
 TWO = """
-[bounds]
+[profiles]
 lowest = 0.5
 highest = 3
-[start]
-profile = "usual"
+start = "usual"
 [profiles.usual]
 [profiles.pressing]
 contact = 3
@@ -233,7 +231,7 @@ collision = { elbow = 2.0, others = 0.5 }
 
 
 def test_a_profile_scales_the_limits_from_the_next_sample_on_and_is_logged(bundle, tmp_path):
-    profiles = load_profiles(profiles_file(tmp_path, TWO), JOINTS)
+    profiles = profiles_of(tmp_path, TWO)
     recording = pushed(pushes=())
 
     def ask(verdict):
@@ -257,7 +255,7 @@ def test_a_profile_scales_the_limits_from_the_next_sample_on_and_is_logged(bundl
 
 
 def test_without_profiles_there_is_none_to_change_to(bundle):
-    with pytest.raises(ConfigError, match="--profiles FILE"):
+    with pytest.raises(ConfigError, match="--cell FILE"):
         Loop(bundle, ScriptedSource([])).use_profile("usual", "test")
 
 
@@ -500,36 +498,26 @@ def test_send_ends_with_two_where_nobody_listens_or_answers(tmp_path, capsys):
 @pytest.mark.parametrize(
     "change, message",
     [
-        (("highest = 3", "highest = 11"), r"\[bounds\] highest = 11 must be a number from 1 to 10"),
-        (("lowest = 0.5", "lowest = 0.05"), r"\[bounds\] lowest = 0.05 must be a number from 0.1 to 1"),
-        (("lowest = 0.5", ""), r"\[bounds\] lowest is missing"),
-        (("[bounds]\nlowest = 0.5\nhighest = 3", ""), r"bounds is missing; it must be a table \[bounds\]"),
+        (("highest = 3", "highest = 11"), r"\[profiles\] highest = 11 must be a number from 1 to 10"),
+        (("lowest = 0.5", "lowest = 0.05"), r"\[profiles\] lowest = 0.05 must be a number from 0.1 to 1"),
+        (("lowest = 0.5", ""), r"\[profiles\] lowest is missing"),
         (("contact = 3", "contact = 3.01"), r"\[profiles.pressing\] contact = 3.01 must be a number from 0.5 to 3"),
         (("contact = 3", "contact = nan"), r"contact = nan must be a number"),
         (("contact = 3", 'contact = "3"'), r"contact = '3' must be a number"),
-        (("elbow = 2.0", "elbow = 9"), r"\[profiles.pressing.collision\] elbow = 9 must be a number from 0.5 to 3"),
+        (("elbow = 2.0", "elbow = 9"), r"\[profiles.pressing.collision\] elbow = 9.0 must be a number from 0.5 to 3"),
         (
             ("elbow = 2.0", "wrist = 2"),
-            r"unknown key 'wrist' in \[profiles.pressing.collision\]; .*; known are shoulder, elbow, others",
+            r"\[profiles.pressing.collision\] unknown key 'wrist'; .*; known are shoulder, elbow, others",
         ),
-        (("contact = 3", "contcat = 3"), r"unknown key 'contcat' in \[profiles.pressing\]; the nearest"),
-        (('profile = "usual"', 'profile = "none"'), r"\[start\] profile = 'none' must be one of usual, pressing"),
-        (("[bounds]", "[bounds"), "not readable as TOML"),
+        (("contact = 3", "contcat = 3"), r"\[profiles.pressing\] unknown key 'contcat'; the nearest"),
+        (('start = "usual"', 'start = "none"'), r"\[profiles\] start = 'none' must be one of usual, pressing"),
+        (("[profiles]", "[profiles"), "not readable as TOML"),
     ],
 )
 def test_a_profiles_file_that_breaks_a_rule_says_which(tmp_path, change, message):
     assert change[0] in TWO
     with pytest.raises(ConfigError, match=message):
-        load_profiles(profiles_file(tmp_path, TWO.replace(*change)), JOINTS)
-
-
-def test_profiles_of_the_page_are_read(tmp_path):
-    text = Page("running.md", "Reactions").blocks("toml")[1]
-    profiles = load_profiles(profiles_file(tmp_path, text), ("shoulder", "wrist_3_joint"))
-    assert profiles.named("pressing").collision.tolist() == [1.5, 2.0]
-    assert profiles.start == "normal" and profiles.named("carrying").load.mass == 2.8
-    with pytest.raises(ConfigError, match=r"docs/running\.md"):
-        load_profiles(tmp_path / "none.toml", JOINTS)
+        profiles_of(tmp_path, TWO.replace(*change))
 
 
 def test_the_core_refuses_factors_out_of_its_bounds(bundle):
@@ -543,7 +531,7 @@ def test_the_core_refuses_factors_out_of_its_bounds(bundle):
 
 
 def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tmp_path):
-    profiles = load_profiles(profiles_file(tmp_path, TWO.replace('"usual"', '"pressing"')), JOINTS)
+    profiles = profiles_of(tmp_path, TWO.replace('"usual"', '"pressing"'))
     recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.2, True)
     sink = FlightSink(tmp_path, bundle, recorder, "script 1/2")
     recording = pushed(pushes=((2.0, 1, -4.5),))

@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from doc_pages import Page
 from made_bundles import JOINTS, pushed, watching_bundle
 from made_live import Keeper
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import Reaction, load_cell
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import (
     HELPER,
     ReactionFailed,
@@ -69,10 +68,10 @@ def module(tmp_path, monkeypatch):
     return write
 
 
-def reaction_file(tmp_path, text: str) -> Path:
-    path = tmp_path / "reactions.toml"
+def reactions_of(tmp_path, text: str) -> tuple[Reaction, ...]:
+    path = tmp_path / "cell.toml"
     path.write_text(text)
-    return path
+    return load_cell(path, JOINTS).reactions
 
 
 # The queue.
@@ -279,10 +278,8 @@ def test_no_reaction_delays_or_changes_what_the_monitor_says(module, tmp_path, m
         "def good(facts): open('good', 'a').write(facts['event'] + ' ')\n"
     )
     names = ("hang", "die", "fail", "good")
-    text = "".join(
-        f'[[reaction]]\nname = "{n}"\non = ["contact", "collision", "cleared"]\npython = "called:{n}"\n' for n in names
-    )
-    rules = load_reactions(reaction_file(tmp_path, text), JOINTS)
+    text = "".join(f'[reactions.{n}]\non = ["contact", "collision", "cleared"]\npython = "called:{n}"\n' for n in names)
+    rules = reactions_of(tmp_path, text)
     bundle, recording, keeper = watching_bundle(), pushed(), Keeper()
     source = ReplaySource(recording, None)
     reactions = start_reactions(rules, source, [keeper])
@@ -340,8 +337,7 @@ def test_events_are_cleared_once_after_contact_collision_and_fault():
 # The file.
 
 GOOD = """
-[[reaction]]
-name = "lamp"
+[reactions.lamp]
 on = ["collision", "cleared"]
 joints = ["elbow"]
 min_interval_s = 1
@@ -350,10 +346,8 @@ command = ["true", "x"]
 
 
 def test_a_file_is_read(tmp_path):
-    (found,) = load_reactions(reaction_file(tmp_path, GOOD), JOINTS)
+    (found,) = reactions_of(tmp_path, GOOD)
     assert found == Reaction("lamp", ("collision", "cleared"), ("elbow",), 1.0, 5.0, ("true", "x"))
-    of_the_page = reaction_file(tmp_path, Page("running.md", "Reactions").blocks("toml")[0])
-    assert [one.name for one in load_reactions(of_the_page, JOINTS)] == ["stop the arm", "log", "lamp"]
 
 
 @pytest.mark.parametrize(
@@ -361,35 +355,34 @@ def test_a_file_is_read(tmp_path):
     [
         (
             ("min_interval_s", "min_intervall_s"),
-            "unknown key 'min_intervall_s' in ..reaction.. 'lamp':; the nearest known is 'min_i",
+            r"\[reactions.lamp\] unknown key 'min_intervall_s'; the nearest known is 'min_i",
         ),
         (
             ('"collision", ', '"colision", '),
-            "on = .'colision', .* must be a list of events: collision, contact",
+            "on = .'colision', .* must be one of collision, contact, fault, cleared, or a list of such",
         ),
-        (('on = ["collision", "cleared"]', ""), "on is missing; it must be a list of events"),
-        (('["elbow"]', '["wrist"]'), "joints = .'wrist'. must be a list of joints: shoulder, elbow"),
-        (('["elbow"]', "[]"), "joints = .. must be a list of joints"),
-        (('["elbow"]', "[[1]]"), r"joints = .*1.* must be a list of joints"),
+        (('on = ["collision", "cleared"]', ""), "on is missing; it must be one of collision"),
+        (('["elbow"]', '["wrist"]'), "joints = .'wrist'. must be one of shoulder, elbow, or a list of such"),
+        (('["elbow"]', "[]"), "joints = .. must be one of shoulder, elbow, or a list of such, not empty"),
+        (('["elbow"]', "[[1]]"), r"joints = .*1.* must be one of shoulder"),
         (("= 1\n", "= -1\n"), "min_interval_s = -1 must be a number from 0 to 86400"),
-        (('["true", "x"]', '"true x"'), "must be a list of texts"),
-        (('["true", "x"]', "[]"), r"command = \[\] must be a list of texts"),
+        (('["true", "x"]', '"true x"'), "must be a list, each text: ..program., .argument.."),
+        (('["true", "x"]', "[]"), r"command = \[\] must be a list, each text: "),
         (('command = ["true", "x"]', ""), "no action is given; it must be one of command, python, publish, stop"),
         (('command = ["true", "x"]', 'command = ["a"]\nstop = true'), "command and stop are given"),
-        (('command = ["true", "x"]', 'python = "lamp"'), 'python = .lamp. must be "module:function"'),
-        (('command = ["true", "x"]', "python = 3"), 'python = 3 must be "module:function"'),
+        (('command = ["true", "x"]', 'python = "lamp"'), 'python = .lamp. must be text: "module:function"'),
+        (('command = ["true", "x"]', "python = 3"), 'python = 3 must be text: "module:function"'),
         (('command = ["true", "x"]', "publish = 1"), "publish = 1 must be true or false"),
-        (('name = "lamp"', "name = 3"), "name = 3 must be text"),
-        ((GOOD, GOOD + GOOD), "name = 'lamp' is given twice"),
-        ((GOOD, ""), "reaction is missing; it must be one or more tables"),
-        ((GOOD, "reaction = 3"), "reaction = 3 must be one or more tables"),
-        ((GOOD, "[[reactions]]"), "unknown key 'reactions' at the top; the nearest known is 'reaction'"),
+        ((GOOD, GOOD + GOOD), "not readable as TOML"),
+        ((GOOD, "reactions = 3"), "reactions = 3 must be a table"),
+        ((GOOD, "reactions.lamp = 3"), r"\[reactions.lamp\] is 3, must be a table"),
+        ((GOOD, "[[reaction]]"), "unknown key 'reaction'; the nearest known is 'reactions'"),
     ],
 )
 def test_a_file_that_breaks_a_rule_says_which(tmp_path, change, message):
     assert change[0] in GOOD
     with pytest.raises(ConfigError, match=message):
-        load_reactions(reaction_file(tmp_path, GOOD.replace(*change)), JOINTS)
+        reactions_of(tmp_path, GOOD.replace(*change))
 
 
 def test_no_descriptor_is_left_open():

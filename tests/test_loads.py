@@ -21,11 +21,11 @@ from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.torque_constants import with_constants
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import LoadChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.loads import load_and_ago_of_text, load_of_text, read_loads
 from tauext.monitor.loop import Loop
-from tauext.monitor.profiles import load_profiles
 from tauext.robot.frames import load_frame
 from tauext.robot.read import load_tree
 from tauext.train.preparation import Given
@@ -268,10 +268,10 @@ mass = 0
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("from_s = 4.0", "from_s = 1.0", "load 2 from_s = 1 must not be before"),
-        ("from_s = 4.0", "from_s = 1e308", "load 2 from_s = 1e[+]308 must be a number from 0 to 1e[+]09"),
-        ("mass = 1.9", "", "load 1 mass is missing"),
-        ("com = [0.03, -0.04, 0.08]", "com = [1.0]", "com = .* must be a list of 3 numbers"),
+        ("from_s = 4.0", "from_s = 1.0", "..load.. 2 from_s = 1 must not be before"),
+        ("from_s = 4.0", "from_s = 1e308", "..load.. 2 from_s = 1e[+]308 must be a number from 0 to 1e[+]09"),
+        ("mass = 1.9", "", "..load.. 1 mass is missing"),
+        ("com = [0.03, -0.04, 0.08]", "com = [1.0]", "com = .* must be a list of 3, each a number"),
         ("error = 0.0", "eror = 0.0", "unknown key 'eror'"),
         ("[[load]]", "[[loads]]", "unknown key 'loads'"),
         ("from_s = 4.0", "from_s = true", "must be a number"),
@@ -342,11 +342,11 @@ def test_a_live_monitor_is_told_by_lines_and_profiles(arm, tmp_path):
         if verdict.row == 4000:
             keeper.control.use_profile("empty", "test")
 
-    (tmp_path / "profiles.toml").write_text(
-        '[bounds]\nlowest = 1.0\nhighest = 3.0\n[profiles.usual]\n[profiles.empty]\nload = "none"\n'
+    (tmp_path / "cell.toml").write_text(
+        '[profiles]\nlowest = 1.0\nhighest = 3.0\n[profiles.usual]\n[profiles.empty]\nload = "none"\n'
     )
     keeper = Keeper(ask)
-    profiles = load_profiles(tmp_path / "profiles.toml", free.joints)
+    profiles = load_cell(tmp_path / "cell.toml", free.joints).profiles
     loop = Loop(bundle, ScriptedSource(samples_of(free, slice(0, 5000))), [keeper], profiles=profiles)
     loop.run()
     assert said[0].startswith("error: the load's mass = 99 kg") and said[1] == "ok"
@@ -361,13 +361,13 @@ def test_a_live_monitor_is_told_by_lines_and_profiles(arm, tmp_path):
 
 def test_a_profile_with_a_load_that_the_bundle_refuses_is_refused_at_the_start(arm, tmp_path):
     bundle, free, _ = arm
-    text = "[bounds]\nlowest = 1.0\nhighest = 3.0\n[profiles.heavy]\nload = { mass = 99.0, com = [0, 0, 0.1] }\n"
-    (tmp_path / "profiles.toml").write_text(text)
+    text = "[profiles]\nlowest = 1.0\nhighest = 3.0\n[profiles.heavy]\nload = { mass = 99.0, com = [0, 0, 0.1] }\n"
+    (tmp_path / "cell.toml").write_text(text)
     with pytest.raises(ConfigError, match="profile heavy: the load's mass = 99 kg"):
-        Loop(bundle, ScriptedSource([]), profiles=load_profiles(tmp_path / "profiles.toml", free.joints))
-    (tmp_path / "profiles.toml").write_text(text.replace("com =", "centre ="))
-    with pytest.raises(ConfigError, match=r"unknown key 'centre' in \[profiles.heavy.load\]"):
-        load_profiles(tmp_path / "profiles.toml", free.joints)
+        Loop(bundle, ScriptedSource([]), profiles=load_cell(tmp_path / "cell.toml", free.joints).profiles)
+    (tmp_path / "cell.toml").write_text(text.replace("com =", "centre ="))
+    with pytest.raises(ConfigError, match=r"\[profiles.heavy.load\] unknown key 'centre'"):
+        load_cell(tmp_path / "cell.toml", free.joints)
 
 
 # What training puts into the bundle.

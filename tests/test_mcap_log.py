@@ -105,11 +105,11 @@ def file(place, bundle, recording):
 
 
 def write(
-    path, bundle, recording, chunk_s: float = 1.0, acknowledge_after_s: float | None = None, contact=None
+    path, bundle, recording, chunk_s: float = 1.0, acknowledge_after_s: float | None = None, phase: Phase | None = None
 ) -> None:
     """What `tauext run` does."""
     log, monitor = McapLog(path, bundle, recording.name), _core.Monitor(bundle)
-    phases = None if contact is None else Phases({"pressing": Phase("pressing", contact, during=((0.0, PUSH_S[1]),))})
+    phases = None if phase is None else Phases({phase.name: phase})
     places = PlaceFinder(bundle)
     for chunk in replay(monitor, recording, None, None, acknowledge_after_s, chunk_s, (), places, phases):
         rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
@@ -317,9 +317,9 @@ def test_what_a_declared_contact_explains_is_in_the_file(tmp_path, bundle, recor
     path, row = tmp_path / "declared.mcap", 990
     turn = _core.WrenchModel(bundle).pose("tool", recording.q[row].tolist())[0]
     axis = np.array(PUSH_N) if axes == "base" else np.array(PUSH_N) @ turn
-    bounds = {"axes": getattr(_core.WrenchAxes, axes), "axis": axis.tolist(), "at_most_n": 150.0}
-    contact = _core.DeclaredContact(frame="tool", point=(0.0, 0.0, 0.02), **bounds)
-    write(path, bundle, recording, contact=contact)
+    bounds = {"axes": axes, "axis": tuple(axis.tolist()), "at_most_n": 150.0, "during": ((0.0, PUSH_S[1]),)}
+    phase = Phase(frame="tool", point=(0.0, 0.0, 0.02), **bounds, name="pressing")
+    write(path, bundle, recording, phase=phase)
     assert {one.data for _, one in messages_of(path, "/tauext/alarm")} == {0}
     sizes = dict(messages_of(path, "/tauext/declared_size"))
     assert all(one.name == ["size", "band", "moment"] for one in sizes.values())
@@ -339,7 +339,7 @@ def test_what_a_declared_contact_explains_is_in_the_file(tmp_path, bundle, recor
         one.msg == "pressing: contact at tool of at most 150 N" for _, one in messages_of(path, "/tauext/events")
     )
     monitor = _core.Monitor(bundle)
-    monitor.expect_contact(contact, PUSH_S[1])
+    monitor.expect_contact(phase.contact, PUSH_S[1])
     monitor.run(*(signal[: row + 1] for signal in (recording.t_ns, recording.q, recording.dq, recording.tau)))
     wanted = monitor.tool_force(_core.WrenchAxes.frame).wrench
     wrench = dict(messages_of(path, "/tauext/wrench"))[at]

@@ -21,8 +21,8 @@ from tauext.cli.monitor_output import Aside
 from tauext.data.recording_file import load_recording, save_recording
 
 ROOT = Path(__file__).parent.parent
-PROFILES = "[bounds]\nlowest = 0.5\nhighest = 3\n[profiles.usual]\n[profiles.pressing]\ncollision = 3\n"
-REACTIONS = '[[reaction]]\nname = "note"\non = ["collision"]\ncommand = ["true"]\n'
+PROFILES = "[profiles]\nlowest = 0.5\nhighest = 3\n[profiles.usual]\n[profiles.pressing]\ncollision = 3\n"
+REACTIONS = '[reactions.note]\non = ["collision"]\ncommand = ["true"]\n'
 
 
 @pytest.fixture
@@ -32,6 +32,8 @@ def place(tmp_path, monkeypatch):
     save_recording(pushed(), tmp_path / "pushed.parquet")
     (tmp_path / "profiles.toml").write_text(PROFILES)
     (tmp_path / "reactions.toml").write_text(REACTIONS)
+    (tmp_path / "cell.toml").write_text(PROFILES + REACTIONS)
+    (tmp_path / "wrong.toml").write_text("[[reaction]]")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -45,9 +47,7 @@ SOURCE = ("watching.tauext", "--source", "replay:pushed.parquet", "--speed", "10
 
 
 def test_json_says_what_run_says_and_more(place, capsys):
-    code, out, _ = monitor(
-        capsys, *SOURCE, "--json", "--status-hz", 2, "--reactions", "reactions.toml", "--profiles", "profiles.toml"
-    )
+    code, out, _ = monitor(capsys, *SOURCE, "--json", "--status-hz", 2, "--cell", "cell.toml")
     lines = [json.loads(line) for line in out.splitlines()]
     capsys.readouterr()
     assert main(["run", "watching.tauext", "pushed.parquet", "--json", "--status-hz", "2"]) == code == 0
@@ -68,7 +68,7 @@ def test_json_says_what_run_says_and_more(place, capsys):
 
 def test_lines_of_text_end_with_a_summary(place, capsys):
     code, out, _ = monitor(
-        capsys, *SOURCE, "--reactions", "reactions.toml", "--flights", "flights", "--record", "kept",
+        capsys, *SOURCE, "--cell", "reactions.toml", "--flights", "flights", "--record", "kept",
         "--acknowledge-after-s", 0.8, "--core", 0,
     )  # fmt: skip
     assert code == 0
@@ -121,8 +121,8 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((*SOURCE, "--segment-s", "0.5"), "--segment-s = 0.5 must be 1 to 3600"),
         ((*SOURCE, "--priority", "100"), "priority = 100 must be 1 to 99"),
         ((*SOURCE, "--status-hz", "1"), "--status-hz = 1.0 must be left out unless --json is given"),
-        ((*SOURCE, "--reactions", "none.toml"), "none.toml: there is no such file; docs/running.md has an example"),
-        ((*SOURCE, "--profiles", "reactions.toml"), "unknown key 'reaction' at the top"),
+        ((*SOURCE, "--cell", "none.toml"), "none.toml: there is no such file; docs/running.md has an example"),
+        ((*SOURCE, "--cell", "wrong.toml"), "unknown key 'reaction'; the nearest known is 'reactions'"),
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
         ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
         ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
@@ -166,7 +166,7 @@ def run_beside(place, *arguments: str, **pipes) -> subprocess.Popen:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_with_a_summary(place, number):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with run_beside(place, "--reactions", "reactions.toml", **pipes) as running:
+    with run_beside(place, "--cell", "reactions.toml", **pipes) as running:
         first = [running.stdout.readline() for _ in range(2)]
         running.send_signal(number)
         out, err = running.communicate(timeout=60)
@@ -177,7 +177,7 @@ def test_a_signal_ends_it_with_a_summary(place, number):
 
 def test_lines_on_stdin_steer_it(place):
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with run_beside(place, "--json", "--profiles", "profiles.toml", "--control", "-", **pipes) as running:
+    with run_beside(place, "--json", "--cell", "profiles.toml", "--control", "-", **pipes) as running:
         out, err = running.communicate("profile pressing\nprofile none\nsing\nstop\n", timeout=60)
     lines = [json.loads(line) for line in out.splitlines()]
     assert running.returncode == 0 and lines[-1]["event"] == "summary"

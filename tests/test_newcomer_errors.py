@@ -74,9 +74,9 @@ NEXT = [
     (("show", "data"), ["is a dataset folder", "tauext check --data data"]),
     (
         ("label", "--dataset", "data", "--bundle", "arm.toml", "--arm", "watching.tauext", "--out", "l"),
-        ["watching.tauext: is a bundle, not a TOML file"],
+        ["watching.tauext: not readable as TOML (it is a bundle)"],
     ),
-    (("import", "--source", "x.csv", "--arm", "lone.parquet", "--out", "l"), ["lone.parquet: is not a text file"]),
+    (("import", "--source", "x.csv", "--arm", "lone.parquet", "--out", "l"), ["lone.parquet: not readable as TOML"]),
     (("trian", "--data", "data"), ["there is no command 'trian'; did you mean 'train'?"]),
     (("commission", "--disk-gb", "five"), ["--disk-gb", "'five'", "a number"]),
     (("simulate", "--out", "x", "--seed", "one"), ["--seed", "'one'", "a whole number"]),

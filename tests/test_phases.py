@@ -20,11 +20,12 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import AlarmChange, DeclaredChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.events import change_facts, change_words
 from tauext.monitor.loop import Loop
-from tauext.monitor.phases import Phases, announced_of_text, read_phases
+from tauext.monitor.phases import Phases, announced_of_text
 from tauext.monitor.replay import replay
 from tauext.sources.replay import ReplaySource
 
@@ -168,15 +169,21 @@ def test_the_tool_force_has_the_true_force_within_its_errors(arm, tool):
     assert found.constants_n > 0.2  # 5 % of the torques
 
 
+def phases_of(path) -> Phases:
+    phases = load_cell(path).phases
+    assert phases is not None
+    return phases
+
+
 def test_phases_of_a_file_are_declared_at_their_times_and_reported(arm, tool, tmp_path):
     bundle, free = arm
-    path = tmp_path / "phases.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(
-        f'[pressing]\nframe = "{TOOL}"\naxis = [0, 0, 1]\naxes = "base"\nhalf_angle_deg = 20\nat_most_n = 20\n'
+        f'[phases.pressing]\nframe = "{TOOL}"\naxis = [0, 0, 1]\naxes = "base"\nhalf_angle_deg = 20\nat_most_n = 20\n'
         "during = [[1.5, 5.2]]\n"
-        '[grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
+        '[phases.grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
     )
-    phases = read_phases(path)
+    phases = phases_of(path)
     (hidden,) = phases.check(_core.Monitor(bundle))
     assert hidden == "phase grip: within its bound of 0.5 N m, nothing is monitored on joint 'joint5' meanwhile"
     presses = pressed(free, tool, 25.0, 2000, 5000)
@@ -197,7 +204,7 @@ def test_phases_of_a_file_are_declared_at_their_times_and_reported(arm, tool, tm
         20.0,
     )
     # Whole chunks or others: the same estimates.
-    once = list(replay(_core.Monitor(bundle), presses, chunk_s=10.0, phases=read_phases(path)))
+    once = list(replay(_core.Monitor(bundle), presses, chunk_s=10.0, phases=phases_of(path)))
     for name in ("declared_nm", "declared", "alarm"):
         np.testing.assert_array_equal(
             np.concatenate([chunk.estimates[name] for chunk in chunks]),
@@ -208,30 +215,29 @@ def test_phases_of_a_file_are_declared_at_their_times_and_reported(arm, tool, tm
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "one or more tables"),
-        ("[a]\n", "a frame or a joint"),
-        ('[a]\nframe = "t"\njoint = "j"\n', "not both"),
-        ('[a]\nframe = "t"\nat_most_n = nan\n', "at_most_n = nan must be a number"),
-        ('[a]\nframe = "t"\nhalf_angle_deg = 91\n', "half_angle_deg = 91 must be a number from 0 to 90"),
-        ('[a]\nframe = "t"\nbox = [[0, 0, 0]]\n', "two corners"),
-        ('[a]\nframe = "t"\nduring = [[2, 1]]\n', "rising pairs"),
-        ('[a]\nframe = "t"\naxes = "tool"\n', "one of frame, base"),
-        ("[a]\nnewtons = 3\n", "unknown key 'newtons'"),
-        ('["a b"]\nframe = "t"\n', "must be one word"),
+        ("[phases.a]\n", "a frame or a joint"),
+        ('[phases.a]\nframe = "t"\njoint = "j"\n', "not both"),
+        ('[phases.a]\nframe = "t"\nat_most_n = nan\n', "at_most_n = nan must be a number"),
+        ('[phases.a]\nframe = "t"\nhalf_angle_deg = 91\n', "half_angle_deg = 91 must be a number from 0 to 90"),
+        ('[phases.a]\nframe = "t"\nbox = [[0, 0, 0]]\n', "a list of 2, each a list of 3"),
+        ('[phases.a]\nframe = "t"\nduring = [[2, 1]]\n', "rising pairs"),
+        ('[phases.a]\nframe = "t"\naxes = "tool"\n', "one of frame, base"),
+        ("[phases.a]\nnewtons = 3\n", "unknown key 'newtons'"),
+        ('[phases."a b"]\nframe = "t"\n', "must be one word"),
     ],
 )
 def test_a_file_that_breaks_a_rule_is_refused_in_one_sentence(tmp_path, content, message):
-    path = tmp_path / "phases.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(content)
     with pytest.raises(ConfigError, match=message.replace("[", r"\[")) as error:
-        read_phases(path)
+        load_cell(path)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 
 def test_a_phase_that_the_bundle_cannot_have_is_refused_by_name(arm, tmp_path):
     bundle, _ = arm
     monitor = _core.Monitor(bundle)
-    path = tmp_path / "phases.toml"
+    path = tmp_path / "cell.toml"
     for content, message in (
         ('frame = "flange"\nat_most_n = 5', "phase a: frame = 'flange' must be one of joint1"),
         ('joint = "gripper"\nat_most_nm = 5', "phase a: joint = 'gripper' of a declared contact must be one of joint1"),
@@ -242,9 +248,9 @@ def test_a_phase_that_the_bundle_cannot_have_is_refused_by_name(arm, tmp_path):
         (f'frame = "{TOOL}"\nhalf_angle_deg = 10\nat_most_n = 5', "without an axis, any direction"),
         (f'frame = "{TOOL}"\naxis = [0, 0, 1]', "must admit a force or a torque above 0"),
     ):
-        path.write_text(f"[a]\n{content}\n")
+        path.write_text(f"[phases.a]\n{content}\n")
         with pytest.raises(ConfigError, match=message):
-            read_phases(path).check(monitor)
+            phases_of(path).check(monitor)
 
 
 @pytest.mark.parametrize(
@@ -254,10 +260,10 @@ def test_a_phase_that_the_bundle_cannot_have_is_refused_by_name(arm, tmp_path):
         ("a b", "cannot be read"),
         ("a", "seconds is missing"),
         ("a seconds=0x", "seconds = '0x' must be a number"),
-        ("frame=t axis=0,0,x seconds=1", "axis = '0,0,x' must be three numbers"),
+        ("frame=t axis=0,0,x seconds=1", "axis = '0,0,x' must be a list of 3"),
         ("frame=t at_most_n=5", "seconds is missing"),
         ("frame=t frame=u seconds=1", "given twice"),
-        ("newtons=5", "newtons is unknown"),
+        ("newtons=5", "unknown key 'newtons'"),
     ],
 )
 def test_a_control_line_that_cannot_be_read_is_answered(line, message):
@@ -289,9 +295,9 @@ def test_a_contact_that_admits_whatever_the_arm_can_exert_is_refused_by_every_en
     assert "must be below" in obey(f"contact {' '.join(words)} seconds=5", loop, "test")
     values = {key: list(value) if isinstance(value, tuple) else value for key, value in far.items()}
     lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
-    (tmp_path / "phases.toml").write_text("\n".join(["[a]", *lines]))
+    (tmp_path / "cell.toml").write_text("\n".join(["[phases.a]", *lines]))
     with pytest.raises(ConfigError, match="phase a: .*must be below"):
-        read_phases(tmp_path / "phases.toml").check(_core.Monitor(bundle))
+        phases_of(tmp_path / "cell.toml").check(_core.Monitor(bundle))
 
 
 def test_what_an_arm_needed_in_training_can_be_declared(arm):
@@ -325,7 +331,7 @@ def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):
     loop.note = notes.append
     loop.run()
     assert answers[0] == "ok" and answers[4] == "ok"
-    assert "phase 'sanding' needs phases" in answers[1]
+    assert "phase 'sanding' needs a table" in answers[1]
     assert "frame = 'nope' must be one of" in answers[2]
     assert answers[3].startswith("error: contact") and "at_most_n = -4.0 must be" in answers[3]
     assert any("a contact at joint6 of at most 40 N for 60 s is declared, by test" in note for note in notes)
@@ -337,12 +343,12 @@ def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):
 
 
 def during(tmp_path, pairs: str) -> Phases:
-    path = tmp_path / "phases.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(
-        f'[pressing]\nframe = "{TOOL}"\naxis = [0, 0, 1]\naxes = "base"\nhalf_angle_deg = 20\nat_most_n = 40\n'
-        f'during = {pairs}\n[grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
+        f'[phases.pressing]\nframe = "{TOOL}"\naxis = [0, 0, 1]\naxes = "base"\nhalf_angle_deg = 20\nat_most_n = 40\n'
+        f'during = {pairs}\n[phases.grip]\njoint = "joint5"\nat_most_nm = 0.5\nalways = true\n'
     )
-    return read_phases(path)
+    return phases_of(path)
 
 
 def test_a_replay_in_the_live_monitor_obeys_the_times_of_a_phase_as_run_does(arm, tool, tmp_path):
@@ -381,7 +387,7 @@ def test_run_and_calibrate_report_times_beyond_the_end(arm, tmp_path, capsys):
     save_recording(free, tmp_path / "press.parquet")
     save_split(Split((), (), (), calibration=("press.parquet",)), tmp_path)
     during(tmp_path, "[[5.9, 5.95], [6.0, 9.0]]")
-    common = ["--phases", str(tmp_path / "phases.toml")]
+    common = ["--cell", str(tmp_path / "cell.toml")]
     assert main(["run", str(tmp_path / "six.tauext"), str(tmp_path / "press.parquet"), *common]) == 0
     said = capsys.readouterr()
     assert (said.out + said.err).count("phase pressing: during = [[6, 9]] declares nothing: press ends at 5.999 s") == 1

@@ -12,10 +12,10 @@ from test_places import bundle as bundle
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import Reaction, load_cell
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.events import change_facts
-from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
 from tauext.monitor.touch_place import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
@@ -226,14 +226,14 @@ STORY = [
 )
 def test_a_reaction_of_a_place_runs_once_an_alarm_when_all_it_names_is_true(bound, at):
     done = []
-    thread = ReactionThread(Reaction("one", ("collision",), **bound), done.append)
+    thread = ReactionThread(Reaction("one", ("collision",), stop=True, **bound), done.append)
     for k, event in enumerate(STORY):
         thread.put(replace(event, joint=f"joint {k}"))  # none merged
     thread.end(time.monotonic() + 20)
     assert [int(event.joint.split()[1]) for event in done] == at
 
 
-FILE = '[[reaction]]\nname = "one"\non = {on}\n{rule}\nstop = true\n'
+FILE = "[reactions.one]\non = {on}\n{rule}\nstop = true\n"
 
 
 @pytest.mark.parametrize(
@@ -242,20 +242,20 @@ FILE = '[[reaction]]\nname = "one"\non = {on}\n{rule}\nstop = true\n'
         (
             '["collision"]',
             'links = ["joint9"]',
-            "links = .'joint9'. must be a list of joints that carry",
+            "links = .'joint9'. must be one of joint1",
         ),
         ('["collision"]', "newtons_over = -1", "newtons_over = -1"),
         ('["fault"]', "newtons_over = 5", "newtons_over cannot apply to fault; on needs collision or contact"),
     ],
 )
 def test_a_file_binds_reactions_to_places_and_refuses_what_cannot_be(tmp_path, on, rule, words):
-    path = tmp_path / "reactions.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(FILE.format(on='["contact"]', rule='links = ["joint4"]\nnewtons_over = 12.5'))
-    (found,) = load_reactions(path, JOINTS)
+    (found,) = load_cell(path, JOINTS).reactions
     assert (found.links, found.newtons_over) == (("joint4",), 12.5)
     path.write_text(FILE.format(on=on, rule=rule))
     with pytest.raises(ConfigError, match=words):
-        load_reactions(path, JOINTS)
+        load_cell(path, JOINTS)
 
 
 def test_commands_find_link_and_newtons_in_their_environment():

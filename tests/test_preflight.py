@@ -118,7 +118,7 @@ def test_a_training_that_no_machine_finishes_is_refused():
 
 
 def test_the_largest_network_is_the_core_s():
-    with pytest.raises(ConfigError, match="hidden = 257 must be 1 to 256"):
+    with pytest.raises(ConfigError, match="hidden = 257 must be a whole number from 1 to 256"):
         TrainConfig(hidden=MOST_HIDDEN + 1)
     assert _core.LstmShape(3, MOST_HIDDEN, 1).parameter_count > 0
 

@@ -188,7 +188,7 @@ def test_the_quickstart_leads_from_a_recording_to_a_stopped_arm(tmp_path, monkey
         elif "[split]" in text:
             Path("arm.toml").write_text(f"{Path('arm.toml').read_text()}\n{text}")
         elif language == "toml":
-            Path("reactions.toml").write_text(text)
+            Path("cell.toml").write_text(text)
         else:
             words = shlex.split(text.replace(HOST, "127.0.0.1"))
             # A stall of this machine is no missing sample. The live monitor ends with the arm's program, not by Ctrl-C.
@@ -216,9 +216,9 @@ def test_the_refusal_on_the_page_is_the_one_that_is_printed(tmp_path, monkeypatc
         port = free.getsockname()[1]
     monkeypatch.setattr(UrSource, "dashboard_port", port)
     watching_bundle().save("arm.tauext")
-    (rules,) = (text for language, text in blocks() if "[[reaction]]" in text)
-    Path("reactions.toml").write_text(rules)
-    assert main(["monitor", "arm.tauext", "--source", "ur:127.0.0.1", "--reactions", "reactions.toml"]) == 2
+    (rules,) = (text for language, text in blocks() if "[reactions." in text)
+    Path("cell.toml").write_text(rules)
+    assert main(["monitor", "arm.tauext", "--source", "ur:127.0.0.1", "--cell", "cell.toml"]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert f"    {err.replace('127.0.0.1', HOST).replace(str(port), str(PORT))}" in PAGE

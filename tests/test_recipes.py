@@ -23,7 +23,7 @@ from tauext.config import PAPER_CASES, TrainConfig
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.toml_file import field_help, hints_of
+from tauext.files.typed_table import field_help, hints_of
 from tauext.recipes import RECIPES, baselines
 from tauext.train.preparation import Given, training_settings, why_impossible
 from tauext.train.stage import train_on_recordings

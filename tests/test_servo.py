@@ -148,7 +148,7 @@ def test_unknown_servos_leave_their_constant_to_training(raw):
         ('torque_from = "goal"\nmost_duty = 0\n', r"\[servo\] most_duty = .* must be a number > 0"),
         ('torque_from = "goal"\ngain = [1, 2, 3]\n', r"\[servo\] gain = .*, one for all joints or a list of 2"),
         ('torque_from = "goal"\nvelocity_window_s = 9\n', "velocity_window_s = 9 must be a number from 0 to 2"),
-        ('torque_from = "goal"\ngian = 16\n', "unknown key 'gian' in .servo.; the nearest known is 'gain'"),
+        ('torque_from = "goal"\ngian = 16\n', ".servo. unknown key 'gian'; the nearest known is 'gain'"),
         ('torque_from = "duty"\n[signals.tau]\ncolumns = "mA_{joint}"\n', "must be left out"),
     ],
 )

@@ -28,8 +28,8 @@ CONSTANTS = [
     ("", "nm_per_ampere is missing"),
     ("[nm_per_ampere]\nbase = 0\n", "base = 0 must be a number .*, not 0"),
     ("[nm_per_ampere]\nbase = 'x'\n", "base = 'x' must be a number"),
-    ("[nm_per_ampere]\nbasis = 1\n", "unknown key 'basis' in .nm_per_ampere.; the nearest known is 'base'"),
-    ("[nm_per_amp]\n", "unknown key 'nm_per_amp' at the top"),
+    ("[nm_per_ampere]\nbasis = 1\n", ".nm_per_ampere. unknown key 'basis'; the nearest known is 'base'"),
+    ("[nm_per_amp]\n", "unknown key 'nm_per_amp'"),
 ]
 
 

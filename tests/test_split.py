@@ -78,10 +78,13 @@ def break_split(folder, **entries) -> None:
 FAULTS = {
     "name in two sets": ({"validation": [NAMES[0]], "train": [NAMES[0]], "test": []}, "in 'train' and in 'validation'"),
     "missing recording": ({"test": ["gone.parquet"]}, "'gone.parquet' in 'test' does not exist in"),
-    "missing set": ({"train": None}, "'train' must be a list of file names; the sets are train, validation"),
-    "misspelt set": ({"colisions": []}, "'colisions' is no set; the sets are train, validation, test, collisions, cal"),
-    "text for a list": ({"test": "a"}, "'test' must be a list of file names"),
-    "number for a name": ({"collisions": [3]}, "3 in 'collisions' must be a file name"),
+    "missing set": ({"train": None}, "train is missing; it must be a list, each text"),
+    "misspelt set": (
+        {"colisions": []},
+        "unknown key 'colisions'; the nearest known is 'collisions'; known are train, validation, test",
+    ),
+    "text for a list": ({"test": "a"}, "test = 'a' must be a list, each text"),
+    "number for a name": ({"collisions": [3]}, "collisions = [3] must be a list, each text"),
     "newer": ({"format": 2}, "format 2 instead of 1: made by a development version before 0.1.0"),
     "no format": ({"format": None}, "its 'format' is missing, must be 1"),
 }

@@ -12,10 +12,10 @@ from made_bundles import JOINTS, pushed, watching_bundle
 from tauext import Touch, _core
 from tauext.bundle.estimates import COLUMNS, TOUCHES
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import Reaction, load_cell
 from tauext.monitor.changes import ChangeFinder, TouchChange
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.events import touch_words
-from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
@@ -113,7 +113,7 @@ def test_an_alarm_is_an_event_and_so_is_its_kind():
 )
 def test_a_reaction_bound_to_kinds_waits_until_they_are_known(on, touch, expected):
     done = []
-    thread = ReactionThread(Reaction("one", on, touch=touch), lambda event: done.append(event.touch))
+    thread = ReactionThread(Reaction("one", on, touch=touch, stop=True), lambda event: done.append(event.touch))
     for k, event in enumerate(events_of(said(TOUCH, ALARM))):
         thread.put(
             ReactionEvent(event.kind, f"joint {k}", event.t_ns, 0, FACTS, 1, event.touch, event.news)
@@ -127,21 +127,21 @@ def test_commands_find_the_kind_in_their_environment():
     assert content["environment"]["TAUEXT_TOUCH"] == "clamp"
 
 
-FILE = '[[reaction]]\nname = "open"\non = {on}\ntouch = {touch}\nstop = true\n'
+FILE = "[reactions.open]\non = {on}\ntouch = {touch}\nstop = true\n"
 
 
 def test_a_file_binds_a_reaction_to_kinds(tmp_path):
-    path = tmp_path / "reactions.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(FILE.format(on='["collision"]', touch='["clamp", "unknown"]'))
-    assert load_reactions(path, JOINTS)[0].touch == ("clamp", "unknown")
+    assert load_cell(path, JOINTS).reactions[0].touch == ("clamp", "unknown")
     for on, touch, words in (
-        ('["collision"]', '["squeeze"]', "must be a list of kinds of touch: unknown, impact, push, clamp, load"),
+        ('["collision"]', '["squeeze"]', "must be one of unknown, impact, push, clamp, load"),
         ('["fault"]', '["clamp"]', "touch cannot apply to fault; on needs collision or contact"),
-        ('["collision"]', "[]", "must be a list of kinds of touch"),
+        ('["collision"]', "[]", "must be one of unknown"),
     ):
         path.write_text(FILE.format(on=on, touch=touch))
         with pytest.raises(ConfigError, match="touch") as error:
-            load_reactions(path, JOINTS)
+            load_cell(path, JOINTS)
         assert words in str(error.value) and "\n" not in str(error.value)
 
 

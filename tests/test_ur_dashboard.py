@@ -9,7 +9,7 @@ import pytest
 from made_ur import NOT_ALLOWED, Controller
 
 from tauext.errors import ConfigError
-from tauext.monitor.reaction_file import Reaction
+from tauext.monitor.cell_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import StopChecked, Stoppable
 from tauext.sources import ur_dashboard

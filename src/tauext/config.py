@@ -8,8 +8,21 @@ import math
 import numbers
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from tauext.errors import ConfigError
 from tauext.recipes import Recipe, recipe_of, summaries
@@ -26,6 +39,64 @@ MOST_THREADS = 1024
 LARGEST_SEED = 2**63 - 1
 MOST_STEPS = 10**12
 """Largest number of training steps: more would run for years on any machine."""
+
+
+# --- Rules of values beyond their types, for annotations.
+
+
+class Rule(NamedTuple):
+    """A rule beyond the type of an annotation: `Annotated[float, Rule(" > 0", lambda value: value > 0)]`."""
+
+    words: str
+    """Follow the type in messages."""
+    holds: Callable[[Any], Any]
+
+
+def within(lowest: float, highest: float) -> Rule:
+    """From lowest to highest, both included."""
+    return Rule(f" from {lowest:g} to {highest:g}", lambda value: lowest <= value <= highest)
+
+
+def above(lowest: float, highest: float = math.inf) -> Rule:
+    """Above lowest, at most highest."""
+    most = f", at most {highest:g}" if highest < math.inf else ""
+    return Rule(f" > {lowest:g}{most}", lambda value: lowest < value <= highest)
+
+
+AT_LEAST_0 = Rule(" >= 0", lambda value: value >= 0)
+NOT_0 = Rule(", not 0", bool)
+NOT_EMPTY = Rule(", not empty", lambda value: value.strip() if isinstance(value, str) else value)
+Positive = Annotated[float, above(0, 1e6)]
+Share = Annotated[float, within(0, 1)]
+PositiveShare = Annotated[float, above(0, 1)]
+Seconds = Annotated[float, within(0, 60)]
+Count = Annotated[int, within(1, MOST_STEPS)]
+Threads = Annotated[int, within(0, MOST_THREADS)]
+Seed = Annotated[int, within(0, LARGEST_SEED)]
+
+
+def rising(values: tuple[float, ...], most: float, above: float = -math.inf) -> bool:
+    """Whether numbers rise from one to the next, above a bound and up to another one."""
+    return all(a < b <= most for a, b in pairwise((above, *values)))
+
+
+Widths = Annotated[
+    tuple[float, ...], Rule(", at most 8, rising, > 0, at most 1000", lambda w: len(w) <= 8 and rising(w, 1e3, 0))
+]
+Holds = Annotated[
+    tuple[float, ...], Rule(", one or more, rising from 0 to 60", lambda t: len(t) > 0 and t[0] >= 0 and rising(t, 60))
+]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings whose fields are of the types and within the rules of their annotations."""
+
+    def __post_init__(self) -> None:
+        expect_types(vars(self), type(self))
+
+
+# --- The settings.
 
 
 @dataclass(frozen=True)
@@ -61,26 +132,19 @@ else:
 
 
 @dataclass(frozen=True)
-class ObserverConfig:
+class ObserverConfig(Settings):
     """The momentum observer and the rates of the chain."""
 
-    gain_per_s: float | Literal["auto"] | None = None
+    gain_per_s: Positive | Literal["auto"] | None = None
     """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: the one of 20, 50 and 100 that
     detects a hit soonest, by the errors on left-out motion (recipes tauext and prior). None: auto for these two, the
     paper's 20 for the others."""
-    network_period_s: float = 0.01
+    network_period_s: Positive = 0.01
     """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""
-    window_s: float = 1.0
+    window_s: Positive = 1.0
     """Wanted length of the network's window, [s]."""
-    near_stiction_rad_s: float = 0.02
+    near_stiction_rad_s: Positive = 0.02
     """Below this joint speed, [rad/s], a joint counts as near stiction and has a limit of its own."""
-
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        numbers = {"gain_per_s": self.first_gain_per_s}
-        numbers |= {name: getattr(self, name) for name in ("network_period_s", "window_s", "near_stiction_rad_s")}
-        for name, value in numbers.items():
-            require(0 < value <= 1e6, name, value, "> 0, at most 1e6")
 
     @property
     def first_gain_per_s(self) -> float:
@@ -101,89 +165,65 @@ class ObserverConfig:
 
 
 @dataclass(frozen=True)
-class FreeMotionConfig:
+class FreeMotionConfig(Settings):
     """Margins around labelled contacts; the motion between them is used."""
 
-    before_s: float = 0.2
+    before_s: Seconds = 0.2
     """Time left out before a labelled contact, since labels may come late, [s]."""
-    after_s: float = 1.0
+    after_s: Seconds = 1.0
     """Time left out after a labelled contact, until it has left filters and windows, [s]."""
-
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        for name in ("before_s", "after_s"):
-            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
 
 
 @dataclass(frozen=True)
-class AlarmConfig:
+class AlarmConfig(Settings):
     """Conditions of an alarm, and the permitted rate of false alarms."""
 
-    false_alarms: float = 1.0
+    false_alarms: Annotated[float, within(1e-6, 1e6)] = 1.0
     """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, limits and hold
     time follow from it."""
-    in_hours: float = 8.0
+    in_hours: Annotated[float, within(1e-6, 1e6)] = 8.0
     """Time in which at most false_alarms false collisions may occur, [h]."""
-    confidence: float = 0.95
+    confidence: Annotated[float, Rule(" from 0.5 to below 1", lambda value: 0.5 <= value < 1)] = 0.95
     """Confidence that false_alarms in in_hours is not exceeded, 0.5 to below 1."""
-    contacts_an_hour: float = 2.0
+    contacts_an_hour: Annotated[float, within(1e-6, 1e6)] = 2.0
     """Largest number of false contacts of the whole arm an hour; a contact ends by itself."""
-    holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
+    holds_s: Holds = (0.0, 0.002, 0.005, 0.01, 0.02)
     """Hold times of a collision from which calibration chooses, [s]; a longer one allows lower limits."""
-    friction_reserve: float = 0.2
+    friction_reserve: Share = 0.2
     """Share of each joint's friction added to constant limits without calibration recordings: minutes of one day do not
     show how friction changes with temperature and time."""
-    minutes_factor: float = 1.4
+    minutes_factor: Annotated[float, within(1, 10)] = 1.4
     """Factor on limits that follow the error without calibration recordings, for the same reason. With T minutes of
     motion it is 1 + (factor - 1)(1 - e^(-T/4)), since friction_reserve covers the first minutes."""
-    after_contact_factor: float = 2.0
+    after_contact_factor: Annotated[float, within(1, 10)] = 2.0
     """Factor on the limits of a joint pushed while stuck, from the end of the contact until the joint has slid: its
     motion does not determine its friction (recipes tauext and prior); 1: none."""
-    collision_hold_s: float = 0.01
+    collision_hold_s: Seconds = 0.01
     """Time that a joint must stay over its collision limit before a collision is reported, without calibration
     recordings, [s]."""
-    contact_hold_s: float = 0.0
+    contact_hold_s: Seconds = 0.0
     """Time that a joint must stay over its contact limit before a contact is reported, [s]; 0: the first sample
     reports it."""
-    contact_release_s: float = 0.5
+    contact_release_s: Seconds = 0.5
     """Time that all joints must stay within their limits before a contact ends, [s]. Observer and freed arm settle for
     half a second, which would otherwise sometimes count as another contact."""
 
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
-            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
-        require(0 <= self.friction_reserve <= 1, "friction_reserve", self.friction_reserve, "0 to 1")
-        for name in ("minutes_factor", "after_contact_factor"):
-            require(1 <= getattr(self, name) <= 10, name, getattr(self, name), "1 to 10")
-        for name in ("false_alarms", "in_hours", "contacts_an_hour"):
-            require(1e-6 <= getattr(self, name) <= 1e6, name, getattr(self, name), "1e-6 to 1e6")
-        require(0.5 <= self.confidence < 1, "confidence", self.confidence, "0.5 to below 1")
-        rising = all(a < b for a, b in zip(self.holds_s, self.holds_s[1:], strict=False))
-        rule = "one or more times from 0 on, rising, at most 60"
-        require(
-            bool(self.holds_s) and rising and 0 <= self.holds_s[0] <= self.holds_s[-1] <= 60,
-            "holds_s",
-            self.holds_s,
-            rule,
-        )
-
 
 @dataclass(frozen=True)
-class PriorConfig:
+class PriorConfig(Settings):
     """Physics that is fitted before a network is trained (recipe tauext)."""
 
-    widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+    widths_rad: Widths = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
     drop_widths: bool = True
     """Leave out widths below the encoder's resolution and those that do not help on held-out recordings."""
-    region_width_rad: float = 0.003
+    region_width_rad: Annotated[float, above(0, 10)] = 0.003
     """Distance that a joint must slide after a reversal before its limit for sliding applies, [rad]; until then it is
     near stiction."""
-    coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
+    coulomb_speeds_rad_s: Annotated[Widths, NOT_EMPTY] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
     """Widths of the smoothed sign of the speed, [rad/s]; the widest models viscous friction that grows less than the
     speed."""
-    most_ripples: int = 2
+    most_ripples: Annotated[int, within(0, 10)] = 2
     """Largest number of motor and gear ripples fitted to each joint; 0: none."""
     correct_model: bool = True
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
@@ -192,71 +232,49 @@ class PriorConfig:
     follow_temperature: bool = True
     """Let friction follow recorded joint temperatures if that helps on held-out motion."""
 
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        for name in ("widths_rad", "coulomb_speeds_rad_s"):
-            values = getattr(self, name)
-            rising = all(a < b <= 1e3 for a, b in zip((0.0, *values), values, strict=False))
-            require(rising and len(values) <= 8, name, values, "at most 8 numbers > 0, rising, none above 1000")
-        require(0 < self.region_width_rad <= 10, "region_width_rad", self.region_width_rad, "> 0, at most 10")
-        require(len(self.coulomb_speeds_rad_s) > 0, "coulomb_speeds_rad_s", self.coulomb_speeds_rad_s, "at least one")
-        require(0 <= self.most_ripples <= 10, "most_ripples", self.most_ripples, "0 to 10")
-
 
 @dataclass(frozen=True)
-class DriftConfig:
+class DriftConfig(Settings):
     """The tracker of slow changes of friction and offset (recipes tauext and prior)."""
 
-    time_constant_s: float = 120.0
+    time_constant_s: Annotated[
+        float, Rule(": 0 (no tracker) or 1 to 1e6", lambda value: value == 0 or 1 <= value <= 1e6)
+    ] = 120.0
     """Time constant of the drift tracker, [s], at least 1; 0: no tracker."""
-    size_share: float = 0.3
+    size_share: Annotated[float, within(0, 1e6)] = 0.3
     """Bound of each of a joint's three drift coefficients, as a share of its friction at 0.5 rad/s."""
-    least_size_nm: float = 0.1
+    least_size_nm: Annotated[float, within(0, 1e6)] = 0.1
     """Least bound of a drift coefficient, where size_share of the friction is smaller, [N m]."""
-    rate_share_per_s: float = 1 / 60
+    rate_share_per_s: PositiveShare = 1 / 60
     """Largest change of a drift coefficient in a second, as a share of its bound."""
-    freeze_share: float = 0.5
+    freeze_share: PositiveShare = 0.5
     """Share of a joint's limit, above 0 and at most 1: the drift tracker pauses while |tau_ext| of any joint is above
     it."""
-    freeze_s: float = 1.0
+    freeze_s: Seconds = 1.0
     """Time for which the drift tracker stays paused after a joint was over freeze_share of its limit, [s]."""
-    freeze_floor_share: float = 0.4
+    freeze_floor_share: PositiveShare = 0.4
     """To pause the tracker, |tau_ext| must also be above this share of a coefficient's bound. Limits that follow the
     error are so low in easy motion that drift alone exceeds them."""
-    most_frozen: float = 0.03
+    most_frozen: Annotated[float, Rule(" > 0, below 1", lambda value: 0 < value < 1)] = 0.03
     """Largest share of free motion in which the tracker is paused; the threshold of |tau_ext| is raised to keep it."""
-    friction_share: float = 0.4
+    friction_share: Share = 0.4
     """Largest sudden change of a joint's friction that is followed within some strokes even during contact, as a share
     (0: never; at most 1). It occurs on a cold morning. Needs limits that follow the error."""
 
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        time_s = self.time_constant_s
-        require(time_s == 0 or 1 <= time_s <= 1e6, "time_constant_s", time_s, "0 (no tracker) or 1 to 1e6")
-        for name in ("size_share", "least_size_nm"):
-            require(0 <= getattr(self, name) <= 1e6, name, getattr(self, name), ">= 0, at most 1e6")
-        for name in ("rate_share_per_s", "freeze_share", "freeze_floor_share"):
-            require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
-        require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
-        require(0 <= self.friction_share <= 1, "friction_share", self.friction_share, "0 (not followed) to 1")
-        require(0 < self.most_frozen < 1, "most_frozen", self.most_frozen, "above 0, below 1")
-
 
 @dataclass(frozen=True)
-class FilterConfig:
+class FilterConfig(Settings):
     """Filters of the observer's r, which distinguish a collision from a model error by how fast it changes (recipes
     highpass and bandpass)."""
 
-    high_pass_per_s: float = 5.0
+    high_pass_per_s: Positive = 5.0
     """Cut-off of the first-order high-pass of recipes highpass and bandpass, [1/s]: slower changes count as model
     error."""
-    low_pass_per_s: float = 60.0
+    low_pass_per_s: Positive = 60.0
     """Cut-off of the first-order low-pass of recipe bandpass, [1/s]; above the observer's gain, itself a low-pass."""
 
     def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        for name in ("high_pass_per_s", "low_pass_per_s"):
-            require(0 < getattr(self, name) <= 1e6, name, getattr(self, name), "> 0, at most 1e6")
+        super().__post_init__()
         require(
             self.low_pass_per_s > self.high_pass_per_s,
             "low_pass_per_s",
@@ -266,37 +284,37 @@ class FilterConfig:
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Settings):
     """Settings of a training. None: the recipe's own value."""
 
     recipe: str = field(default="prior", metadata={"choices": summaries})
     """Method to train."""
-    minutes: float | None = None
+    minutes: Annotated[float, above(0, 1e9)] | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
     validation recordings; None: all."""
-    hidden: int = 20
+    hidden: Annotated[int, within(1, MOST_HIDDEN)] = 20
     """Hidden units of the LSTM."""
-    epochs: int | None = None
+    epochs: Count | None = None
     """Passes over all training windows, recipe paper only (None: 500); other recipes draw windows at random."""
-    max_steps: int | None = None
+    max_steps: Count | None = None
     """Steps after which training stops (None: paper by its epochs; dense 90,000; tauext 10,000)."""
-    batch: int | None = None
+    batch: Count | None = None
     """Windows or sequences a training step (None: paper 1000, dense 32, tauext 64)."""
-    learning_rate: float | None = None
+    learning_rate: Annotated[float, above(0, 1e3)] | None = None
     """Step size of Adam, whose decay rates are 0.9 and 0.999 (dense: 0.99); all recipes but paper rise to it and fall
     to zero (None: paper 0.001, dense and tauext 0.01)."""
-    targets: int | None = None
+    targets: Count | None = None
     """Targets of a sequence, at its last steps (None: dense 140, of which 40 come before a whole window of 100 steps;
     tauext 100, all of them after a whole window)."""
-    gate_margin: float = 0.03
+    gate_margin: Annotated[float, Rule(" from 0 to below 1", lambda value: 0 <= value < 1)] = 0.03
     """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
     """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (package
     tauext-lab, `pip install torch`)."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the initial weights and of the order of the windows."""
-    threads: int = 0
+    threads: Threads = 0
     """Threads that compute the gradient; 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     """The momentum observer and the rates of the chain."""
@@ -314,10 +332,15 @@ class TrainConfig:
     load_frame: str | None = None
     """Link (URDF) or body (MJCF) in whose frame the payload is given to the monitor. None: the last one that is
     fixed behind the last joint, such as tool0, else the last joint's own."""
-    torque_constants: tuple[float, ...] | None = None
+    torque_constants: (
+        Annotated[
+            tuple[float, ...], Rule(", of a size from 1e-9 to 1e9", lambda k: all(1e-9 <= abs(v) <= 1e9 for v in k))
+        ]
+        | None
+    ) = None
     """Known torque constants, one a joint, N m a unit of the recordings' tau, used unchanged (`tauext load --known-kg`
     finds some). None: --fit-torque-constants decides."""
-    torque_share: float = 0.05
+    torque_share: Share = 0.05
     """Relative standard error of the recordings' torques where training finds no constants; it bounds the accuracy of
     forces (Monitor.wrench). Measured torques and makers' constants are off by 5 to 10 %, sensors checked with weights
     by less."""
@@ -333,13 +356,8 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
+        super().__post_init__()
         recipe_of(self.recipe)
-        require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
-        for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
-            value = getattr(self, name)
-            require(value is None or 1 <= value <= MOST_STEPS, name, value, ">= 1, at most 1e12")
-        require(self.hidden <= MOST_HIDDEN, "hidden", self.hidden, f"1 to {MOST_HIDDEN}: the core runs no more")
         drawn = self.row.draws
         require(
             self.observer.gain_per_s != "auto" or self.row.chooses_gain,
@@ -352,21 +370,8 @@ class TrainConfig:
         for name in unused:
             value = getattr(self, name)
             require(value is None, name, value, f"left out with recipe {self.recipe}, which does not use it")
-        require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
-        known = self.torque_constants
-        sound = known is None or all(1e-9 <= abs(constant) <= 1e9 for constant in known)
-        require(sound, "torque_constants", known, "within 1e-9 and 1e9, or minus that")
-        alone = known is None or self.fit_torque_constants is None
+        alone = self.torque_constants is None or self.fit_torque_constants is None
         require(alone, "fit_torque_constants", self.fit_torque_constants, "left out with torque_constants")
-        require(
-            self.learning_rate is None or 0 < self.learning_rate <= 1e3,
-            "learning_rate",
-            self.learning_rate,
-            "above 0, at most 1000",
-        )
-        require(0 <= self.torque_share <= 1, "torque_share", self.torque_share, "0 to 1")
-        require_threads(self.threads)
-        require_seed(self.seed)
 
     @property
     def row(self) -> Recipe:
@@ -429,6 +434,8 @@ Result = TypeVar("Result")
 def fits(value: Any, hint: Any) -> bool:
     """Whether the value is of the type of an annotation; of containers, every value."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return fits(value, inner[0]) and all(one.holds(value) for one in inner[1:] if isinstance(one, Rule))
     if origin in (Union, UnionType):
         return any(fits(value, one) for one in inner)
     if origin is Literal:
@@ -450,28 +457,35 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def described(hint: Any) -> str:
-    """The type of an annotation for a message."""
+    """The type and the rules of an annotation for a message."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return described(inner[0]) + "".join(one.words for one in inner[1:] if isinstance(one, Rule))
     if origin in (Union, UnionType):
         return " or ".join(described(choice) for choice in inner if choice is not NoneType)
     if origin is Literal:
-        return f"one of {', '.join(map(str, inner))}"
+        return f"one of {', '.join(map(str, inner))}" if len(inner) > 1 else f'"{inner[0]}"'
     if origin is tuple and inner[-1] is Ellipsis:
-        return f"a list ({described(inner[0])} each)"
+        return f"a list, each {described(inner[0])}"
+    if origin is tuple:
+        return f"a list of {len(inner)}, each {described(inner[0])}"
+    if origin is dict:
+        return "a table"
     if origin is not None and inner:
         return f"{origin.__name__} of {', '.join(map(described, inner))}"
     name = getattr(hint, "__name__", str(hint))
-    return NUMBERS.get(hint) or {"str": "text", "Path": "a path"}.get(name, name)
+    return NUMBERS.get(hint) or {"str": "text", "Path": "a path", "dict": "a table"}.get(name, name)
 
 
 @functools.cache
-def _hints(thing: Any) -> dict[str, Any]:
-    return get_type_hints(thing)
+def annotations_of(thing: Any) -> dict[str, Any]:
+    """The annotations of a class or function, with their rules."""
+    return get_type_hints(thing, include_extras=True)
 
 
 def expect_types(values: Mapping[str, Any], of: Any, before: str = "") -> None:
     """Raise ConfigError unless each value is of the type that its annotation in a class or function states."""
-    hints = _hints(of)
+    hints = annotations_of(of)
     for name, value in values.items():
         if name in hints and not fits(value, hints[name]):
             raise ConfigError(f"{before}{name} = {brief(value)} must be {described(hints[name])}")

@@ -49,9 +49,9 @@ RECORD = MONITOR + " --record out/record --flights out/flights"
 IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
 LABEL = "label --dataset servos-v3.0 --bundle servos.tauext --arm servos.toml --out out/labelled"
-FEETECH = "monitor servos.tauext --source feetech:/dev/null --bus {} --duration-s 0.2"
-DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --bus {} --duration-s 0.2"
-DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 0.2"
+FEETECH = "monitor servos.tauext --source feetech:/dev/null --cell {} --duration-s 0.2"
+DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --cell {} --duration-s 0.2"
+DAMIAO = "monitor observer.tauext --source damiao:hostile --cell {} --duration-s 0.2"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD)
 GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, OWN, REFIT_LIKE, CARRYING)
@@ -151,8 +151,8 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "loads": (("loads.toml",), (CARRYING,)),
     "results": (("results/results.json", "results/results.json", "results/estimates/*/*.parquet"), (REPORT,)),
     "flight": (("flights/*.parquet",), (FLIGHT,)),
-    "reactions": (("reactions.toml",), (MONITOR + " --reactions {}",)),
-    "profiles": (("profiles.toml",), (MONITOR + " --profiles {}",)),
+    "reactions": (("reactions.toml",), (MONITOR + " --cell {}",)),
+    "profiles": (("profiles.toml",), (MONITOR + " --cell {}",)),
     "constants": (("constants.toml",), ("monitor observer.tauext --source ur:127.0.0.1 --torque-constants {}",)),
     "any place": (
         (),
@@ -173,7 +173,7 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "refit prior.tauext --data data/free-000.parquet --out out/a.tauext --like {}",
             "fleet run {} --out out/fleet --dry-run",
             "fleet prior {} data data-2 --out out/a.prior.json",
-            MONITOR + " --reactions {}",
+            MONITOR + " --cell {}",
             LABEL.replace("servos-v3.0", "{}"),
             LABEL.replace("servos.tauext", "{}"),
             LABEL.replace("servos.toml", "{}"),

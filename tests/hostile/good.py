@@ -90,40 +90,40 @@ URDF = """<robot name="two">
 """
 
 
-REACTIONS = """[[reaction]]
-name = "log"
+REACTIONS = """[reactions.log]
 on = ["collision", "contact", "fault", "cleared"]
 min_interval_s = 0.1
 command = ["true"]
 """
-PROFILES = """[bounds]
+PROFILES = """[profiles]
 lowest = 0.5
 highest = 3.0
-[start]
-profile = "normal"
+start = "normal"
 [profiles.normal]
 contact = 1.0
 [profiles.pressing]
 contact = 3.0
 collision = { others = 1.5 }
 """
-BUS = """baud = 1000000
+BUS = """[bus]
+baud = 1000000
 calibration = "calibration.json"
-[joints.shoulder]
+[bus.joints.shoulder]
 id = 7
 zero = 2048
 sign = -1
-[joints.elbow]
+[bus.joints.elbow]
 id = 8
 zero = 1000.5
 multi_turn = true
 type = "sts3215"
 """
-CAN = """interface = "virtual"
-[joints.joint1]
+CAN = """[bus]
+interface = "virtual"
+[bus.joints.joint1]
 id = 1
 answer_id = 17
-[joints.joint2]
+[bus.joints.joint2]
 id = 2
 answer_id = 18
 sign = -1

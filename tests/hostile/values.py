@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tauext.files.toml_file import hints_of
+from tauext.files.typed_table import hints_of
 
 FLOATS = ("inf", "-inf", "nan", "-1", "0", "-0.0", "1e-308", "1e308", "1e9", "1e18", "-1e9", "0.5", "1e400")
 INTEGERS = ("-1", "0", "1", "1000000000", "2147483648", "9223372036854775808", str(10**30), "1e9", "1.5", "nan", "-5")

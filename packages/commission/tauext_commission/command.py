@@ -35,7 +35,7 @@ def commission(
     out: Path | None = None,
     robot: Path | None = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    reactions: Path | None = None,
+    cell: Path | None = None,
     no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -52,7 +52,8 @@ def commission(
         out: folder of this arm. It holds description, recordings, labels, bundles, events and log.
         robot: URDF or MJCF of the arm. None: no model; the page shows bars.
         options: options of some sources.
-        reactions: TOML file of reactions to a collision, contact or fault; docs/running.md.
+        cell: TOML file of the cell: reactions to a collision, contact or fault, and bus, the joints of servos;
+            docs/running.md.
         no_page: serve no page.
         host: address on which the page listens. 127.0.0.1: this computer only; 0.0.0.0: the network, with a token in
             the printed address.
@@ -76,13 +77,13 @@ def commission(
     require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(1 <= port <= 65535, "port", port, "1 to 65535")
 
-    from tauext.monitor.reaction_file import load_reactions
+    from tauext.monitor.cell_file import Cell, load_cell
     from tauext_commission.run import Options, run
 
     chosen = Options(
         robot=robot,
         source=given(options),
-        reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
+        cell=lambda joints: Cell() if cell is None else load_cell(cell, joints),
         host=host,
         disk_bytes=disk_gb * 1e9,
         core=core,

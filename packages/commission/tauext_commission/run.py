@@ -27,12 +27,12 @@ from tauext.files.atomic_write import atomic_write
 from tauext.files.journal import is_journal
 from tauext.files.journal_lines import is_bundle_name
 from tauext.files.synced_file import set_aside, write_reserved, write_synced
+from tauext.monitor.cell_file import Cell
 from tauext.monitor.control_lines import CONTROL, ControlSocket
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import how_to_hold_the_rate
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.monitored_time import MINUTE_S, MonitoredNews
-from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import expect_actions, start_reactions
 from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.sink import Sink
@@ -91,8 +91,8 @@ class Options:
     robot: Path | None = None
     source: Mapping[str, Any] = field(default_factory=dict)
     """Options of the source that were given, by name."""
-    reactions: Callable[[tuple[str, ...] | None], list[Reaction]] = lambda joints: []
-    """Reads the rules of a reactions file for these joints; None: they are not known yet."""
+    cell: Callable[[tuple[str, ...]], Cell] = lambda joints: Cell()
+    """Reads the cell's file for these joints; empty: they are not known yet."""
     page: Callable[..., None] | None = None
     """Target of the page's process; None: no page."""
     address: str = ""
@@ -120,9 +120,10 @@ def run(
             does not fit a file or an option.
         RobotError: the robot file cannot be read, or lacks a joint of the arm.
     """
-    first, publishers = open_source(text, options.source)  # refused before a folder is made
+    cell = options.cell(())
+    first, publishers = open_source(text, options.source, cell=cell)  # refused before a folder is made
     try:
-        expect_actions(options.reactions(None), first, publishers)
+        expect_actions(cell.reactions, first, publishers)
         if text.startswith("replay:") and isinstance(first, Describes):
             first.describe(DESCRIBE_S, options.robot)
     finally:
@@ -131,7 +132,7 @@ def run(
         movable_joints(options.robot)
     folder = CommissionFolder.open(path, create=True)
     if (known := known_arm(folder)) is not None:
-        options.reactions(known.settings.joints)
+        options.cell(known.settings.joints)
     with folder.locked(), ExitStack() as stack:
         commission = Commission(folder, text, options, echo, stack)
         listen(commission.steering)
@@ -316,7 +317,7 @@ class Commission:
         wait_s = RETRY_S
         while True:
             try:
-                found = connect(self._open_again, self._robot(), check=self._expect_reactions, remedy=self._live.remedy)
+                found = connect(self._open_again, self._robot(), check=self._expect_cell, remedy=self._live.remedy)
                 break
             except AwayError as error:
                 if str(error) != self._live.message:
@@ -334,12 +335,12 @@ class Commission:
         self._folder.save(arm=as_data(found.facts))
         return found.facts
 
-    def _expect_reactions(self, facts: SourceFacts) -> None:
-        """Refuse a reactions file that names other joints."""
-        self._options.reactions(facts.settings.joints)
+    def _expect_cell(self, facts: SourceFacts) -> None:
+        """Refuse a cell's file that names other joints."""
+        self._options.cell(facts.settings.joints)
 
     def _open(self) -> tuple[Source, tuple[Sink, ...]]:
-        return open_source(self._text, self._options.source)
+        return open_source(self._text, self._options.source, cell=self._options.cell(()))
 
     def _open_again(self) -> Source:
         return self._open()[0]
@@ -364,7 +365,7 @@ class Commission:
         record.note = self._note
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
-        reactions = start_reactions(options.reactions(settings.joints), source, publishers)
+        reactions = start_reactions(options.cell(settings.joints).reactions, source, publishers)
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
         sinks = [*publishers, flights, record, self._keeper, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)

@@ -61,9 +61,9 @@ def test_a_wrong_option_is_refused_before_a_folder_is_made(words, error, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-def reactions_file(folder: Path, *lines: str) -> Path:
-    path = folder / "reactions.toml"
-    path.write_text("\n".join(["[[reaction]]", 'name = "r"', 'on = ["collision"]', *lines]) + "\n")
+def cell_file(folder: Path, *lines: str) -> Path:
+    path = folder / "cell.toml"
+    path.write_text("\n".join(["[reactions.r]", 'on = ["collision"]', *lines]) + "\n")
     return path
 
 
@@ -71,31 +71,31 @@ def reactions_file(folder: Path, *lines: str) -> Path:
     ("source", "lines", "error"),
     [
         ("sim:rig", ["stop = true", "publish = true"], "publish and stop are given"),
-        ("sim:rig", ["joints = 3", "stop = true"], "joints = 3 must be a list of joints"),
+        ("sim:rig", ["joints = 3", "stop = true"], "joints = 3 must be the name of a joint, or a list of such"),
         ("sim:rig", ['command = ["no-such-program"]'], "there is no program 'no-such-program'"),
         ("sim:rig", ["publish = true"], "publishes nothing"),
     ],
 )
-def test_a_wrong_reactions_file_is_refused_before_a_folder_is_made(source, lines, error, tmp_path, capsys):
-    path = reactions_file(tmp_path, *lines)
-    words = ["commission", "--source", source, "--out", str(tmp_path / "cell"), "--reactions", str(path), "--no-page"]
+def test_a_wrong_cell_file_is_refused_before_a_folder_is_made(source, lines, error, tmp_path, capsys):
+    path = cell_file(tmp_path, *lines)
+    words = ["commission", "--source", source, "--out", str(tmp_path / "cell"), "--cell", str(path), "--no-page"]
     assert main(words) == 2
     assert error in capsys.readouterr().err and not (tmp_path / "cell").exists()
 
 
-def test_a_reactions_file_of_other_joints_is_refused_once_they_are_known(tmp_path, capsys):
-    path = reactions_file(tmp_path, 'joints = ["elbow"]', "stop = true")
+def test_a_cell_file_of_other_joints_is_refused_once_they_are_known(tmp_path, capsys):
+    path = cell_file(tmp_path, 'joints = ["elbow"]', "stop = true")
     out = tmp_path / "cell"
-    words = ["commission", "--source", "sim:rig", "--out", str(out), "--reactions", str(path), "--no-page"]
+    words = ["commission", "--source", "sim:rig", "--out", str(out), "--cell", str(path), "--no-page"]
     began = time.monotonic()
     assert main(words) == 2 and time.monotonic() < began + 10.0
-    assert "joints = ['elbow'] must be a list of joints: joint1, joint2" in capsys.readouterr().err
+    assert "joints = ['elbow'] must be one of joint1, joint2, or a list of such" in capsys.readouterr().err
     assert not (out / "arm.toml").exists() and not list(out.glob("robot.*"))
     folder = CommissionFolder.open(out)  # known from an earlier run: refused before anything is started
     folder.save(arm=as_data(KINDS["rig"].facts()))
     with folder.locked():
         assert main(words) == 2
-    assert "must be a list of joints: joint1, joint2" in capsys.readouterr().err
+    assert "must be one of joint1, joint2, or a list of such" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,7 @@ def test_an_arm_without_shapes_or_model_is_drawn_nevertheless(tmp_path):
         ("/sim", {"load": 1}, "sim load mass=1"),
         ("/sim", {"load": 0.2}, "sim load mass=0.2"),
         ("/sim", {"load": 0}, "sim load mass=0"),
-        ("/sim", {"cold": 1.3}, "sim friction factor=1 from=1.3 minutes=20"),
+        ("/sim", {"cold": 1.3}, "sim friction factor=1 start=1.3 minutes=20"),
         ("/sim", {"move": True}, "sim move"),
         ("/sim", {"move": False}, "sim stop"),
     ],

@@ -247,7 +247,7 @@ def test_buttons_of_a_simulated_arm_are_control_lines(browser, tmp_path):
     ):
         until(lambda: page.value("!document.getElementById('sim').hidden"), "the buttons")
         page.value("document.querySelectorAll('#sim button').forEach(b => b.click())")
-        lines = {"load mass=1", "load mass=0", "friction factor=1 from=1.3 minutes=20", "stop", "move"}
+        lines = {"load mass=1", "load mass=0", "friction factor=1 start=1.3 minutes=20", "stop", "move"}
         until(lambda: {f"sim {one}" for one in lines} <= set(loop.received), "the lines")
 
 

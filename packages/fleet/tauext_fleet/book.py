@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, json_text
-from tauext.files.toml_file import flat, plain
 from tauext_fleet.fleet_file import (
     STAGES,
     Arm,
@@ -262,3 +261,29 @@ def stage_counts(book: Book) -> dict[str, Counter[str]]:
         for step in arm.steps:
             found[step.task.stage][book.of(arm.arm.name, step.task.stage).state] += 1
     return {stage: counts for stage, counts in found.items() if counts}
+
+
+# --- Settings as a table.
+
+
+def plain(settings: Any) -> dict[str, Any]:
+    """The settings as a table that read_table reads: without what is None, as TOML has no such value."""
+    found: dict[str, Any] = {}
+    for one in fields(settings):
+        value = getattr(settings, one.name)
+        if is_dataclass(value):
+            found[one.name] = plain(value)
+        elif value is not None:
+            found[one.name] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def flat(table: Mapping[str, Any], before: str) -> dict[str, str]:
+    """Values as words by dotted names: {"train.alarm.in_hours": "8.0"}."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{before}{key}.")
+        else:
+            found[f"{before}{key}"] = repr(value)
+    return found

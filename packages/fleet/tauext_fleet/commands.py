@@ -10,7 +10,7 @@ import tyro
 from tauext.cli.arguments import AcceptArg, JsonArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import TrainConfig, require_threads
-from tauext.files.toml_file import write_template
+from tauext.files.typed_table import write_template
 from tauext_fleet.config import FleetConfig
 
 # --- `tauext fleet prior`: what the data of several arms contributes to the next arm of their type.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Annotated
 
 from tauext_lab.evaluate.config import EventsConfig
 
-from tauext.config import MOST_THREADS, AlarmConfig, require, require_seed
+from tauext.config import AT_LEAST_0, AlarmConfig, Seed, Settings, Threads, require, within
 from tauext.errors import ConfigError
 
 
@@ -28,37 +29,29 @@ class CalibrateStage(AlarmConfig):
 class EvaluateStage(EventsConfig):
     """Settings of a fleet's stage evaluate."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the choice of the ten collisions."""
-    keep_free_estimates: int = 20
+    keep_free_estimates: Annotated[int, AT_LEAST_0] = 20
     """Number of free-motion test recordings, from the first, whose estimates are written."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
-        require(self.keep_free_estimates >= 0, "keep_free_estimates", self.keep_free_estimates, ">= 0")
 
 
 @dataclass(frozen=True)
-class FleetConfig:
+class FleetConfig(Settings):
     """Workers of a fleet's tasks. No output depends on it."""
 
-    workers: int = 0
+    workers: Threads = 0
     """Worker processes of Ray on this machine, one thread each; 0: one a core."""
-    retries: int = 2
+    retries: Annotated[int, within(0, 100)] = 2
     """Number of retries of a task whose worker died (killed, out of memory, node lost). A task that reports an error is
     not retried."""
     ray: str | None = None
     """Address of the Ray cluster that runs the tasks; auto: the one that this machine belongs to. None: workers of this
     machine alone."""
-    task_gb: float = 0.0
+    task_gb: Annotated[float, within(0, 1e6)] = 0.0
     """Memory that a task reserves on a node of Ray, [GB]; 0: none, and only cores count."""
 
     def __post_init__(self) -> None:
-        most = f"0 (one a core) to {MOST_THREADS}"
-        require(0 <= self.workers <= MOST_THREADS, "workers", self.workers, most)
-        require(0 <= self.retries <= 100, "retries", self.retries, "0 to 100")
-        require(0 <= self.task_gb <= 1e6, "task_gb", self.task_gb, ">= 0, at most 1e6")
+        super().__post_init__()
         own, words = self.ray is None, "left out with a cluster, whose nodes have their own"
         require(not own or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
         require(own or self.workers == 0, "workers", self.workers, words)

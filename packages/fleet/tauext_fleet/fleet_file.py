@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from tauext.check.before_training import expect_codes
-from tauext.config import CaseName, TrainConfig
+from tauext.config import NOT_EMPTY, CaseName, Rule, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
 from tauext.errors import ConfigError
-from tauext.files.toml_file import (
-    REQUIRED,
-    Key,
-    names,
-    one_of,
-    read_table,
-    read_toml,
-    refuse_unknown,
-    settings_of,
-    tables,
-    text,
-)
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import OneOrMore, Text, expect_known, read_table, value_of
 from tauext.robot.capsules import SHAPES_FILE
 from tauext_fleet.config import CalibrateStage, EvaluateStage
 from tauext_fleet.locations import Location, files_in, local_copy, located, locations_of, model_of, named_files
@@ -81,35 +71,54 @@ calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another pro
 if TYPE_CHECKING:
     from tauext_fleet.like import Like
 
-STAGES = ("import", "check", "train", "calibrate", "evaluate")
+Stage = Literal["import", "check", "train", "calibrate", "evaluate"]
+STAGES = get_args(Stage)
 """In their order; docs/reference/files.md lists what each needs."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
 
 
-def _texts(value: Any) -> tuple[str, ...]:
-    return tuple(map(TEXT.read, value if isinstance(value, list) else [value]))
-
-
-TEXT = text(default=None).where(lambda value: "\0" not in value, "text")
-TEXTS = Key(_texts, "a text or a list of texts", ())
+PlainText = Annotated[Text, Rule("", lambda value: "\0" not in value)]
 TABLES = ("train", "calibrate", "evaluate")
-SHARED = {
-    "arm": TEXT,
-    "robot": TEXT,
-    "case": one_of(get_args(CaseName), None),
-    "accept": TEXTS,
-    "stages": names(STAGES, "stages", STAGES),
-}
-"""Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
-OWN = {
-    "name": TEXT.where(lambda value: bool(NAME.fullmatch(value)), NAME_RULE)._replace(default=REQUIRED),
-    "type": TEXT._replace(default=""),
-}
-DATA = {"sources": TEXTS, "dataset": TEXT, "calibration": TEXT}
-"""Keys of an arm alone."""
-ANYWHERE = (*SHARED, *TABLES)
-ONE_THREAD = {"threads": "each task has one thread, and --workers sets how many run at a time"}
+ONE_THREAD = "each task has one thread, and --workers sets how many run at a time"
+
+
+@dataclass(frozen=True)
+class TrainStage(TrainConfig):
+    """Settings of a fleet's stage train."""
+
+    like: PlainText | None = None
+    """Fleet prior that the training starts from; None: none."""
+
+    @property
+    def config(self) -> TrainConfig:
+        """The settings of `tauext train`."""
+        return TrainConfig(**{name: getattr(self, name) for name in TrainConfig.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class SharedKeys:
+    """Keys at the top for all arms, in [types.NAME] for those of a type, or at an arm; the most specific one wins."""
+
+    arm: PlainText | None = None
+    robot: PlainText | None = None
+    case: CaseName | None = None
+    accept: OneOrMore[PlainText] = ()
+    stages: Annotated[OneOrMore[Stage], NOT_EMPTY] = STAGES
+    train: TrainStage = TrainStage()
+    calibrate: CalibrateStage = CalibrateStage()
+    evaluate: EvaluateStage = EvaluateStage()
+
+
+@dataclass(frozen=True)
+class ArmKeys(SharedKeys):
+    """Keys of an arm, [[arms]]."""
+
+    name: Annotated[str, Rule(f", {NAME_RULE}", NAME.fullmatch)] = field(kw_only=True)
+    type: str = ""
+    sources: OneOrMore[PlainText] = ()
+    dataset: PlainText | None = None
+    calibration: PlainText | None = None
 
 
 @dataclass(frozen=True)
@@ -153,13 +162,17 @@ def load_fleet(path: Path) -> Fleet:
             one name, a file that is not there.
     """
     content = read_toml(path, "`tauext fleet example` prints one")
-    refuse_unknown(path, "", content, (*ANYWHERE, "types", "arms"))
-    known = {"types": tables("[types.NAME]", {}), "arms": tables("[[arms]]")}
-    types, listed = read_table(path, "", given_of(content, known), known).values()
+    shared = [one.name for one in fields(SharedKeys)]
+    expect_known(f"{path}:", content, (*shared, "types", "arms"))
+    top = {key: value for key, value in content.items() if key in shared}
+    types = value_of(dict[str, dict], content.get("types", {}), f"{path}:", "types")
     for name, table in types.items():
-        refuse_unknown(path, f"[types.{name}]", table, ANYWHERE)
+        expect_known(f"{path}: [types.{name}]", table, shared)
+    listed = content.get("arms")
+    if not isinstance(listed, list) or not listed:
+        raise ConfigError(f"{path}: arms is missing; it must be one or more tables [[arms]]")
     base = path.absolute().parent
-    arms = tuple(arm_of(one, number, content, types, path, base) for number, one in enumerate(listed, 1))
+    arms = tuple(arm_of(one, number, top, types, path, base) for number, one in enumerate(listed, 1))
     expect_different(arms, path)
     expect_likes(arms, path)
     return Fleet(path, arms)
@@ -167,51 +180,53 @@ def load_fleet(path: Path) -> Fleet:
 
 def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Path, base: Path) -> Arm:
     """One arm from its own table, that of its type, and the top-level keys."""
-    refuse_unknown(path, f"arm {number}", table, (*OWN, *DATA, *ANYWHERE))
-    name, kind = read_table(path, f"arm {number}:", given_of(table, OWN), OWN).values()
-    where = f"{path}: arm '{name}'"
+    expect_known(f"{path}: arm {number}:", table, [one.name for one in fields(ArmKeys)])
+    kind, where = table.get("type", ""), f"{path}: arm '{table.get('name', number)}':"
     if types and kind not in types:
-        raise ConfigError(f"{where}: type = {kind!r} must be one of {', '.join(types)}, which have tables [types.NAME]")
-    layers = [top, types.get(kind, {}), table]
-    given = {key: value for layer in layers for key, value in given_of(layer, SHARED).items()}
-    keys = read_table(path, f"arm '{name}':", given | given_of(table, DATA), SHARED | DATA)
-    settings = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
-    arm = Arm(name, kind, stages=(), accept=keys["accept"], case=keys["case"])
+        raise ConfigError(f"{where} type = {kind!r} must be one of {', '.join(types)}, which have tables [types.NAME]")
+    merged = merged_tables(top, merged_tables(types.get(kind, {}), table))
+    for key in TABLES:
+        if isinstance(own := merged.get(key), dict) and "threads" in own:
+            raise ConfigError(f"{where} [{key}] threads is not set here: {ONE_THREAD}")
+    keys = read_table(ArmKeys, merged, where)
+    like = None if keys.train.like is None else located(keys.train.like, base)
+    arm = Arm(
+        keys.name,
+        keys.type,
+        stages=(),
+        case=keys.case,
+        accept=keys.accept,
+        train=keys.train.config,
+        like=like,
+        calibrate=keys.calibrate,
+        evaluate=keys.evaluate,
+    )
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
+        raise ConfigError(f"{where} {error}") from None
     arm = with_data(arm, keys, where, base)
-    known = {"like": TEXT}
-    like = read_table(path, f"arm '{name}': [train]", given_of(settings["train"], known), known)["like"]
-    own = {key: value for key, value in settings["train"].items() if key not in known}
-    arm = replace(
-        arm,
-        train=settings_of(TrainConfig, own, f"{where}: [train]", ONE_THREAD),
-        like=None if like is None else located(like, base),
-        calibrate=settings_of(CalibrateStage, settings["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
-        evaluate=settings_of(EvaluateStage, settings["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
-    )
-    calibrates = arm.calibration is not None or any("calibrate" in layer for layer in layers)
-    return replace(arm, stages=stages_of(keys, arm, calibrates, where))
+    calibrates = arm.calibration is not None or "calibrate" in merged
+    return replace(arm, stages=stages_of(keys.stages, arm, calibrates, where))
 
 
-def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Path) -> Arm:
+def with_data(arm: Arm, keys: ArmKeys, where: str, base: Path) -> Arm:
     """The arm with its recordings and files, all of which exist."""
-    given = {key: located(keys[key], base) for key in ("dataset", "calibration", "robot", "arm") if keys[key]}
-    dataset, calibration, robot, description = map(given.get, ("dataset", "calibration", "robot", "arm"))
-    patterns = keys["sources"]
+    dataset, calibration, robot, description = (
+        None if name is None else located(name, base) for name in (keys.dataset, keys.calibration, keys.robot, keys.arm)
+    )
+    patterns = keys.sources
     if bool(patterns) == (dataset is not None):
-        raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
+        raise ConfigError(f"{where} give either sources (with arm, their arm.toml) or dataset, and not both")
     sources: list[Location] = []
     for pattern in patterns:
         found = locations_of(pattern, base)
         if not found or not all(one.exists() for one in found):
-            raise ConfigError(f"{where}: sources = '{pattern}': there is no such file or folder")
+            raise ConfigError(f"{where} sources = '{pattern}': there is no such file or folder")
         sources += [one for one in found if one not in sources]
     description = description if patterns else None
     if patterns and description is None:
-        raise ConfigError(f"{where}: arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
+        raise ConfigError(f"{where} arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
     try:
         if description is not None and (model := model_of(description)) is not None and not model.is_file():
             raise ConfigError(f"{description}: [robot] model = '{model}': there is no such file")
@@ -219,9 +234,9 @@ def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Path) -> Arm:
             if folder is not None:
                 expect_dataset(folder)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
+        raise ConfigError(f"{where} {error}") from None
     if robot is not None and not robot.is_file():
-        raise ConfigError(f"{where}: robot = '{robot}': there is no such file; give a URDF or MJCF")
+        raise ConfigError(f"{where} robot = '{robot}': there is no such file; give a URDF or MJCF")
     return replace(
         arm, sources=tuple(sources), description=description, dataset=dataset, calibration=calibration, robot=robot
     )
@@ -235,15 +250,14 @@ def expect_dataset(folder: Location) -> None:
         raise ConfigError(f"{folder}: no dataset is there: it has no split.json; `tauext import` makes one")
 
 
-def stages_of(keys: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
+def stages_of(wanted: Sequence[str], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
     """The stages that this arm has: the requested ones, without import where it has a dataset, and with calibrate only
     where its recordings or its promise are given; train finds limits itself."""
-    wanted = keys["stages"]
     if arm.sources and "import" not in wanted:
-        raise ConfigError(f"{where}: stages lack import, which its sources need; or give a dataset")
+        raise ConfigError(f"{where} stages lack import, which its sources need; or give a dataset")
     for stage in ("calibrate", "evaluate"):
         if stage in wanted and "train" not in wanted:
-            raise ConfigError(f"{where}: stages lack train, which {stage} needs")
+            raise ConfigError(f"{where} stages lack train, which {stage} needs")
     left_out = {"import": not arm.sources, "calibrate": not calibrates}
     return tuple(stage for stage in STAGES if stage in wanted and not left_out.get(stage, False))
 
@@ -275,20 +289,12 @@ def expect_likes(arms: tuple[Arm, ...], path: Path) -> None:
             raise ConfigError(f"{path}: arm '{arm.name}': [train] {error}") from None
 
 
-def given_of(table: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a table that these keys are."""
-    return {key: table[key] for key in keys if key in table}
-
-
-def merged(tables: list[Any], where: str) -> dict[str, Any]:
-    """Merge tables recursively; the last one has priority."""
-    found: dict[str, Any] = {}
-    for table in tables:
-        if not isinstance(table, dict):
-            raise ConfigError(f"{where} = {table!r} must be a table")
-        for key, value in table.items():
-            both = isinstance(value, dict) and isinstance(found.get(key), dict)
-            found[key] = merged([found[key], value], f"{where}.{key}") if both else value
+def merged_tables(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of both tables, those of tables within too; the second one has priority."""
+    found = dict(under)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(found.get(key), dict)
+        found[key] = merged_tables(found[key], value) if both else value
     return found
 
 

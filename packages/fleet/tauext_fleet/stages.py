@@ -10,7 +10,7 @@ from typing import Any
 from tauext_lab.evaluate.config import EventsConfig
 
 from tauext.config import TrainConfig
-from tauext.files.toml_file import settings_of
+from tauext.files.typed_table import read_table
 from tauext_fleet.config import CalibrateStage, EvaluateStage
 from tauext_fleet.task import Stage
 
@@ -55,7 +55,7 @@ def train_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.train.stage import train_bundle
     from tauext_fleet.like import load_like
 
-    config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
+    config = replace(read_table(TrainConfig, work["settings"], "train:"), threads=1)
     dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
     known = path_of(work, "like")
     start = NOTHING if known is None else load_like(known)
@@ -67,7 +67,7 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.data.dataset import load_dataset
     from tauext.train.calibrate import recalibrate
 
-    settings = settings_of(CalibrateStage, work["settings"], "calibrate")
+    settings = read_table(CalibrateStage, work["settings"], "calibrate:")
     dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
     recalibrate(
         Path(work["bundle"]),
@@ -86,7 +86,7 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
 
     from tauext.data.dataset import load_dataset
 
-    settings = settings_of(EvaluateStage, work["settings"], "evaluate")
+    settings = read_table(EvaluateStage, work["settings"], "evaluate:")
     evaluate_bundles(
         load_dataset(Path(work["dataset"])),
         {work["name"]: Path(work["bundle"])},

@@ -252,18 +252,18 @@ WRONG = [
     (ONE + 'accept = ["no-such"]', ["no-such", "no code"]),
     (ONE + 'stages = ["train", "report"]', ["'report'", "import, check, train"]),
     (ONE + 'stages = ["evaluate"]', ["lack train"]),
-    (ONE + "stages = []", ["stages = [] must be a list of stages"]),
+    (ONE + "stages = []", ["stages = [] must be one of import, check"]),
     (ONE + "[types.light]\n", ["type = ''", "light"]),
     (ONE + "train.max_stepz = 5", ["[train]", "unknown key 'max_stepz'", "'max_steps'"]),
     (ONE + "train.max_steps = 'five'", ["max_steps = 'five' must be a whole number"]),
     (ONE + "train.max_steps = true", ["max_steps = True must be a whole number"]),
     (ONE + "train.recipe = 'best'", ["recipe = 'best' must be one of tauext, prior"]),
-    (ONE + "train.observer.gain_per_s = 'fast'", ["gain_per_s", "a number or one of auto"]),
-    (ONE + "train.alarm.holds_s = [0, 'x']", ["holds_s", "a list (a number each)"]),
-    (ONE + "train.hidden = 0", ["hidden = 0 must be >= 1"]),
+    (ONE + "train.observer.gain_per_s = 'fast'", ["gain_per_s", 'or "auto"']),
+    (ONE + "train.alarm.holds_s = [0, 'x']", ["holds_s", "a list, each a number"]),
+    (ONE + "train.hidden = 0", ["hidden = 0 must be a whole number from 1"]),
     (ONE + "train.threads = 4", ["threads is not set here", "--workers"]),
     (ONE + "evaluate.seed = -1", ["[evaluate]", "seed = -1"]),
-    (ONE + "calibrate = 3", ["calibrate = 3 must be a table"]),
+    (ONE + "calibrate = 3", ["[calibrate] is 3, must be a table"]),
 ]
 
 

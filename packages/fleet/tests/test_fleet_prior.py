@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_fleets import FRICTION, QUICKER, fleet, run_here, write_fleet
 from made_planar import CONFIG, dataset, moving
-from tauext_fleet.book import plan_fleet
+from tauext_fleet.book import plain, plan_fleet
 from tauext_fleet.fleet_file import load_fleet
 from tauext_fleet.fleet_prior import content, load_fleet_prior, write_fleet_prior
 from tauext_fleet.like import Like, load_like, scale_settings
@@ -23,7 +23,6 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.files.toml_file import plain
 from tauext.progress import SILENT
 from tauext.train.limits import UNPROMISED_FACTOR
 from tauext.train.preparation import NOTHING

@@ -126,5 +126,5 @@ def test_the_robots_own_torque_is_judged_by_its_largest_free_value():
 
 @pytest.mark.parametrize("name", ["shortest_event_s", "tolerance_s"])
 def test_event_settings_out_of_range_are_refused(name):
-    with pytest.raises(ConfigError, match=f"{name} = -1 must be 0 to 60"):
+    with pytest.raises(ConfigError, match=f"{name} = -1 must be a number from 0 to 60"):
         EventsConfig(**{name: -1})

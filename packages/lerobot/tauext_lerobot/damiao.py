@@ -6,12 +6,14 @@ import struct
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
+from tauext.files.typed_table import TableName, Text, read_table
+from tauext.monitor.cell_file import Cell
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.plugins import optional_library
 from tauext.sources.describing import chosen_joints, learnt_period_ns
@@ -24,96 +26,83 @@ from tauext_lerobot.bus_source import TRIES, WAIT_S, BusSource, shortest_period_
 MOST_ID = 0x7FE
 """0x7FF addresses commands to all motors."""
 BAUD = 1_000_000
-
-
-BUS_KEYS = {
-    "interface": text('one of python-can: "socketcan"', "socketcan"),
-    "baud": number(1e4, 1e7, BAUD, whole=True),
-    "fd_baud": number(1e4, 1e7, None, whole=True),
-    "ask": flag(True),
-    "joints": tables("[joints.NAME] with id = 0x01"),
-}
-MOTOR_KEYS = {
-    "id": number(1, MOST_ID, whole=True),
-    "answer_id": number(0, MOST_ID, None, whole=True),
-    "zero_rad": number(-100, 100, 0.0),
-    "sign": one_of((1, -1), 1, "1 or -1"),
-    "ranges": numbers((3,), number(1e-3, 1e4), "[PMAX, VMAX, TMAX]: [12.5, 30, 10]", None),
-}
+BitRate = Annotated[int, within(1e4, 1e7)]
+Range = Annotated[float, within(1e-3, 1e4)]
 
 
 @dataclass(frozen=True)
 class CanMotor:
-    """A joint and its motor."""
+    """A joint and its motor: a table [bus.joints.NAME]."""
 
-    name: str
-    id: int
+    name: TableName
+    id: Annotated[int, within(1, MOST_ID)]
     """ESC_ID: id of requests to it."""
-    answer_id: int
-    """MST_ID: id of its answers."""
-    zero_rad: float = 0.0
+    answer_id: Annotated[int, within(0, MOST_ID)] = -1
+    """MST_ID: id of its answers; -1: id + 0x10."""
+    zero_rad: Annotated[float, within(-100, 100)] = 0.0
     """Its position where the joint's angle is 0, [rad]."""
-    sign: int = 1
+    sign: Literal[1, -1] = 1
     """-1: the joint's angle falls as the motor's position rises."""
-    ranges: tuple[float, float, float] | None = None
+    ranges: Annotated[tuple[Range, Range, Range], Rule(", [PMAX, VMAX, TMAX]", bool)] | None = None
     """PMAX [rad], VMAX [rad/s], TMAX [N m]: ranges of the numbers in its answers; None: read from the motor."""
+
+    def __post_init__(self) -> None:
+        if self.answer_id < 0:
+            object.__setattr__(self, "answer_id", self.id + 0x10)
 
     def __str__(self) -> str:
         return f"motor {self.id:#04x} ({self.name})"
 
 
 @dataclass(frozen=True)
-class CanBusFile:
-    """A bus and its motors."""
+class CanBus:
+    """A bus and its motors: the table [bus].
 
-    path: Path
-    motors: dict[str, CanMotor]
-    interface: str = "socketcan"
+    [bus]
+    interface = "socketcan"    # of python-can; the bit rate of a socketcan interface is set by `ip link`
+    baud = 1000000             # fd_baud = 5000000: CAN FD
+    ask = true                 # false: send nothing, listen to the answers to another program's commands
+
+    [bus.joints.joint_1]       # joint name of the bundle
+    id = 0x01                  # answer_id = 0x11: id + 0x10 if left out
+    # zero_rad = 0.0           # the motor's position where the joint's angle is 0
+    # sign = -1
+    # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; read from the motor if left out, which needs ask = true
+    """
+
+    joints: Annotated[dict[str, CanMotor], Rule(" [bus.joints.NAME] with id = 0x01, one or more", bool)]
+    interface: Text = "socketcan"
     """Interface of python-can."""
-    baud: int = BAUD
-    fd_baud: int | None = None
+    baud: BitRate = BAUD
+    fd_baud: BitRate | None = None
     """Bit rate of the data of CAN FD frames, [bit/s]; None: classic CAN."""
     ask: bool = True
     """Poll the state of each motor. False: another program commands the motors, the source listens to their answers and
     sends nothing, since that program could mistake an answer to a request for ranges for a state."""
 
 
-def load_can_bus(path: Path) -> CanBusFile:
-    """A file like
-
-        interface = "socketcan"    # of python-can; the bit rate of a socketcan interface is set by `ip link`
-        baud = 1000000             # fd_baud = 5000000: CAN FD
-        ask = true                 # false: send nothing, listen to the answers to another program's commands
-
-        [joints.joint_1]           # joint name of the bundle
-        id = 0x01                  # answer_id = 0x11: id + 0x10 if left out
-        # zero_rad = 0.0           # the motor's position where the joint's angle is 0
-        # sign = -1
-        # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; read from the motor if left out, which needs ask = true
+def can_bus(cell: Cell) -> CanBus:
+    """The bus of a cell's file.
 
     Raises:
         ConfigError: the file breaks a rule; the message names file, joint and rule.
     """
-    bus = read_table(path, "", read_toml(path), BUS_KEYS)
-    motors = {}
-    for name, table in bus["joints"].items():
-        values = read_table(path, f"[joints.{name}]", table, MOTOR_KEYS)
-        answer_id = values["id"] + 0x10 if values["answer_id"] is None else values["answer_id"]
-        motors[name] = CanMotor(name, **values | {"answer_id": answer_id})
+    path = cell.path
+    bus = read_table(CanBus, cell.bus, f"{path}: [bus]")
     by_id: dict[tuple[int, int], str] = {}
-    for name, motor in motors.items():
+    for name, motor in bus.joints.items():
         if (other := by_id.setdefault((motor.answer_id, motor.id & 0xF), name)) != name:
             raise ConfigError(
                 f"{path}: answers of joints '{other}' and '{name}' cannot be distinguished: same answer_id, and ids "
                 "with the same last digit"
             )
-    for motor in motors.values():
-        if not bus["ask"] and motor.ranges is None:
+    for motor in bus.joints.values():
+        if not bus.ask and motor.ranges is None:
             raise ConfigError(
-                f"{path}: [joints.{motor.name}] ranges = [PMAX, VMAX, TMAX] is missing: with ask = false the motor "
+                f"{path}: [bus.joints.{motor.name}] ranges = [PMAX, VMAX, TMAX] is missing: with ask = false the motor "
                 "cannot be polled for them"
             )
-    return CanBusFile(path, motors, bus["interface"], bus["baud"], bus["fd_baud"], bus["ask"])
+    return bus
 
 
 # --- The source.
@@ -145,9 +134,9 @@ class DamiaoSource(BusSource):
     would continue.
     """
 
-    def __init__(self, channel: str, file: CanBusFile):
+    def __init__(self, channel: str, bus: CanBus, path: Path = Path("cell.toml")):
         super().__init__(f"damiao {channel}")
-        self._channel, self._file = channel, file
+        self._channel, self._of_bus, self._path = channel, bus, path
         self._bus: Any = None
         self._motors: list[CanMotor] = []
         self.answer_s = ANSWER_S
@@ -155,13 +144,13 @@ class DamiaoSource(BusSource):
     def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
         """Time some readings; the period is the shortest usual one of at least twice a reading. With ask = false: learn
         the other program's."""
-        joints, notes = chosen_joints(list(self._file.motors), robot, self.name)
-        settings = SourceSettings(joints, PERIODS_NS[-1] if self._file.ask else 1, ("N m",) * len(joints), "instant")
+        joints, notes = chosen_joints(list(self._of_bus.joints), robot, self.name)
+        settings = SourceSettings(joints, PERIODS_NS[-1] if self._of_bus.ask else 1, ("N m",) * len(joints), "instant")
         self._prepare(settings)
         self.settings = settings
         self.connect()
         samples = self.several(wait_s)
-        if self._file.ask:
+        if self._of_bus.ask:
             period_ns = shortest_period_ns(samples, PERIODS_NS, self.name)
         else:
             period_ns = learnt_period_ns([one.t_ns for one in samples], self.name)
@@ -172,7 +161,7 @@ class DamiaoSource(BusSource):
         super().open(settings)
 
     def _prepare(self, settings: SourceSettings) -> None:
-        self._motors = self.motors_of(settings.joints, self._file.path, self._file.motors)
+        self._motors = self.motors_of(settings.joints, self._path, self._of_bus.joints)
         if any(unit not in ("N m", "N") for unit in settings.torque_units):
             raise ConfigError(f"{self.name} reports torque in N m, the bundle takes {', '.join(settings.torque_units)}")
         if settings.servo is not None and settings.servo.on and settings.servo.torque_from.name != "torque":
@@ -182,11 +171,11 @@ class DamiaoSource(BusSource):
 
     def connect(self) -> None:
         library = self._library = optional_library("can", "source damiao", "python-can")
-        rates: dict[str, Any] = {"bitrate": self._file.baud}
-        if self._file.fd_baud is not None:
-            rates |= {"fd": True, "data_bitrate": self._file.fd_baud}
+        rates: dict[str, Any] = {"bitrate": self._of_bus.baud}
+        if self._of_bus.fd_baud is not None:
+            rates |= {"fd": True, "data_bitrate": self._of_bus.fd_baud}
         try:
-            self._bus = library.Bus(interface=self._file.interface, channel=self._channel, **rates)
+            self._bus = library.Bus(interface=self._of_bus.interface, channel=self._channel, **rates)
         except (library.CanError, OSError, ValueError) as error:
             raise Unreachable(
                 f"{error}; is the interface up? `ip link set {self._channel} up type can bitrate 1000000`"
@@ -200,10 +189,10 @@ class DamiaoSource(BusSource):
         self._due_s = None
 
     def read(self) -> Sample | None:
-        return super().read() if self._file.ask else self._overheard()
+        return super().read() if self._of_bus.ask else self._overheard()
 
     def ask(self) -> Sample | None:
-        if not self._file.ask:
+        if not self._of_bus.ask:
             return self._overheard()
         while self._receive(0.0) is not None:  # late answers to an earlier request
             pass
@@ -225,7 +214,7 @@ class DamiaoSource(BusSource):
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
-        if not self._file.ask:
+        if not self._of_bus.ask:
             ReaderSource._count_lost(self, t_ns)
 
     def _overheard(self) -> Sample | None:
@@ -315,7 +304,7 @@ class DamiaoSource(BusSource):
     def _send(self, motor: CanMotor, command: int, register: int = 0) -> None:
         library = self._library
         data = [motor.id & 0xFF, motor.id >> 8, command, register, 0, 0, 0, 0]
-        fd = self._file.fd_baud is not None
+        fd = self._of_bus.fd_baud is not None
         message = library.Message(arbitration_id=TO_ALL, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd)
         try:
             self._bus.send(message, timeout=WAIT_S)

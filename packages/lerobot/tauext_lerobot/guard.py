@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
+from tauext.config import NOT_EMPTY, within
 from tauext.data.description import Arm, load_arm
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.toml_file import number, read_table, read_toml, tables, text
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import Text, read_table
 from tauext.monitor.source import CountedTime
 
 BUNDLE, ARM, SETTINGS, CALIBRATION = "arm.tauext", "arm.toml", "guard.toml", "calibration.json"
@@ -34,19 +36,16 @@ RELEASE_S = 0.5
 BLIND_S = 2.0
 """Time without an estimate after which the guard reports that it does not guard; a warm-up takes up to a second."""
 
-AMOUNT = number(0, 1e6)
-KEYS = {"hold_s": number(0.02, 10, HOLD_S), "joints": tables("[joints.NAME]"), "grip": tables("[grip]", {})}
-JOINT_KEYS = {"held": AMOUNT, "largest": AMOUNT}
-GRIP_KEYS = {"joint": text(), "at_most_nm": number(1e-6, 1e6)}
+Amount = Annotated[float, within(0, 1e6)]
 
 
 @dataclass(frozen=True)
 class Usual:
     """Torque of a joint's motor in the training data, in the unit of tau_ext."""
 
-    held: float
+    held: Amount
     """Largest that it held at rest for HOLD_S."""
-    largest: float
+    largest: Amount
     """Largest at any time."""
 
 
@@ -54,18 +53,18 @@ class Usual:
 class Grip:
     """Declared contact of the gripper: a torque of this joint alone."""
 
-    joint: str
-    at_most_nm: float
+    joint: Text
+    at_most_nm: Annotated[float, within(1e-6, 1e6)]
     """Largest torque, in the unit of the joint's tau_ext."""
 
 
 @dataclass(frozen=True)
 class GuardSettings:
-    """Settings of a guard."""
+    """Settings of a guard: its file."""
 
-    joints: Mapping[str, Usual]
+    joints: Annotated[dict[str, Usual], NOT_EMPTY]
     grip: Grip | None = None
-    hold_s: float = HOLD_S
+    hold_s: Annotated[float, within(0.02, 10)] = HOLD_S
 
 
 @dataclass(frozen=True)
@@ -257,12 +256,7 @@ def load_guard(folder: Path) -> tuple[_core.Bundle, Arm, GuardSettings]:
         ConfigError: a file breaks a rule; the message names file, key and rule.
     """
     path = folder / SETTINGS
-    table = read_table(path, "", read_toml(path, "`tauext guard` writes the folder"), KEYS)
-    joints = {
-        name: Usual(**read_table(path, f"[joints.{name}]", content, JOINT_KEYS))
-        for name, content in table["joints"].items()
-    }
-    grip = Grip(**read_table(path, "[grip]", table["grip"], GRIP_KEYS)) if table["grip"] else None
+    settings = read_table(GuardSettings, read_toml(path, "`tauext guard` writes the folder"), f"{path}:")
     motors = folder / CALIBRATION if (folder / CALIBRATION).is_file() else None
     arm = load_arm(folder / ARM, motors)
-    return load_bundle(folder / BUNDLE), arm, GuardSettings(joints, grip, table["hold_s"])
+    return load_bundle(folder / BUNDLE), arm, settings

@@ -1,40 +1,29 @@
-"""Joints on a bus of serial servos: ids, zeros and directions, from a bus file or a LeRobot calibration file."""
+"""Joints on a bus of serial servos: ids, zeros and directions, from the table [bus] of a cell's file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
+from tauext.config import within
 from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.toml_file import flag, number, one_of, read_table, read_toml, tables, text
+from tauext.files.typed_table import TableName, read_table
+from tauext.monitor.cell_file import Cell
 
-MOST_ID = 252
 BAUD = 1_000_000
-
-BUS_KEYS = {
-    "baud": number(9600, 4_500_000, BAUD, whole=True),
-    "calibration": text("the path of a LeRobot calibration file", ""),
-    "joints": tables("[joints.NAME]", {}),
-}
-JOINT_KEYS = {
-    "id": number(0, MOST_ID, whole=True),
-    "zero": number(-(1 << 31), 1 << 31, 2048.0),
-    "sign": one_of((1, -1), 1, "1 or -1"),
-    "multi_turn": flag(False),
-    "type": text('a servo\'s name: "sts3215"', "", empty=True),
-}
 
 
 @dataclass(frozen=True)
 class ServoJoint:
-    """A joint and its servo."""
+    """A joint and its servo: a table [bus.joints.NAME]."""
 
-    name: str
-    id: int
-    zero: float = 2048.0
+    name: TableName
+    id: Annotated[int, within(0, 252)]
+    zero: Annotated[float, within(-(1 << 31), 1 << 31)] = 2048.0
     """Count where the angle is 0."""
-    sign: int = 1
+    sign: Literal[1, -1] = 1
     """-1: the angle falls as the counts rise."""
     multi_turn: bool = False
     """Counts continue beyond a turn. Otherwise angles are within half a turn of the zero."""
@@ -48,6 +37,16 @@ class ServoJoint:
 
 
 @dataclass(frozen=True)
+class BusTable:
+    """Keys of [bus]."""
+
+    baud: Annotated[int, within(9600, 4_500_000)] = BAUD
+    calibration: str = ""
+    """Path of a LeRobot calibration file, which describes joints; keys of [bus.joints.NAME] take precedence."""
+    joints: dict[str, dict] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ServoBusFile:
     """A bus and its servos."""
 
@@ -56,34 +55,31 @@ class ServoBusFile:
     baud: int = BAUD
 
 
-def load_servo_bus(path: Path) -> ServoBusFile:
-    """Load a bus file (docs/servo-arms.md) or a LeRobot calibration file (*.json).
+def servo_bus(cell: Cell) -> ServoBusFile:
+    """The bus of a cell's file (docs/servo-arms.md).
 
     Raises:
         ConfigError: the file breaks a rule; the message names file, joint and rule.
     """
-    if path.name.endswith(".json"):
-        return ServoBusFile(path, {name: _calibrated(one) for name, one in load_lerobot_calibration(path).items()})
-    bus = read_table(path, "", read_toml(path, "docs/servo-arms.md has an example"), BUS_KEYS)
-    joints: dict[str, ServoJoint] = {}
-    if beside := bus["calibration"]:
-        place = Path(beside).expanduser() if beside.startswith(("/", "~")) else path.parent / beside
-        joints = {name: _calibrated(one) for name, one in load_lerobot_calibration(place).items()}
-    for name, table in bus["joints"].items():
-        known = joints.get(name)
-        keys = JOINT_KEYS
-        if known is not None:
-            keys = {key: rule._replace(default=getattr(known, key)) for key, rule in keys.items()}
-        homing = None if known is None else known.homing_offset
-        joints[name] = ServoJoint(name, **read_table(path, f"[joints.{name}]", table, keys), homing_offset=homing)
+    bus, where = read_table(BusTable, cell.bus, f"{cell.path}: [bus]"), f"{cell.path}: [bus.joints"
+    tables: dict[str, dict[str, Any]] = {}
+    if bus.calibration:
+        place = cell.path.parent / str(Path(bus.calibration).expanduser())
+        tables = {name: calibrated(one) for name, one in load_lerobot_calibration(place).items()}
+    for name, table in bus.joints.items():
+        tables[name] = tables.get(name, {}) | table
+    joints = {name: read_table(ServoJoint, one, f"{where}.{name}]", name=name) for name, one in tables.items()}
     if not joints:
-        raise ConfigError(f"{path}: no joints: add [joints.NAME] or calibration = FILE")
+        raise ConfigError(f"{cell.path}: [bus] no joints: add [bus.joints.NAME] or calibration = FILE")
     by_id: dict[int, str] = {}
     for name, joint in joints.items():
         if by_id.setdefault(joint.id, name) != name:
-            raise ConfigError(f"{path}: joints '{by_id[joint.id]}' and '{name}' have the same id, {joint.id}")
-    return ServoBusFile(path, joints, bus["baud"])
+            raise ConfigError(
+                f"{cell.path}: [bus] joints '{by_id[joint.id]}' and '{name}' have the same id, {joint.id}"
+            )
+    return ServoBusFile(cell.path, joints, bus.baud)
 
 
-def _calibrated(motor: MotorCalibration) -> ServoJoint:
-    return ServoJoint(motor.name, motor.id, motor.middle, homing_offset=motor.homing_offset)
+def calibrated(motor: MotorCalibration) -> dict[str, Any]:
+    """Keys of the joint of a calibrated motor."""
+    return {"id": motor.id, "zero": motor.middle, "homing_offset": motor.homing_offset}

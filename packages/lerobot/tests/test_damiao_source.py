@@ -6,15 +6,15 @@ import struct
 import sys
 import threading
 import time
-from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 import pytest
 from made_servo_bus import PATIENCE_S, first_sample, servo_settings, taken
-from tauext_lerobot.damiao import CanBusFile, CanMotor, DamiaoSource, load_can_bus
+from tauext_lerobot.damiao import CanBus, CanMotor, DamiaoSource, can_bus
 
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.source import SourceSettings, Stoppable
 
 can = pytest.importorskip("can")
@@ -75,7 +75,7 @@ def motors():
 
 def source_of(motors: Motors, *changed: CanMotor, **settings) -> DamiaoSource:
     known = {"pan": CanMotor("pan", 1, 0x11), "lift": CanMotor("lift", 2, 0x12)} | {one.name: one for one in changed}
-    source = DamiaoSource(motors.channel, CanBusFile(Path("can.toml"), known, "virtual", **settings))
+    source = DamiaoSource(motors.channel, CanBus(known, "virtual", **settings))
     source.answer_s = PATIENCE_S
     return source
 
@@ -181,7 +181,7 @@ def test_a_motor_that_is_not_there_and_what_cannot_fit_is_refused(motors):
     with pytest.raises(ConfigError, match="reports torque, the bundle takes its torque from phase-current"):
         source_of(motors).open(servo_settings(2, "phase_current"))
     with pytest.raises(ConfigError, match="damiao can99: .*; is the interface up"):
-        open_it(DamiaoSource("can99", CanBusFile(Path("can.toml"), dict(source_of(motors)._file.motors))))
+        open_it(DamiaoSource("can99", CanBus(dict(source_of(motors)._of_bus.joints))))
 
 
 def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, motors):
@@ -191,29 +191,32 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, motors):
 
 
 def test_a_bus_file_is_read(tmp_path):
-    path = tmp_path / "can.toml"
+    path = tmp_path / "cell.toml"
     path.write_text(
-        "fd_baud = 5000000\nask = false\n[joints.a]\nid = 0x01\nranges = [12.5, 30, 10]\n"
-        "[joints.b]\nid = 2\nanswer_id = 0\nsign = -1\nzero_rad = 0.3\nranges = [12.5, 45, 54]\n"
+        "[bus]\nfd_baud = 5000000\nask = false\n[bus.joints.a]\nid = 0x01\nranges = [12.5, 30, 10]\n"
+        "[bus.joints.b]\nid = 2\nanswer_id = 0\nsign = -1\nzero_rad = 0.3\nranges = [12.5, 45, 54]\n"
     )
-    file = load_can_bus(path)
-    assert file.motors["a"] == CanMotor("a", 1, 0x11, 0.0, 1, (12.5, 30.0, 10.0))
-    assert file.motors["b"] == CanMotor("b", 2, 0, 0.3, -1, (12.5, 45.0, 54.0))
+    file = can_bus(load_cell(path))
+    assert file.joints["a"] == CanMotor("a", 1, 0x11, 0.0, 1, (12.5, 30.0, 10.0))
+    assert file.joints["b"] == CanMotor("b", 2, 0, 0.3, -1, (12.5, 45.0, 54.0))
     assert (file.interface, file.baud, file.fd_baud, file.ask) == ("socketcan", 1_000_000, 5_000_000, False)
 
 
 CAN_BUS = [
-    ("", "joints is missing"),
-    ("[joints.a]\n", r"\[joints.a\] id is missing"),
-    ("[joints.a]\nid = 0x7ff\n", "id = 2047 must be a whole number from 1 to 2046"),
-    ("[joints.a]\nid = 1.5\n", "id = 1.5 must be a whole number"),
-    ("[joints.a]\nid = 1\nsign = 2\n", "sign = 2 must be 1 or -1"),
-    ("[joints.a]\nid = 1\nrange = 2\n", "unknown key 'range' in .joints.a.; the nearest known is 'ranges'"),
-    ("[joints.a]\nid = 1\nranges = 2\n", r"ranges = 2 must be \[PMAX, VMAX, TMAX\]"),
-    ("ask = false\n[joints.a]\nid = 1\n", r"ranges = \[PMAX, VMAX, TMAX\] is missing: with ask = false"),
-    ("ask = 1\n[joints.a]\nid = 1\n", "ask = 1 must be true or false"),
-    ("interface = 1\n[joints.a]\nid = 1\n", "interface = 1 must be one of python-can"),
-    ("[joints.a]\nid = 1\n[joints.b]\nid = 0x21\nanswer_id = 0x11\n", "joints 'a' and 'b' cannot be distinguished"),
+    ("[bus]\n", "joints is missing"),
+    ("[bus]\n[bus.joints.a]\n", r"\[bus.joints.a\] id is missing"),
+    ("[bus]\n[bus.joints.a]\nid = 0x7ff\n", "id = 2047 must be a whole number from 1 to 2046"),
+    ("[bus]\n[bus.joints.a]\nid = 1.5\n", "id = 1.5 must be a whole number"),
+    ("[bus]\n[bus.joints.a]\nid = 1\nsign = 2\n", "sign = 2 must be one of 1, -1"),
+    ("[bus]\n[bus.joints.a]\nid = 1\nrange = 2\n", ".bus.joints.a. unknown key 'range'; the nearest known is 'ranges'"),
+    ("[bus]\n[bus.joints.a]\nid = 1\nranges = 2\n", r"ranges = 2 must be a list of 3, each .*, \[PMAX, VMAX, TMAX\]"),
+    ("[bus]\nask = false\n[bus.joints.a]\nid = 1\n", r"ranges = \[PMAX, VMAX, TMAX\] is missing: with ask = false"),
+    ("[bus]\nask = 1\n[bus.joints.a]\nid = 1\n", "ask = 1 must be true or false"),
+    ("[bus]\ninterface = 1\n[bus.joints.a]\nid = 1\n", "interface = 1 must be text"),
+    (
+        "[bus]\n[bus.joints.a]\nid = 1\n[bus.joints.b]\nid = 0x21\nanswer_id = 0x11\n",
+        "joints 'a' and 'b' cannot be distinguished",
+    ),
 ]
 
 
@@ -222,7 +225,7 @@ def test_a_file_that_breaks_a_rule_says_which(tmp_path, text, message):
     path = tmp_path / "file.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
-        load_can_bus(path)
+        can_bus(load_cell(path))
 
 
 @pytest.mark.parametrize("ask", [True, False])

@@ -37,8 +37,8 @@ from tauext import _core
 from tauext.data.recording import TURN
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import Cell, Reaction
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
 from tauext.sources.describing import why_another
@@ -558,8 +558,8 @@ def test_six_servos_are_read_six_thousand_times_and_each_time_whole():
 
 
 def servo_source(bus: MadeServoBus, kind: str, joints: list[ServoJoint], monkeypatch):
-    monkeypatch.setattr("tauext_lerobot.servo_bus_file.load_servo_bus", lambda path: bus_file(*joints))
-    source, _ = open_source(f"{kind}:{bus.port}", {"bus": bus_file().path})
+    monkeypatch.setattr("tauext_lerobot.servo_bus_file.servo_bus", lambda cell: bus_file(*joints))
+    source, _ = open_source(f"{kind}:{bus.port}", {}, cell=Cell(bus={}))
     return patient(source)
 
 

@@ -18,16 +18,14 @@ from tauext_ros2 import connect
 from tauext_ros2.settings import Ros2Settings
 
 from tauext import _core
+from tauext.monitor.cell_file import load_cell
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.profiles import load_profiles
 from tauext.monitor.sink import ReactionEvent
 
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"
 SPACE, TOPIC, SAMPLES = "/fast", "/fast_states", 4000
 PROFILES = """
-bounds = { lowest = 0.5, highest = 3.0 }
-start = { profile = "plain" }
-profiles = { plain = {}, careful = { collision = 1.5, contact = 1.5 } }
+profiles = { lowest = 0.5, highest = 3.0, plain = {}, careful = { collision = 1.5, contact = 1.5 } }
 """
 
 
@@ -46,7 +44,7 @@ def peer(tmp_path_factory):
 def run(peer, tmp_path_factory):
     """What the peer got, and what the loop counted and noted, of four seconds at 1 kHz."""
     folder = tmp_path_factory.mktemp("run")
-    (folder / "profiles.toml").write_text(PROFILES)
+    (folder / "cell.toml").write_text(PROFILES)
     bundle = watching_bundle()
     settings = Ros2Settings(topic=TOPIC, namespace=SPACE, domain=DOMAIN, reliability="reliable", depth=1000)
     source, publisher = connect(settings)
@@ -55,7 +53,7 @@ def run(peer, tmp_path_factory):
         bundle,
         source,
         [publisher],
-        profiles=load_profiles(folder / "profiles.toml", JOINTS),
+        profiles=load_cell(folder / "cell.toml", JOINTS).profiles,
         settings=LoopSettings(missing_after_s=2.0),  # of a test on a busy machine nothing is late
     )
     loop.note, loop.switched = notes.append, switches.append

@@ -94,7 +94,7 @@ def overview(argv: Sequence[str]) -> str | None:
         return f"usage: tauext {name} COMMAND [OPTIONS]\n\n{summary}\n\n{listed(group.commands)}"
     if argv[:1] == ["train"] and "--help-config" in argv:
         from tauext.config import TrainConfig
-        from tauext.files.toml_file import settings_text
+        from tauext.files.typed_table import settings_text
 
         return f"{HELP_CONFIG}\n{settings_text(TrainConfig)}"
     return None

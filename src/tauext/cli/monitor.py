@@ -36,13 +36,10 @@ MOST_CORES = 1024
 class Extras:
     """Files, folders and settings of everything that runs beside the loop."""
 
-    reactions: Path | None
-    profiles: Path | None
     flights: FlightSettings | None
     record: Path | None
     segment_s: float
     control: Path | None
-    phases: Path | None = None
     mcap: Path | None = None
 
 
@@ -50,9 +47,7 @@ def monitor(
     bundle: Annotated[Path | None, tyro.conf.Positional] = None,
     source: Annotated[str | None, tyro.conf.arg(help=f"source of the samples: {SOURCES}.")] = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    reactions: Path | None = None,
-    profiles: Path | None = None,
-    phases: Path | None = None,
+    cell: Path | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
@@ -78,9 +73,8 @@ def monitor(
     Args:
         bundle: bundle (*.tauext) to run.
         options: options of some sources.
-        reactions: TOML file of reactions to a collision, contact or fault, and to its end.
-        profiles: TOML file of named factors on the limits, switched while the monitor runs.
-        phases: TOML file of contacts that the task means: on while announced, in a box, or always; docs/contacts.md.
+        cell: TOML file of the cell: reactions to a collision, contact or fault; profiles, named factors on the limits;
+            phases, contacts that the task means; bus, the joints of servos.
         control: socket that accepts lines such as `profile NAME`, `contact PHASE seconds=20`, `acknowledge`, `resume`
             and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
@@ -122,9 +116,9 @@ def monitor(
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
-    extras = Extras(reactions, profiles, kept, record, segment_s, control, phases, mcap)
+    extras = Extras(kept, record, segment_s, control, mcap)
     output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
-    watch(bundle, source, given(options), settings, extras, output)
+    watch(bundle, source, given(options), cell, settings, extras, output)
 
 
 def require_positive(**values: float | None) -> None:
@@ -134,7 +128,13 @@ def require_positive(**values: float | None) -> None:
 
 
 def watch(
-    path: Path, text: str, options: dict[str, Any], settings: LoopSettings, extras: Extras, output: Output
+    path: Path,
+    text: str,
+    options: dict[str, Any],
+    of_cell: Path | None,
+    settings: LoopSettings,
+    extras: Extras,
+    output: Output,
 ) -> None:
     """Connect everything, run the loop, print the summary.
 
@@ -145,26 +145,23 @@ def watch(
     from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.monitor_output import Aside, OutputSink
     from tauext.cli.text_lines import Outcome
+    from tauext.monitor.cell_file import Cell, load_cell
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
-    from tauext.monitor.phases import phases_of
-    from tauext.monitor.profiles import load_profiles
-    from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
-    source, publishers = open_source(text, options, bundle)
-    phases, unmonitored = phases_of(extras.phases, bundle)
-    profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
-    rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
+    cell = Cell() if of_cell is None else load_cell(of_cell, joints)
+    source, publishers = open_source(text, options, bundle, cell)
+    unmonitored = cell.unmonitored(bundle)
     flights, record, mcap = written(extras, bundle, source.name, settings.wrench)
     sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
-    reactions = start_reactions(rules, source, publishers)
+    reactions = start_reactions(cell.reactions, source, publishers)
     with ExitStack() as stack:
         stack.callback(reactions.end)
         recorder = flights.recorder if flights else None
-        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, phases=phases)
+        loop = Loop(bundle, source, sinks, reactions, cell.profiles, recorder, settings, phases=cell.phases)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)

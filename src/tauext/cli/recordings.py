@@ -79,8 +79,8 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     from tauext.data.description_template import RATE, Guess, guess, guess_values, template
     from tauext.data.importers.damaged import whole
     from tauext.data.importers.open_raw import open_raw
-    from tauext.files.toml_file import parse_toml
-    from tauext.files.toml_file import write_template as write_text
+    from tauext.files.plain_file import parse_toml
+    from tauext.files.typed_table import write_template as write_text
     from tauext.robot.read import movable_joints
 
     if path.exists():

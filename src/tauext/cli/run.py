@@ -57,7 +57,7 @@ def run(
     contacts: bool = False,
     load: str | None = None,
     loads: Path | None = None,
-    phases: Path | None = None,
+    cell: Path | None = None,
     wrench: str | None = None,
     mcap: Path | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -85,7 +85,8 @@ def run(
         load: constant payload in the bundle's load frame, such as "mass=2.8 com=0,0,0.05"; optional
             inertia=XX,YY,ZZ,XY,XZ,YZ and error=SHARE. Units: kg, m, kg m^2.
         loads: TOML file of payloads with the times at which they change; docs/loads.md.
-        phases: TOML file of contacts that the task means, with their times in the recording; docs/contacts.md.
+        cell: TOML file of the cell with phases, contacts that the task means, and their times in the recording;
+            docs/contacts.md.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
         mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open.
@@ -100,8 +101,8 @@ def run(
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     require(mcap is None or len(recordings) == 1, "mcap", mcap, "left out, or given with one recording")
+    from tauext.monitor.cell_file import Cell, load_cell
     from tauext.monitor.flight_files import FlightSettings
-    from tauext.monitor.phases import phases_of
     from tauext.monitor.touch_place import PlaceFinder
 
     loaded = fitting_bundle(bundle, recordings)
@@ -111,8 +112,9 @@ def run(
         expect_log(mcap)
     kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
     carried = timed_loads(loaded, load, loads)
-    expected, unmonitored = phases_of(phases, loaded)
-    settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected, mcap)
+    its = Cell() if cell is None else load_cell(cell, [link.joint_name for link in loaded.links])
+    unmonitored = its.unmonitored(loaded)
+    settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, its.phases, mcap)
     PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
     if kept is not None:
         kept.recorder(loaded)

@@ -16,7 +16,8 @@ from tauext.cli.arguments import AcceptArg, BundleArg, JsonArg, MeshesArg, expec
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
-from tauext.files.toml_file import field_help, hints_of, read_toml, values_of
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import field_help, hints_of, values_of
 
 # --- Settings: those of a file, and the few that are options of the command line, too.
 
@@ -58,7 +59,7 @@ def train_settings(file: Path | None, given: Mapping[str, Any]) -> TrainConfig:
     Raises:
         ConfigError: one line with file, key, value and rule.
     """
-    values = {} if file is None else values_of(TrainConfig, read_toml(file), f"{file}")
+    values = {} if file is None else values_of(TrainConfig, read_toml(file), f"{file}:")
     values |= {"alarm": promise(values, given)} | {name: given[name] for name in COMMON if name in given}
     try:
         return TrainConfig(**values)
@@ -69,7 +70,7 @@ def train_settings(file: Path | None, given: Mapping[str, Any]) -> TrainConfig:
 
 def alarm_settings(file: Path | None, given: Mapping[str, Any]) -> AlarmConfig:
     """Settings of the table [alarm] alone, under those that are given."""
-    return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}"), given)
+    return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}:"), given)
 
 
 def promise(values: Mapping[str, Any], given: Mapping[str, Any]) -> AlarmConfig:
@@ -150,7 +151,7 @@ def calibrate(
     options: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
     threads: int = 0,
     refit_error_scale: bool = False,
-    phases: Path | None = None,
+    cell: Path | None = None,
     accept: AcceptArg = (),
 ) -> None:
     """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
@@ -166,31 +167,34 @@ def calibrate(
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
             limits follow from the others.
-        phases: TOML file of contacts that the task means (docs/contacts.md). The recordings are then of the task,
-            without collisions. Only the limits during these contacts change.
+        cell: TOML file of the cell with phases, contacts that the task means (docs/contacts.md). The recordings are
+            then of the task, without collisions. Only the limits during these contacts change.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
     """
     from tauext.bundle.bundle_file import load_bundle
     from tauext.data.dataset import load_dataset
     from tauext.data.recording_file import describe
-    from tauext.monitor.phases import phases_of
+    from tauext.monitor.cell_file import load_cell
     from tauext.train.calibrate import calibrate_contacts, recalibrate
 
     require_threads(threads)
-    if phases is not None:
+    if cell is not None:
         others = {"config": config, "refit_error_scale": refit_error_scale, "accept": accept} | dict(options)
         for name, value in others.items():
-            require(not value, name, value, "left out with --phases, which changes the limits during contacts only")
+            require(not value, name, value, "left out with --cell, which changes the limits during contacts only")
         expect_another(out, bundle, "start from")
-        expected, unmonitored = phases_of(phases, load_bundle(bundle))
-        assert expected is not None  # of a file
+        loaded = load_bundle(bundle)
+        its = load_cell(cell, [link.joint_name for link in loaded.links])
+        unmonitored, phases = its.unmonitored(loaded), its.phases
+        if phases is None:
+            raise ConfigError(f"{cell}: a table [phases.NAME] is missing: the contacts that the task means")
         dataset = load_dataset(data)
         heads = map(describe, dataset.files("calibration"))
         longest_s = max((head.samples / head.rate_hz for head in heads), default=math.inf)
         print_replaced(out)
-        for words in (*unmonitored, *expected.after_the_end(longest_s, "the longest calibration recording")):
+        for words in (*unmonitored, *phases.after_the_end(longest_s, "the longest calibration recording")):
             print(f"tauext: {words}", file=sys.stderr)
-        print(calibrate_contacts(bundle, dataset, out, expected.timed, threads, Terminal()).sentence())
+        print(calibrate_contacts(bundle, dataset, out, phases.timed, threads, Terminal()).sentence())
         print(out)
         return
     alarm = alarm_settings(config, options)

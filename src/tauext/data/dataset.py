@@ -19,6 +19,7 @@ from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.kind import why_no_dataset
 from tauext.files.plain_file import FORMAT, expect_format, read_json
+from tauext.files.typed_table import read_table
 
 # --- Split into sets of whole recordings, so that no window is in two sets.
 
@@ -38,8 +39,9 @@ class Split:
     """
 
     train: tuple[str, ...]
-    validation: tuple[str, ...]
-    test: tuple[str, ...]
+    validation: tuple[str, ...] = ()
+    """Empty: part of the training recordings validates."""
+    test: tuple[str, ...] = ()
     collisions: tuple[str, ...] = ()
     calibration: tuple[str, ...] = ()
     """Free motion for limits only; none in datasets of the paper's kind."""
@@ -63,8 +65,6 @@ class Split:
 
 
 SETS = tuple(field.name for field in fields(Split))
-OPTIONAL = ("validation", "test", "collisions", "calibration")
-"""A missing list is empty; without validation recordings part of the training recordings validates."""
 
 
 def split_recordings(
@@ -124,19 +124,8 @@ def load_split(folder: Path | str) -> Split:
     path = folder / FILE_NAME
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
-    for key in content:
-        if key != "format" and key not in SETS:  # a misspelt set would otherwise be empty
-            raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")
-    for set_name in SETS:
-        if set_name in OPTIONAL and set_name not in content:
-            content[set_name] = []
-        if not isinstance(content.get(set_name), list):
-            raise ConfigError(f"{path}: '{set_name}' must be a list of file names; the sets are {', '.join(SETS)}")
-    try:
-        split = Split(**{set_name: tuple(content[set_name]) for set_name in SETS})
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
-    there = {one.name for one in folder.iterdir() if one.is_file()}
+    split = read_table(Split, {key: value for key, value in content.items() if key != "format"}, f"{path}:")
+    there = {place.name for place in folder.iterdir() if place.is_file()}
     for set_name in SETS:
         for name in getattr(split, set_name):
             if name not in there:

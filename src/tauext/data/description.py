@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from tauext.data.recording import TORQUE_TIMINGS, TorqueTiming
+from tauext.config import AT_LEAST_0, NOT_0, NOT_EMPTY, Rule, above, within
+from tauext.data.recording import TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.toml_file import (
-    REQUIRED,
-    Key,
-    flag,
-    number,
-    numbers,
-    one_of,
-    parse_toml,
-    read_table,
-    read_toml,
-    refuse_unknown,
-    tables,
-    text,
-)
+from tauext.files.plain_file import parse_toml, read_toml
+from tauext.files.typed_table import EachJoint, Example, OneOrMore, Text, expect_known, read_table
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
@@ -35,88 +24,42 @@ NORMALISED = "normalised"
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
-# --- Tables of an arm.toml: each field is a key; reader and template use its rule, default, example and docstring.
+# --- Tables of an arm.toml: reader and template use the annotation, default and docstring of each key.
 
 
-def key(rule: Key | Callable[[int], Key], default: Any = MISSING, example: str = "") -> Any:
-    """Make the dataclass field of a key.
-
-    Args:
-        rule: how its value is read; a rule that depends on the number of joints is a function of it.
-        example: in TOML, for the template; empty: the default.
-    """
-    return field(default=default, metadata={"rule": rule, "example": example})
-
-
-def each(of: Key, other: str = "") -> Callable[[int], Key]:
-    """Rule for one value for all joints, a list of one a joint, or the word `other`."""
-
-    def of_joints(joints: int) -> Key:
-        def read(value: Any) -> tuple[Any, ...] | str:
-            if other and value == other:
-                return other
-            found = tuple(map(of.read, value if isinstance(value, list) else [value] * joints))
-            if len(found) not in (0, joints):
-                raise ValueError
-            return found
-
-        word = f', or "{other}"' if other else ""
-        return Key(read, f"{of.rule}, one for all joints or a list of {joints}{word}")
-
-    return of_joints
-
-
-def listed(of: Key, rule: str, default: Any = (), example: str = "") -> Any:
-    """Make the field of a key with one value or a list of them; "" means none."""
-
-    def read(value: Any) -> tuple[str, ...]:
-        return tuple(map(of.read, value if isinstance(value, list) else [value] * (value != "")))
-
-    return key(Key(read, rule), default, example)
-
-
-def _spans(value: Any) -> dict[str, tuple[tuple[float, ...], ...]]:
-    found = {
-        name: tuple(map(SPAN.read, spans)) for name, spans in tables("[contact.intervals]", {}).read(value).items()
-    }
-    if not all(first < last for spans in found.values() for first, last in spans):
-        raise ValueError
-    return found
-
-
-SPAN = numbers((2,), number())
-WORD = text(empty=True)
-POSITIVE = number().where(lambda value: value > 0, "a number > 0")
-LEAST_0 = number().where(lambda value: value >= 0, "a number >= 0")
-NOT_0 = number().where(lambda value: value != 0, "a number, not 0")
-SIGN = number().where(lambda value: abs(value) == 1, "1 or -1")
-TEXTS = "a text or a list of texts"
-NUMBERS = "a number or a list of numbers"
+DIFFERENT = Rule(", names that differ", lambda names: len(set(names)) == len(names))
+Names = Annotated[OneOrMore[Text], DIFFERENT]
+NotZero = Annotated[float, NOT_0]
+AtLeast0 = Annotated[float, AT_LEAST_0]
+Positive = Annotated[float, above(0)]
+Sign = Literal[1, -1]
+Vector = Annotated[tuple[float, ...], Rule(", three of them", lambda value: len(value) in (0, 3))]
+Span = Annotated[tuple[float, float], Rule(", [t0, t1] with t0 < t1", lambda span: span[0] < span[1])]
 
 
 @dataclass(frozen=True)
 class RobotTable:
     """Robot file and joints."""
 
-    joints: tuple[str, ...] = listed(text(), "the names of the joints in use, at least one", MISSING)
+    joints: Annotated[Names, NOT_EMPTY]
     """Joints in use, as the robot file names them, from the base on."""
-    model: str = key(WORD, "")
+    model: str = ""
     """URDF or MJCF file, relative to this file. "": no model; train then uses the case none."""
-    names: tuple[str, ...] = listed(text(), TEXTS, example='["Base", "Shoulder"]')
+    names: Annotated[EachJoint[Text], DIFFERENT, Example('["Base", "Shoulder"]')] = ()
     """Names of these joints in the recording, where they differ."""
-    locked: tuple[str, ...] = listed(text(), TEXTS, example='["finger_joint1"]')
+    locked: Annotated[Names, Example('["finger_joint1"]')] = ()
     """Movable joints of the robot file that are not in use. All others but a gripper's must be in use."""
-    ignored: tuple[str, ...] = listed(text(), TEXTS, example='["gripper"]')
+    ignored: Annotated[Names, Example('["gripper"]')] = ()
     """Joints of the recording that are not used. All others but a gripper's must be used."""
-    gear_ratio: tuple[float, ...] = key(each(NOT_0), (), "1")
+    gear_ratio: Annotated[EachJoint[NotZero], Example("1")] = ()
     """Motor turns a joint turn. Used for signals of side "motor" and for the rotor inertia."""
-    rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), (), "0.0001")
+    rotor_inertia_kg_m2: Annotated[EachJoint[AtLeast0], Example("0.0001")] = ()
     """Inertia of the motor and everything that turns with it, before the gear; times gear_ratio squared it is the
     joint's. It replaces the robot file's value. Left out: the file's."""
-    gravity_m_s2: tuple[float, ...] = key(numbers((0, 3), number(), "three numbers"), (), "[0, 0, -9.81]")
+    gravity_m_s2: Annotated[Vector, Example("[0, 0, -9.81]")] = ()
     """Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the
     file's."""
-    calibration: str = key(WORD, "", '"my_arm.json"')
+    calibration: Annotated[str, Example('"my_arm.json"')] = ""
     """LeRobot's calibration file of the arm, for positions and goals of unit "normalised"."""
 
 
@@ -124,12 +67,12 @@ class RobotTable:
 class PayloadTable:
     """Load that the robot file lacks: a tool, a gripper, a sensor."""
 
-    link: str = key(WORD, "", '"tool0"')
+    link: Annotated[str, Example('"tool0"')] = ""
     """Link of the robot file that carries the load."""
-    mass_kg: float = key(LEAST_0, 0.0)
-    com_m: tuple[float, ...] = key(numbers((3,), number(), "three numbers"), (0.0,) * 3)
+    mass_kg: AtLeast0 = 0.0
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Centre of mass in that link's frame."""
-    inertia_kg_m2: tuple[float, ...] = key(numbers((6,), number(), "six numbers: xx, yy, zz, xy, xz, yz"), (0.0,) * 6)
+    inertia_kg_m2: tuple[float, float, float, float, float, float] = (0.0,) * 6
     """Inertia about the centre of mass: xx, yy, zz, xy, xz, yz."""
 
 
@@ -137,14 +80,14 @@ class PayloadTable:
 class TimeTable:
     """Times of the samples."""
 
-    column: str = key(WORD, "")
+    column: str = ""
     """Column of the sample times. "" for bags and LeRobot folders, which have stamps, or where rate_hz is enough. Bags
     have two clocks, "header" and "log", LeRobot folders "fps" and "timestamp": these names choose one."""
-    unit: str = key(one_of(tuple(TIME_UNITS)), "s")
-    rate_hz: float = key(number(0, 1e6), 0.0)
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    rate_hz: Annotated[float, within(0, 1e6)] = 0.0
     """Nominal rate of the recordings; stamps must agree with it within 2 %. 0: as measured (the median step of the
     first recording)."""
-    repeats: Repeats = key(one_of(get_args(Repeats)), "keep")
+    repeats: Repeats = "keep"
     """Treatment of rows that repeat all measured values of the row before, for at most 0.1 s. keep: the clock stays
     regular, and a monitor with the same reader gets such rows too. drop: for a reader several times faster than the
     robot's state, where the monitor will get each state once."""
@@ -154,23 +97,23 @@ class TimeTable:
 class SignalTable:
     """A signal's columns and units; SIGNALS lists the keys of each signal."""
 
-    columns: tuple[str, ...] = listed(text(), TEXTS)
+    columns: OneOrMore[Text] = ()
     """An array whose elements are the joints ("position"), a pattern with {joint} (name in the recording), {index}
     (from 0) or {number} (from 1), or a list of names."""
-    unit: str = key(WORD, "")
-    topic: str = key(WORD, "", '"/joint_states"')
+    unit: str = ""
+    topic: Annotated[str, Example('"/joint_states"')] = ""
     """Topic of a bag, where several are read; signals of several topics are merged by their stamps."""
-    side: Side = key(one_of(get_args(Side)), "joint")
+    side: Side = "joint"
     """joint, or motor where it is measured before the gear (then gear_ratio applies)."""
-    sign: tuple[float, ...] = key(each(SIGN), (), "1")
+    sign: Annotated[EachJoint[Sign], Example("1")] = ()
     """1, or -1 where the recording's direction is opposite to the robot file's."""
-    offset: tuple[float, ...] = key(each(number()), (), "0")
+    offset: Annotated[EachJoint[float], Example("0")] = ()
     """Added last, in the signal's unit, where the recording's zero differs from the robot file's."""
-    low_pass_hz: float = key(LEAST_0, 20.0)
+    low_pass_hz: AtLeast0 = 20.0
     """Cut-off of the low-pass of a derived velocity; 0: none. A measured velocity is not filtered."""
-    torque_constant: tuple[float, ...] | str = key(each(NOT_0, "unknown"), (), '"unknown"')
+    torque_constant: Annotated[EachJoint[NotZero] | Literal["unknown"], Example('"unknown"')] = ()
     """For currents: Nm/A, at the motor where side = "motor", else at the joint; "unknown": to be fitted."""
-    timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "instant")
+    timing: TorqueTiming = "instant"
     """instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: mean over the step
     before."""
 
@@ -234,51 +177,48 @@ SIGNALS = {
 }
 
 
+if TYPE_CHECKING:
+    ServoName = str
+else:
+    ServoName = Literal[tuple(SERVO_TYPES)]
 TorqueSource = Literal["torque", "phase-current", "supply-current", "duty", "goal"]
 NEEDS = {"phase-current": "current", "supply-current": "current", "duty": "duty", "goal": "q_des"}
 """Signal from which a servo's torque is computed, by its source."""
-DELAY = number(0, 0.5)
 
 
 @dataclass(frozen=True)
 class ServoTable:
     """Joints driven by servos: velocity and torque are computed from what servos report, in recordings and live."""
 
-    torque_from: TorqueSource = key(one_of(get_args(TorqueSource)), example='"torque"')
+    torque_from: Annotated[TorqueSource, Example('"torque"')]
     """torque: [signals.tau]; leave that out for all others. phase-current: [signals.current] is that of the windings,
     signed. supply-current: [signals.current] is what the servo draws, unsigned. duty: [signals.duty]. goal: gain of the
     position loop times goal minus position, [signals.q_des] minus q."""
-    type: tuple[str, ...] = listed(
-        one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint", example='"sts3215-7.4v"'
-    )
+    type: Annotated[EachJoint[ServoName], Example('"sts3215-7.4v"')] = ()
     """Left out: an unknown servo. The constants below are those that the type lacks or that differ from it, all at the
     joint, after the gear."""
-    gain: tuple[float, ...] = key(each(POSITIVE), (), "16")
+    gain: Annotated[EachJoint[Positive], Example("16")] = ()
     """P gain of the position controller, in register units."""
-    duty_per_rad: tuple[float, ...] = key(each(POSITIVE), (), "2.7")
+    duty_per_rad: Annotated[EachJoint[Positive], Example("2.7")] = ()
     """Duty a rad of position error; replaces gain."""
-    most_duty: tuple[float, ...] = key(
-        each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), (), "0.97"
-    )
+    most_duty: Annotated[EachJoint[Annotated[float, above(0, 1)]], Example("0.97")] = ()
     """Largest duty that its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)."""
-    voltage_v: tuple[float, ...] = key(each(POSITIVE), (), "7.4")
+    voltage_v: Annotated[EachJoint[Positive], Example("7.4")] = ()
     """Supply voltage where there is no [signals.voltage]."""
-    ohm: tuple[float, ...] = key(each(POSITIVE), (), "2.75")
+    ohm: Annotated[EachJoint[Positive], Example("2.75")] = ()
     """Resistance of the windings."""
-    back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), (), "1.28")
+    back_emf_v_s: Annotated[EachJoint[AtLeast0], Example("1.28")] = ()
     """Back-EMF constant, V s/rad."""
-    torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), (), '"unknown"')
+    torque_constant: Annotated[EachJoint[float] | Literal["unknown"], Example('"unknown"')] = ()
     """Torque constant, Nm/A, or "unknown": to be fitted."""
-    counts_a_turn: tuple[float, ...] = key(each(POSITIVE), (), "4096")
+    counts_a_turn: Annotated[EachJoint[Positive], Example("4096")] = ()
     """Step of the encoder; left out: the type's, else found in the recordings."""
-    velocity_window_s: float = key(number(0, 2), 0.2)
+    velocity_window_s: Annotated[float, within(0, 2)] = 0.2
     """Longest time span for deriving the velocity; 0: the velocity is [signals.dq]."""
-    goal_delay_s: float | str = key(
-        Key(lambda value: value if value == "period" else DELAY.read(value), f'{DELAY.rule}, or "period"'), "period"
-    )
+    goal_delay_s: Annotated[float, within(0, 0.5)] | Literal["period"] = "period"
     """Delay from a goal's stamp until it acts. "period": one sample period, since most loops read the position and then
     send the goal, which moves the next position first."""
-    timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "held")
+    timing: TorqueTiming = "held"
     """Timing of the torque, as in [signals.tau]."""
 
 
@@ -286,27 +226,23 @@ class ServoTable:
 class ContactTable:
     """Labels of contacts."""
 
-    column: str = key(WORD, "")
+    column: str = ""
     """Column that marks whether the arm is touched. "": none."""
-    topic: str = key(WORD, "", '"/touch"')
+    topic: Annotated[str, Example('"/touch"')] = ""
     """Topic of that column, where several are read."""
-    contact_values: tuple[float, ...] = listed(number(), NUMBERS, (1.0,))
+    contact_values: OneOrMore[float] = (1.0,)
     """Values that mean contact."""
-    free_values: tuple[float, ...] = listed(number(), NUMBERS, (0.0,))
+    free_values: OneOrMore[float] = (0.0,)
     """Values that mean free; all others mean unknown."""
-    intervals: dict[str, tuple[tuple[float, float], ...]] = field(
-        default_factory=dict,
-        metadata={
-            "rule": Key(_spans, "a table of lists [[t0, t1], ...], t0 < t1"),
-            "example": '{"run2.bag" = [[40.7, 41.0]]}',
-        },
+    intervals: Annotated[dict[str, tuple[Span, ...]], Example('{"run2.bag" = [[40.7, 41.0]]}')] = field(
+        default_factory=dict
     )
     """Contacts by file where there is no label, in s after its first sample."""
-    before_s: float = key(LEAST_0, 0.5)
+    before_s: AtLeast0 = 0.5
     """Time cut out before each contact in training, validation, test and calibration."""
-    after_s: float = key(LEAST_0, 1.0)
+    after_s: AtLeast0 = 1.0
     """Time cut out after each contact."""
-    cut: bool = key(flag(), True)
+    cut: bool = True
     """false: recordings keep their contacts, for short free times between them. Training and limits still leave
     labelled contacts out (--margins of train)."""
 
@@ -316,14 +252,14 @@ class SplitTable:
     """Sets of the recordings, by file name or a part in s after its first sample: "run2.bag[0:40]". Left out:
     recordings with contacts go to collisions, the others are split whole (6 or more) or each by time."""
 
-    train: tuple[str, ...] = listed(text(), TEXTS, example='["run1.bag"]')
-    validation: tuple[str, ...] = listed(text(), TEXTS)
+    train: Annotated[OneOrMore[Text], Example('["run1.bag"]')] = ()
+    validation: OneOrMore[Text] = ()
     """Empty: train finds limits on parts of the training motion, each left out of a fit."""
-    test: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[0:40]"]')
-    collisions: tuple[str, ...] = listed(text(), TEXTS, example='["run2.bag[40:]"]')
-    calibration: tuple[str, ...] = listed(text(), TEXTS)
+    test: Annotated[OneOrMore[Text], Example('["run2.bag[0:40]"]')] = ()
+    collisions: Annotated[OneOrMore[Text], Example('["run2.bag[40:]"]')] = ()
+    calibration: OneOrMore[Text] = ()
     """Free motion for limits only."""
-    gap_s: float = key(LEAST_0, 2.0)
+    gap_s: AtLeast0 = 2.0
     """Gap between two parts of one recording."""
 
     @property
@@ -352,11 +288,6 @@ class Arm:
 
     def __post_init__(self) -> None:
         robot, payload = self.robot, self.payload
-        for name in ("joints", "names", "locked", "ignored"):
-            listed = getattr(robot, name)
-            self._require(len(set(listed)) == len(listed), "robot", name, list(listed), "names that differ")
-        self._require(bool(robot.joints), "robot", "joints", [], "the names of the joints in use, at least one")
-        self._check_count("robot", "names", robot.names)
         for name, used in (("locked", robot.joints), ("ignored", self.names)):
             both = [one for one in getattr(robot, name) if one in used]
             self._require(not both, "robot", name, both, "joints that are not in use")
@@ -422,8 +353,9 @@ class Arm:
         none = not signal.columns
         derived = name == "dq" or (name == "tau" and self.makes_torque)
         self._require(not none or derived, table, "columns", "''", "given (only a velocity can be derived)")
-        if len(signal.columns) > 1:
-            self._check_count(table, "columns", signal.columns)
+        joints = len(self.robot.joints)
+        counts = len(signal.columns) in (0, 1, joints)
+        self._require(counts, table, "columns", list(signal.columns), f"as many as joints, {joints}")
         if name != "tau":
             return
         constant = signal.torque_constant
@@ -440,8 +372,6 @@ class Arm:
         return self.servo is not None and self.servo.torque_from != "torque"
 
     def _check_servo(self, servo: ServoTable) -> None:
-        if len(servo.type) > 1:
-            self._check_count("servo", "type", servo.type)
         if servo.torque_from == "torque":
             return
         needed = NEEDS[servo.torque_from]
@@ -459,10 +389,6 @@ class Arm:
                 f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it uses that of [signals.duty], or "
                 "of goal minus position, [signals.q_des]; both are missing"
             )
-
-    def _check_count(self, table: str, key: str, values: tuple) -> None:
-        joints = len(self.robot.joints)
-        self._require(len(values) in (0, joints), table, key, list(values), f"as many as joints, {joints}")
 
     def _require(self, ok: bool, table: str, key: str, value: object, rule: str) -> None:
         if not ok:
@@ -525,46 +451,40 @@ def _expect_confirmed(content: dict[str, Any], path: Path) -> None:
 
 def _arm(content: dict[str, Any], path: Path, calibration: Path | None = None) -> Arm:
     _expect_confirmed(content, path)
-    top: dict[str, Key] = {name: tables(f"[{name}]", None) for name in ("robot", *TABLES, "signals")}
-    given = {name: table for name, table in read_table(path, "", content, top).items() if table is not None}
-    if "robot" not in given:
+    expect_known(f"{path}:", content, (*TABLES, "signals"))
+    robot, signals = content.get("robot"), content.get("signals", {})
+    if robot is None:
         raise ConfigError(f"{path}: the table [robot] is missing")
-    joints = given["robot"].get("joints", [])
-    count = len(joints) if isinstance(joints, list) else 1
-    signals = given.pop("signals", {})
-    refuse_unknown(path, "[signals]", signals, SIGNALS)
-    read = {name: _table(path, name, TABLES[name], table, count) for name, table in given.items()}
-    read["signals"] = {
-        name: _table(path, f"signals.{name}", SignalTable, signals[name], count, name)
-        for name in SIGNALS
-        if name in signals
+    expect_known(f"{path}: [signals]", signals, SIGNALS)
+    joints = robot.get("joints", []) if isinstance(robot, dict) else []
+    joints = joints if isinstance(joints, list) else [joints]
+    read: dict[str, Any] = {
+        name: read_table(TABLES[name], table, f"{path}: [{name}]", joints)
+        for name, table in content.items()
+        if name != "signals"
     }
-    read["signals"].setdefault("dq", SignalTable((), "rad/s"))
+    given = {name: signals[name] for name in SIGNALS if name in signals}
+    found = {name: _signal(name, table, f"{path}: [signals.{name}]", joints) for name, table in given.items()}
+    found.setdefault("dq", SignalTable((), "rad/s"))
     if calibration is not None:
         read["robot"] = replace(read["robot"], calibration=str(calibration.absolute()))
     servo = read.get("servo")
-    if servo is not None and servo.torque_from != "torque" and "tau" not in signals:
-        read["signals"]["tau"] = _made_torque(servo, count)
-    return Arm(**read, path=path)
+    if servo is not None and servo.torque_from != "torque" and "tau" not in found:
+        found["tau"] = _made_torque(servo)
+    return Arm(**read, signals=found, path=path)
 
 
-def _table(path: Path, name: str, kind: type, content: Any, joints: int, signal: str = "") -> Any:
-    """Read a table into its dataclass; a signal's has the keys and units of that signal."""
-    keys = {}
-    for one in fields(kind):
-        rule = one.metadata["rule"]
-        default = REQUIRED if one.default is MISSING and one.default_factory is MISSING else one.default
-        keys[one.name] = (rule if isinstance(rule, Key) else rule(joints))._replace(default=default)
-    if signal:
-        units = tuple(SIGNALS[signal].units)
-        keys = {key: keys[key] for key in SIGNALS[signal].keys} | {"unit": one_of(units, units[0])}
-    values = read_table(path, f"[{name}]", content, keys)
-    return kind(**{key: value for key, value in values.items() if value is not MISSING})
+def _signal(name: str, content: Any, where: str, joints: Sequence[str]) -> SignalTable:
+    """The table of a signal, which has the keys and units of that signal."""
+    table = read_table(SignalTable, content, where, joints, SIGNALS[name].keys)
+    units = list(SIGNALS[name].units)
+    if "unit" in content and table.unit not in units:
+        raise ConfigError(f"{where} unit = {table.unit!r} must be one of {', '.join(units)}")
+    return replace(table, unit=table.unit or units[0])
 
 
-def _made_torque(servo: ServoTable, joints: int) -> SignalTable:
+def _made_torque(servo: ServoTable) -> SignalTable:
     """Table of a torque computed from servo signals, as if read from a column; in A without a torque constant."""
     known = servo.torque_constant or tuple(SERVO_TYPES[name].nm_per_ampere or 0.0 for name in servo.type)
-    known = known * joints if len(known) == 1 and not isinstance(known, str) else known
-    constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
+    constant: Any = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
     return SignalTable((), "A", torque_constant=constant, timing=servo.timing)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -14,7 +13,7 @@ from tauext.data.clock import SHARED_STAMPS
 from tauext.data.description import GUESSED, SIGNALS, TABLES, TIME_UNITS, SignalTable
 from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.joint_names import GRIPPER, match_joints
-from tauext.files.toml_file import Key, comment_lines, field_help
+from tauext.files.typed_table import comment_lines, key_help, table_lines
 
 _BEFORE = r"((actual|act|measured|meas|joints?|state|present|robot|motor|arm|ax[ei]s|gelenke?|achsen?|ist)_)*"
 _AFTER = r"(_(actual|act|measured|meas|joints?|state|rad|deg|rads|rad_s|deg_s|nm))*"
@@ -263,7 +262,6 @@ def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
         guessed.why["signals.dq.unit"] = "the unit of the positions, if they are in degrees; rad/s is the other choice"
 
 
-WIDTH = 120
 HEADER = """\
 # arm.toml: description of a robot and of its recordings.
 # A list has one entry a joint, in the order of [robot] joints; one number instead stands for all joints.
@@ -305,15 +303,24 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     for entry, value in guessed.values.items():
         table, _, key = entry.rpartition(".")
         (signals[table.removeprefix("signals.")] if table.startswith("signals.") else found[table])[key] = value
-    text = HEADER
+    lines = HEADER.splitlines()
     for name, kind in TABLES.items():
-        text += _table(name, kind, kind.__doc__ or "", found.get(name, {}), name in in_force, why)
+        evidence = {key.removeprefix(f"{name}."): words for key, words in why.items()}
+        lines += table_lines(kind, name, kind.__doc__ or "", found.get(name), None, evidence, name in in_force)
         if name == "time":  # the signals follow
-            text += _shared_keys(topics if guessed.topic else ())
-            for signal, (_, keys, words) in SIGNALS.items():
-                shown = keys if signal in NEEDED else ("columns", "unit")
-                text += _table(f"signals.{signal}", SignalTable, words, signals[signal], signal in in_force, why, shown)
-    return text.rstrip() + "\n"
+            lines += _shared_keys(topics if guessed.topic else ())
+            for signal in SIGNALS:
+                evidence = {key.removeprefix(f"signals.{signal}."): words for key, words in why.items()}
+                helps = _signal_help(signal, SIGNALS[signal].keys if signal in NEEDED else ("columns", "unit"))
+                shown = SIGNALS[signal].help, signals[signal], helps, evidence
+                lines += table_lines(SignalTable, f"signals.{signal}", *shown, signal in in_force)
+    return "\n".join(lines)
+
+
+def _signal_help(signal: str, keys: Sequence[str]) -> dict[str, str]:
+    """Help of a signal's own keys; that of shared ones is above all signals."""
+    helps = {key: "" if key in SHARED else words for key, words in key_help(SignalTable).items() if key in keys}
+    return helps | {"unit": f"One of {', '.join(SIGNALS[signal].units)}."}
 
 
 def _joint_entries(guessed: Guess, joints: Sequence[str]) -> tuple[dict[str, Any], dict[str, str]]:
@@ -383,47 +390,14 @@ def _signal(name: str, columns: str) -> dict[str, Any]:
     return {"columns": columns, "unit": unit.replace("rad", "deg") if "deg" in columns else unit}
 
 
-def _shared_keys(topics: Sequence[str]) -> str:
+def _shared_keys(topics: Sequence[str]) -> list[str]:
     """Comment that explains the shared keys."""
-    words = field_help(SignalTable)
     lines = ["# Signals. Keys of several of them:"]
-    for name in (name for name in SHARED if name in words):
-        more = f" The source has {', '.join(topics)}." if name == "topic" and len(topics) > 1 else ""
-        lines += comment_lines(f"{name}: {words[name]}{more}", "#   ")
-    return "\n".join(lines) + "\n\n"
-
-
-def _table(
-    table: str,
-    kind: type,
-    about: str,
-    found: Mapping[str, Any],
-    in_force: bool,
-    why: Mapping[str, str],
-    shown: Collection[str] = (),
-) -> str:
-    """Lines of a table, with the keys found set; commented out where the table is not in force.
-
-    Args:
-        why: evidence of guesses by "table.key", printed above the key.
-        shown: keys; empty: all.
-    """
-    helps, signal = field_help(kind), table.removeprefix("signals.")
-    lines = [*comment_lines(about), f"{'' if in_force else '# '}[{table}]"]
-    for one in (one for one in fields(kind) if not shown or one.name in shown):
-        rule = one.metadata["rule"]
-        choices = (rule if isinstance(rule, Key) else rule(1)).rule.partition("one of ")[2]
-        if kind is SignalTable:
-            choices = ", ".join(SIGNALS[signal].units) if one.name == "unit" else ""
-        words = "" if kind is SignalTable and one.name in SHARED else helps.get(one.name, "")
-        words += f"{' ' * bool(words)}One of {choices}." if choices else ""
-        value = json.dumps(found[one.name]) if one.name in found else one.metadata["example"] or json.dumps(one.default)
-        if evidence := why.get(f"{table}.{one.name}") if in_force else "":
-            lines += comment_lines(f"Evidence: {evidence}.")
-        line = f"{'' if in_force and one.name in found else '# '}{one.name} = {value}"
-        beside = f"{line}  # {words}".removesuffix(".") if words else line
-        lines += [beside] if len(beside) <= WIDTH else [*comment_lines(words), line]
-    return "\n".join(lines) + "\n\n"
+    for name, words in key_help(SignalTable).items():
+        if name in SHARED and words:
+            more = f" The source has {', '.join(topics)}." if name == "topic" and len(topics) > 1 else ""
+            lines += comment_lines(f"{name}: {words}{more}", "#   ")
+    return [*lines, ""]
 
 
 JOINT = "{joint}"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from tauext.config import require, within
 from tauext.errors import ConfigError
 from tauext.files.plain_file import read_json
-from tauext.files.toml_file import number, read_table
+from tauext.files.typed_table import TableName, read_table
 
 # --- Servos by name: constants of motor, position controller and registers, with their sources.
 
@@ -81,11 +83,7 @@ SERVO_TYPES = {
 
 LARGEST_COUNT = 1 << 20
 """Largest count: 256 turns, more than any joint's."""
-COUNT = number(-LARGEST_COUNT, LARGEST_COUNT, whole=True)
-KEYS = {
-    "id": number(0, 252, whole=True), "drive_mode": number(0, 255, whole=True),
-    "homing_offset": COUNT, "range_min": COUNT, "range_max": COUNT,
-}  # fmt: skip
+Count = Annotated[int, within(-LARGEST_COUNT, LARGEST_COUNT)]
 ROUNDING = 1e-3
 """Tolerance of normalised values, stored as float32."""
 
@@ -98,17 +96,20 @@ class MotorCalibration:
     4096. The servo has already subtracted homing_offset.
     """
 
-    name: str
-    id: int
+    name: TableName
+    id: Annotated[int, within(0, 252)]
     """Id on the bus."""
-    drive_mode: int
+    drive_mode: Annotated[int, within(0, 255)]
     """Not 0: LeRobot reverses normalised values (Feetech only; never degrees)."""
-    homing_offset: int
+    homing_offset: Count
     """[counts]."""
-    range_min: int
+    range_min: Count
     """[counts]."""
-    range_max: int
+    range_max: Count
     """[counts]."""
+
+    def __post_init__(self) -> None:
+        require(self.range_min < self.range_max, "range_min", self.range_min, f"below range_max = {self.range_max}")
 
     @property
     def middle(self) -> float:
@@ -167,10 +168,6 @@ def load_lerobot_calibration(path: Path) -> dict[str, MotorCalibration]:
 
 
 def _motor(path: Path, name: str, table: object) -> MotorCalibration:
-    keys = {key: table[key] for key in KEYS if key in table} if isinstance(table, dict) else table
-    motor = MotorCalibration(name, **read_table(path, f"motor {name!r}:", keys, KEYS))
-    if motor.range_min >= motor.range_max:
-        raise ConfigError(
-            f"{path}: motor {name!r}: range_min = {motor.range_min} must be below range_max = {motor.range_max}"
-        )
-    return motor
+    kept = [one.name for one in fields(MotorCalibration)]
+    known = {key: value for key, value in table.items() if key in kept} if isinstance(table, dict) else table
+    return read_table(MotorCalibration, known, f"{path}: motor {name!r}:", name=name)

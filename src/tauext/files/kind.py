@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import BUNDLE_MAGIC, json_of, read_text
 
 LOGS = {
     ".csv": "a CSV file",
@@ -19,7 +19,6 @@ LOGS = {
     ".mat": "a MATLAB file",
 }
 """Files that `tauext import` reads, by the end of their names."""
-BUNDLE_MAGIC = b"TAUEXT"
 PARQUET_MAGIC = b"PAR1"
 FOOTER = 1 << 20
 """Bytes at the end of a Parquet file in which its metadata are searched."""

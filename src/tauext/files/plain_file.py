@@ -18,6 +18,7 @@ from tauext.errors import ConfigError, TauextError
 FORMAT = 1
 """Format number of every kind of file that this version writes and reads."""
 
+BUNDLE_MAGIC = b"TAUEXT"
 LARGEST_TEXT = 1 << 28
 """Largest size of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
@@ -64,9 +65,12 @@ def read_text(path: Path) -> str:
 
     Raises:
         OSError: see read_bytes().
-        ValueError: it is no UTF-8.
+        ValueError: it is a bundle, or no UTF-8.
     """
-    return read_bytes(path).decode("utf-8")
+    raw = read_bytes(path)
+    if raw.startswith(BUNDLE_MAGIC):
+        raise ValueError("it is a bundle")
+    return raw.decode("utf-8")
 
 
 def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:
@@ -87,12 +91,34 @@ def read_json(path: Path, missing: str = "there is no such file", kind: str = ""
     Raises:
         ConfigError: there is no such file, or it is not JSON.
     """
+    return _parsed(path, lambda: json_of(read_text(path)), f"{kind}not readable as JSON", missing)
+
+
+def read_toml(path: Path, advice: str = "") -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Args:
+        advice: how to get such a file, for the message where there is none.
+
+    Raises:
+        ConfigError: there is no such file, or it is not TOML.
+    """
+    missing = f"there is no such file{advice and f'; {advice}'}"
+    return _parsed(path, lambda: toml_of(read_text(path)), "not readable as TOML", missing)
+
+
+def parse_toml(content: str, path: Path) -> dict[str, Any]:
+    """The content of a TOML text; raises as read_toml."""
+    return _parsed(path, lambda: toml_of(content), "not readable as TOML")
+
+
+def _parsed(path: Path, parse: Callable[[], Any], wrong: str, missing: str = "") -> Any:
     try:
-        return json_of(read_text(path))
+        return parse()
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: {missing}") from error
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {kind}not readable as JSON ({error})") from error
+        raise ConfigError(f"{path}: {wrong} ({error})") from error
 
 
 PLAIN_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

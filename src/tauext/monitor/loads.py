@@ -3,29 +3,51 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 from tauext._core import Load, LoadSettings
+from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.plain_file import number_of
-from tauext.files.toml_file import number, numbers, read_table, read_toml, tables
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import expect_known, read_table, table_of_line
 
-KEYS = {
-    "mass": number(),
-    "com": numbers((3,), number(), default=(0.0,) * 3),
-    "inertia": numbers((3, 6), number(), default=(0.0,) * 6),
-    "error": number(default=None),
-}
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; only mass is required"
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
 MOST_AGO_S = 1e6
-EXPECTED_KEYS = {"seconds": number(), "at_most": number()}
-FROM_S = number(0.0, 1e9, 0.0)
+LATEST_S = 1e9
 """Largest time of a load, [s]; stamps in nanoseconds allow nine times as much."""
+
+
+@dataclass(frozen=True)
+class LoadTable:
+    """Keys of a load."""
+
+    mass: float
+    """[kg]."""
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Centre of mass in the load frame, [m]."""
+    inertia: Annotated[tuple[float, ...], Rule(", 3 or 6 of them", lambda value: len(value) in (3, 6))] = (0.0,) * 6
+    """About the centre of mass, [kg m2]: xx, yy, zz, and xy, xz, yz where they are not 0."""
+    error: float | None = None
+    """Relative error of the load; None: the core's default."""
+
+    @property
+    def load(self) -> Load:
+        whole = self.mass, self.com, self.inertia + (0.0,) * (6 - len(self.inertia))
+        return Load(*whole) if self.error is None else Load(*whole, self.error)
+
+
+AnyLoad = TypeVar("AnyLoad", bound=LoadTable)
+
+
+@dataclass(frozen=True)
+class LaterLoad(LoadTable):
+    """Keys of a load in a file of loads."""
+
+    from_s: Annotated[float, within(0, LATEST_S)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -39,10 +61,18 @@ class TimedLoad:
 
 @dataclass(frozen=True)
 class Expected:
-    """Expected load: for `seconds` the load may change to any mass up to `at_most_kg`."""
+    """Expected load: for `seconds` the load may change to any mass up to `at_most`, [kg]."""
 
     seconds: float
-    at_most_kg: float
+    at_most: float
+
+
+@dataclass(frozen=True)
+class LoadLine(LoadTable):
+    """Keys of a load in a control line."""
+
+    ago: Annotated[float, within(0, MOST_AGO_S)] | None = None
+    """Time since the load was picked up, [s]."""
 
 
 def expected_of_text(text: str) -> Expected:
@@ -52,20 +82,10 @@ def expected_of_text(text: str) -> Expected:
         ConfigError: names the error and the syntax.
     """
     where = f"expect {text.strip()[:80]!r}"
-    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
-    if head.strip(" ,\t") or len(rest) != 4:
+    head, table = table_of_line(Expected, text, where)
+    if head or not table:
         raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
-    table = {key: _number(where, value.strip(" ,\t")) for key, value in zip(rest[::2], rest[1::2], strict=True)}
-    return expected_of_table(where, "", table)
-
-
-def expected_of_table(path: Path | str, table: str, content: Any) -> Expected:
-    """Read the expected load in a table.
-
-    Raises:
-        ConfigError: names the key, the value and the rule.
-    """
-    return Expected(*read_table(path, table, content, EXPECTED_KEYS).values())
+    return read_table(Expected, table, f"{where}:")
 
 
 def load_of_text(text: str) -> Load:
@@ -74,43 +94,27 @@ def load_of_text(text: str) -> Load:
     Raises:
         ConfigError: names the error and the syntax.
     """
-    return load_and_ago_of_text(text, extra=())[0]
+    return _load_of_line(LoadTable, text).load
 
 
-def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
+def load_and_ago_of_text(text: str) -> tuple[Load, float | None]:
     """Parse the load in a line, and the time since it was picked up, [s], if the line has `ago=0.4`."""
+    found = _load_of_line(LoadLine, text)
+    return found.load, found.ago
+
+
+def _load_of_line(kind: type[AnyLoad], text: str) -> AnyLoad:
     where = f"load {text.strip()[:80]!r}"
-    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
-    first = head.strip(" ,\t")
-    if first not in ("", "none"):
+    first, table = table_of_line(kind, text, where)
+    if first not in ("", "none") or not (first or table):
         bare = re.fullmatch(r"([0-9.eE+-]+)\s*(?:kg)?", first)
-        meant = f"; did you mean 'mass={bare[1]}'?" if bare and not rest else ""
+        meant = f"; did you mean 'mass={bare[1]}'?" if bare and not table else ""
         raise ConfigError(f"{where} cannot be read{meant}; a load is {USAGE}")
-    table: dict[str, Any] = {}
-    for key, value in zip(rest[::2], rest[1::2], strict=True):
-        if key not in (*KEYS, *extra) or key in table:
-            raise ConfigError(f"{where}: {key} is {'given twice' if key in table else 'unknown'}; a load is {USAGE}")
-        numbers = [_number(where, one) for one in re.split(r"[\s,]+", value.strip("[]() ,\t")) if one]
-        if len(numbers) != 1 and key not in ("com", "inertia"):
-            raise ConfigError(f"{where}: {key} must be one number; a load is {USAGE}")
-        table[key] = numbers if key in ("com", "inertia") else numbers[0]
-    ago = table.pop("ago", None)
-    if ago is not None and not 0 <= ago <= MOST_AGO_S:
-        raise ConfigError(f"{where}: ago = {ago:g} s must be 0 to {MOST_AGO_S:g}")
-    if first == "none" and table:
-        raise ConfigError(f"{where}: none has no {next(iter(table))}")
-    return (NOTHING if first == "none" else load_of_table(where, "", table)), ago
-
-
-def load_of_table(path: Path | str, table: str, content: Any) -> Load:
-    """Read the load in a table of mass, com, inertia and error; three numbers of inertia are the diagonal.
-
-    Raises:
-        ConfigError: names the key, the value and the rule.
-    """
-    mass, com, inertia, error = read_table(path, table, content, KEYS).values()
-    load = Load(mass, com, inertia + (0.0,) * (6 - len(inertia)))
-    return load if error is None else Load(load.mass, load.com, load.inertia, error)
+    if first == "none":
+        if more := [key for key in table if key != "ago"]:
+            raise ConfigError(f"{where}: none has no {more[0]}")
+        table["mass"] = 0.0
+    return read_table(kind, table, f"{where}:")
 
 
 def read_loads(path: Path) -> list[TimedLoad]:
@@ -119,13 +123,15 @@ def read_loads(path: Path) -> list[TimedLoad]:
     Raises:
         ConfigError: no such file, or a value that breaks a rule.
     """
-    found: list[TimedLoad] = []
-    for count, table in enumerate(read_table(path, "", read_toml(path), {"load": tables("[[load]]")})["load"], 1):
-        where = f"load {count}"
-        from_s = read_table(path, where, table, {"from_s": FROM_S} | KEYS)["from_s"]
-        if found and from_s < found[-1].from_s:
-            raise ConfigError(f"{path}: {where} from_s = {from_s:g} must not be before the load above it")
-        found.append(TimedLoad(from_s, load_of_table(path, where, {k: v for k, v in table.items() if k != "from_s"})))
+    content, found = read_toml(path), list[TimedLoad]()
+    expect_known(f"{path}:", content, ("load",))
+    if not isinstance(listed := content.get("load"), list) or not listed:
+        raise ConfigError(f"{path}: load is missing; it must be one or more tables [[load]]")
+    for count, table in enumerate(listed, 1):
+        one = read_table(LaterLoad, table, f"{path}: [[load]] {count}")
+        if found and one.from_s < found[-1].from_s:
+            raise ConfigError(f"{path}: [[load]] {count} from_s = {one.from_s:g} must not be before the load above it")
+        found.append(TimedLoad(one.from_s, one.load))
     return found
 
 
@@ -146,10 +152,3 @@ def load_words(load: Load, frame: str = "") -> str:
 def load_facts(load: Load) -> dict[str, Any]:
     """Convert the load to plain JSON."""
     return {"mass_kg": load.mass, "com_m": list(load.com), "inertia_kg_m2": list(load.inertia)}
-
-
-def _number(where: str, value: str) -> float:
-    try:
-        return number_of(value)
-    except ValueError:
-        raise ConfigError(f"{where}: {value[:40]!r} must be a number") from None

@@ -208,7 +208,7 @@ class Loop:
 
     def use_profile(self, name: str, by: str) -> None:
         if self._profiles is None:
-            raise ConfigError(f"profile {name!r}: no profiles are loaded; `tauext monitor --profiles FILE` reads some")
+            raise ConfigError(f"profile {name!r}: no profiles are loaded; `tauext monitor --cell FILE` reads some")
         self._profiles.named(name)
         self._requests.put(lambda: self._switch(name, by))
 
@@ -238,7 +238,7 @@ class Loop:
         self._requests.put(lambda: self._declare(announced, contact, by))
 
     def _why_not(self, expected: Expected) -> str:
-        return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
+        return self.monitor.why_not_expected(expected.seconds, expected.at_most)
 
     def _why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
         """Reason why profiles or reactions do not work with this monitor; empty: they do."""
@@ -246,7 +246,7 @@ class Loop:
             load, expect = profile.load, profile.expect
             reason = "" if load is None else monitor.why_no_load(load)
             if expect is not None:
-                reason = reason or monitor.why_not_expected(expect.seconds, expect.at_most_kg)
+                reason = reason or monitor.why_not_expected(expect.seconds, expect.at_most)
             if reason:
                 return f"profile {profile.name}: {reason}"
         if places is not None and places.refused:
@@ -642,9 +642,9 @@ class Loop:
         return self.monitor
 
     def _expect(self, expected: Expected, by: str) -> None:
-        self._real.expect_load(expected.seconds, expected.at_most_kg)
+        self._real.expect_load(expected.seconds, expected.at_most)
         self._timed.add("the expected load")
-        self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
+        self.note(f"a load of at most {expected.at_most:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _declare(self, announced: Announced, contact: _core.DeclaredContact | None, by: str) -> None:
         phases, name = self._changes.phases, announced.name

@@ -1,77 +1,102 @@
-"""Phases of a task with the contact that each means: from phases.toml, or a control line."""
+"""Phases of a task with the contact that each means: from the cell's file, or a control line."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Literal
 
-from tauext._core import Bundle, DeclaredContact, Monitor, WrenchAxes
+from tauext._core import DeclaredContact, Monitor, WrenchAxes
+from tauext.config import Rule, within
 from tauext.errors import ConfigError
-from tauext.files.plain_file import number_of
-from tauext.files.toml_file import Key, flag, number, numbers, one_of, read_table, read_toml, text
+from tauext.files.typed_table import TableName, read_table, table_of_line
 from tauext.monitor.changes import DeclaredChange
 
 AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
-ZEROS = (0.0, 0.0, 0.0)
-VECTOR = numbers((3,), number(), default=ZEROS)
+Vector = tuple[float, float, float]
 LARGEST = 1e6
 """Largest force, moment and time; a larger one is a mistake of units."""
-SECONDS = number(0.0, LARGEST)
-CONTACT_KEYS: dict[str, Key] = {
-    "frame": text("name of a frame", default=""),
-    "joint": text("name of a joint", default=""),
-    "point": VECTOR,
-    "axis": VECTOR,
-    "axes": one_of(tuple(AXES), "frame"),
-    "half_angle_deg": number(0.0, 90.0, 0.0),
-    "at_most_n": number(0.0, LARGEST, 0.0),
-    "at_most_nm": number(0.0, LARGEST, 0.0),
-    "at_most_travel_m": number(0.0, LARGEST, math.inf),
-}
-VECTORS = ("point", "axis")
+Amount = Annotated[float, within(0, LARGEST)]
 USAGE = (
-    "`contact PHASE seconds=S` of --phases, `contact none [PHASE]`, or `contact frame=NAME axis=X,Y,Z half_angle_deg=A "
-    "at_most_n=N at_most_nm=M seconds=S`, with joint=NAME at_most_nm=M instead for a torque of one joint; further "
-    "keys: point, axes=frame|base, at_most_travel_m"
+    "`contact PHASE seconds=S` of the cell's file, `contact none [PHASE]`, or `contact frame=NAME axis=X,Y,Z "
+    "half_angle_deg=A at_most_n=N at_most_nm=M seconds=S`, with joint=NAME at_most_nm=M instead for a torque of one "
+    "joint; further keys: point, axes=frame|base, at_most_travel_m"
 )
 
 
-def read_pairs(value: Any) -> tuple[tuple[float, float], ...]:
-    """Pairs of rising times, [s], each after the one before."""
-    found = [tuple(map(SECONDS.read, pair)) for pair in value]
-    flat = [time for pair in found for time in pair]
-    if any(len(pair) != 2 for pair in found) or any(b <= a for a, b in zip(flat, flat[1:], strict=False)):
-        raise ValueError
-    return tuple((begin, end) for begin, end in found)
-
-
-def read_box(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Lowest and highest corner, [m]."""
-    lowest, highest = (VECTOR.read(corner) for corner in value)
-    return lowest, highest
-
-
-PHASE_KEYS = CONTACT_KEYS | {
-    "box": Key(read_box, "two corners: [[X, Y, Z], [X, Y, Z]], in m along the axes of the base", None),
-    "always": flag(False),
-    "during": Key(read_pairs, "rising pairs of times of a recording, in s: [[FROM, TO], ...]", ()),
-}
+def are_rising(pairs: Sequence[tuple[float, float]]) -> bool:
+    """Whether each time is after the one before it."""
+    return all(a < b for a, b in pairwise(time for pair in pairs for time in pair))
 
 
 @dataclass(frozen=True)
-class Phase:
-    """A named contact that the task means."""
+class ContactTable:
+    """Keys of a contact that a task means."""
 
-    name: str
-    contact: DeclaredContact
+    frame: str = ""
+    """Frame at which the force acts."""
+    joint: str = ""
+    """Joint of a torque, instead of a frame."""
+    point: Vector = (0.0, 0.0, 0.0)
+    """Where the force acts, in the frame, [m]."""
+    axis: Vector = (0.0, 0.0, 0.0)
+    """Direction of the force; zeros: any."""
+    axes: Literal["frame", "base"] = "frame"
+    """Axes of `axis` and of the moment."""
+    half_angle_deg: Annotated[float, within(0, 90)] = 0.0
+    at_most_n: Amount = 0.0
+    at_most_nm: Amount = 0.0
+    at_most_travel_m: Amount = math.inf
+
+    def __post_init__(self) -> None:
+        if bool(self.frame) == bool(self.joint):
+            raise ConfigError("needs a frame or a joint, and not both")
+
+    @cached_property
+    def contact(self) -> DeclaredContact:
+        values = {one.name: getattr(self, one.name) for one in fields(ContactTable)}
+        return DeclaredContact(**values | {"axes": AXES[self.axes], "box": getattr(self, "box", None)})
+
+
+@dataclass(frozen=True)
+class Phase(ContactTable):
+    """A named contact that the task means: a table [phases.NAME] of the cell's file."""
+
+    name: TableName = ""
+    box: tuple[Vector, Vector] | None = None
+    """Two corners, [m], along the axes of the base: declared while the point is inside."""
     always: bool = False
-    """From the start on; one with a box always is."""
-    during: tuple[tuple[float, float], ...] = ()
+    """Declared from the start on, as a phase with a box is."""
+    during: Annotated[tuple[tuple[Amount, Amount], ...], Rule(", rising pairs of times in s", are_rising)] = ()
     """Times of a recording in which it is declared, [s] since the first sample."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not re.fullmatch(r"[\w.-]+", self.name) or self.name == "none":
+            raise ConfigError(f"phase name {self.name!r} must be one word, other than 'none'")
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it is declared from the start on."""
+        return self.always or self.box is not None
+
+
+@dataclass(frozen=True)
+class PhaseLine:
+    """The key of a control line that announces a phase."""
+
+    seconds: Amount
+
+
+@dataclass(frozen=True)
+class ContactLine(ContactTable):
+    """Keys of a control line that announces a contact."""
+
+    seconds: Amount = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -115,7 +140,7 @@ class Phases:
         """
         if name not in self.by_name:
             known = ", ".join(self.by_name)
-            must = f"must be one of {known}" if known else "needs phases: --phases FILE reads some"
+            must = f"must be one of {known}" if known else "needs a table [phases.NAME] of --cell FILE"
             raise ConfigError(f"phase {name!r} {must}")
         return self.by_name[name]
 
@@ -123,7 +148,7 @@ class Phases:
         """Declare the phases that are always on, to a new monitor."""
         self.declared.clear()
         for phase in self.by_name.values():
-            if phase.always:
+            if phase.lasts:
                 self.declare(monitor, phase.name, phase.contact, math.inf)
 
     def declare(self, monitor: Monitor, name: str, contact: DeclaredContact, seconds: float) -> None:
@@ -136,7 +161,7 @@ class Phases:
 
     def end(self, monitor: Monitor, name: str) -> int:
         """End the contacts of this phase; of all that are not always on if the name is empty. Returns their number."""
-        always = {one.name for one in self.by_name.values() if one.always}
+        always = {one.name for one in self.by_name.values() if one.lasts}
         chosen = [k for k, (of, _) in self.declared.items() if (of == name if name else of not in always)]
         return sum(monitor.end_contact(k) for k in chosen)
 
@@ -149,7 +174,7 @@ class Phases:
 
         def each() -> Iterator[tuple[str, DeclaredContact, int, float]]:
             for phase in self.by_name.values():
-                if phase.always:
+                if phase.lasts:
                     yield phase.name, phase.contact, start_ns, math.inf
                 for begin, end in phase.during:
                     yield phase.name, phase.contact, start_ns + round(begin * 1e9), end - begin
@@ -180,8 +205,6 @@ class Phases:
 
     def with_names(self, change: DeclaredChange) -> DeclaredChange:
         """The change with the name and the bounds of its contact."""
-        from dataclasses import replace
-
         name, bounds = self.declared.get(change.contact, ("", None))
         return replace(change, phase=name, bounds=bounds)
 
@@ -195,39 +218,6 @@ def bounds_words(contact: DeclaredContact) -> str:
     return f"at {contact.frame} of at most {' and '.join(sizes)}"
 
 
-def contact_of_table(where: str, values: Mapping[str, Any]) -> DeclaredContact:
-    """The contact of these values of CONTACT_KEYS, and perhaps a box.
-
-    Raises:
-        ConfigError: neither a frame nor a joint, or both.
-    """
-    if bool(values["frame"]) == bool(values["joint"]):
-        raise ConfigError(f"{where}: give a frame or a joint, and not both")
-    box = values.get("box")
-    return DeclaredContact(
-        **{key: values[key] for key in CONTACT_KEYS if key not in ("axes",)}, axes=AXES[values["axes"]], box=box
-    )
-
-
-def read_phases(path: Path) -> Phases:
-    """Read a phases.toml: a table [NAME] for each phase.
-
-    Raises:
-        ConfigError: names the file, the key, the value and the rule that it breaks.
-    """
-    content = read_toml(path, "docs/contacts.md has examples")
-    if not content:
-        raise ConfigError(f"{path}: there must be one or more tables [PHASE]")
-    found = {}
-    for name, table in content.items():
-        if not re.fullmatch(r"[\w.-]+", name) or name == "none":
-            raise ConfigError(f"{path}: phase name {name!r} must be one word, other than 'none'")
-        values = read_table(path, f"[{name}]", table, PHASE_KEYS)
-        contact = contact_of_table(f"{path}: [{name}]", values)
-        found[name] = Phase(name, contact, values["always"] or values["box"] is not None, values["during"])
-    return Phases(found)
-
-
 def announced_of_text(line: str) -> Announced:
     """Parse the rest of a control line `contact ...`, see USAGE.
 
@@ -235,46 +225,13 @@ def announced_of_text(line: str) -> Announced:
         ConfigError: names the error and the syntax.
     """
     where = f"contact {line.strip()[:80]!r}"
-    words = line.split()
-    plain = [word for word in words if "=" not in word]
-    pairs = [word.partition("=") for word in words if "=" in word]
-    keys = [key for key, _, _ in pairs]
-    if unknown := [key for key in keys if key not in (*CONTACT_KEYS, "seconds")]:
-        raise ConfigError(f"{where}: {unknown[0]} is unknown; it is {USAGE}")
-    if len(set(keys)) < len(keys):
-        raise ConfigError(f"{where}: a key is given twice")
-    if plain[:1] == ["none"] and len(plain) < 3 and not pairs:
+    head, table = table_of_line(ContactLine, line, where)
+    plain, has_bounds = head.split(), bool(set(table) - {"seconds"})
+    if plain[:1] == ["none"] and len(plain) < 3 and not table:
         return Announced(plain[1] if len(plain) == 2 else "", ends=True)
-    table: dict[str, Any] = {key: _value(where, key, value) for key, _, value in pairs}
-    bounds = {key: value for key, value in table.items() if key != "seconds"}
-    if len(plain) != (not bounds):
+    if len(plain) != (not has_bounds):
         raise ConfigError(f"{where} cannot be read; it is {USAGE}")
-    given = {key: value for key, value in table.items() if key == "seconds"}
-    seconds = read_table(where, "", given, {"seconds": SECONDS})["seconds"]
     if plain:
-        return Announced(plain[0], seconds=seconds)
-    return Announced("", contact_of_table(where, read_table(where, "", bounds, CONTACT_KEYS)), seconds)
-
-
-def _value(where: str, key: str, value: str) -> Any:
-    if key in ("frame", "joint", "axes"):
-        return value
-    try:
-        found = [number_of(one) for one in value.split(",")]
-    except ValueError as error:
-        raise ConfigError(
-            f"{where}: {key} = {value[:40]!r} must be {'three numbers' if key in VECTORS else 'a number'}"
-        ) from error
-    return found if key in VECTORS else found[0] if len(found) == 1 else found
-
-
-def phases_of(path: Path | None, bundle: Bundle) -> tuple[Phases | None, list[str]]:
-    """The phases of this file, and what is not monitored during them; None without a file.
-
-    Raises:
-        ConfigError: the file, or a contact that the bundle refuses.
-    """
-    if path is None:
-        return None, []
-    phases = read_phases(path)
-    return phases, phases.check(Monitor(bundle))
+        return Announced(plain[0], seconds=read_table(PhaseLine, table, f"{where}:").seconds)
+    found = read_table(ContactLine, table, f"{where}:")
+    return Announced("", found.contact, found.seconds)

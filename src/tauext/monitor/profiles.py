@@ -1,25 +1,45 @@
-"""Profiles: named factors on the limits, for phases of a task; read from profiles.toml."""
+"""Profiles: named factors on the limits, for phases of a task; read from the cell's file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from tauext._core import Load
+from tauext.config import within
 from tauext.errors import ConfigError
-from tauext.files.toml_file import Key, number, one_of, read_table, read_toml, refuse_unknown, tables
-from tauext.monitor.loads import Expected, expected_of_table, load_of_table, load_of_text
+from tauext.files.typed_table import expect_known, read_table, value_of
+from tauext.monitor.loads import Expected, LoadTable, load_of_text
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
 """Bounds of factors in the core."""
 OTHERS = "others"
-FILE_KEYS = {"bounds": tables("[bounds]"), "start": tables("[start]", {}), "profiles": tables("[profiles.NAME]")}
-BOUND_KEYS = {"lowest": number(LOWEST, 1.0), "highest": number(1.0, HIGHEST)}
+Factors = float | dict[str, float]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Keys of [profiles] beside the tables of the profiles."""
+
+    lowest: Annotated[float, within(LOWEST, 1)]
+    """Bounds of every factor."""
+    highest: Annotated[float, within(1, HIGHEST)]
+    start: str = ""
+    """Profile at the start; "": the first."""
+
+
+@dataclass(frozen=True)
+class ProfileTable:
+    """Keys of a profile, [profiles.NAME]: a factor of all joints, or of single ones and `others`."""
+
+    contact: Factors = 1.0
+    collision: Factors = 1.0
+    load: str | LoadTable | None = None
+    expect: Expected | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,43 +73,41 @@ class Profiles:
         return self.by_name[name]
 
 
-def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
-    """Read a profiles.toml for an arm of these joints.
+def profiles_of(content: dict[str, Any], where: str, joints: Sequence[str]) -> Profiles:
+    """The profiles of the table [profiles], for an arm of these joints; empty: they are not known.
 
     Raises:
-        ConfigError: names the file, the key, the value and the rule that it breaks.
+        ConfigError: names the key, the value and the rule that it breaks.
     """
-    content = read_toml(path, "docs/running.md has an example")
-    top = read_table(path, "", content, FILE_KEYS)
-    bounds = read_table(path, "[bounds]", top["bounds"], BOUND_KEYS)
-    factor = number(bounds["lowest"], bounds["highest"])
-    found = {}
-    for name, table in top["profiles"].items():
-        where = f"profiles.{name}"
-        refuse_unknown(path, f"[{where}]", table, (*LEVELS, "load", "expect"))
-        if name != name.strip() or not name or any(character in name for character in "\r\n"):
-            raise ConfigError(f"{path}: profile name {name!r} must be a word or words on one line")
-        contact, collision = (_factors(path, where, table, level, joints, factor) for level in LEVELS)
-        load = _load(path, where, table["load"]) if "load" in table else None
-        expect = expected_of_table(path, f"[{where}.expect]", table["expect"]) if "expect" in table else None
-        found[name] = Profile(name, contact, collision, load, expect)
-    start = read_table(path, "[start]", top["start"], {"profile": one_of(tuple(found), next(iter(found)))})
-    return Profiles(found, start["profile"])
+    named = {name: table for name, table in content.items() if isinstance(table, dict)}
+    bounds = read_table(Bounds, {key: value for key, value in content.items() if key not in named}, where)
+    found = {name: _profile(name, table, f"{where[:-1]}.{name}]", bounds, joints) for name, table in named.items()}
+    start = bounds.start or next(iter(found), "")
+    if start not in found:
+        raise ConfigError(
+            f"{where} start = {start!r} must be one of {', '.join(found) or 'the tables [profiles.NAME]'}"
+        )
+    return Profiles(found, start)
 
 
-def _load(path: Path, where: str, value: Any) -> Load:
-    if isinstance(value, str):
-        try:
-            return load_of_text(value)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: [{where}] {error}") from error
-    return load_of_table(path, f"[{where}.load]", value)
+def _profile(name: str, content: Any, where: str, bounds: Bounds, joints: Sequence[str]) -> Profile:
+    if name != name.strip() or not name or any(character in name for character in "\r\n"):
+        raise ConfigError(f"{where} profile name {name!r} must be a word or words on one line")
+    table = read_table(ProfileTable, content, where)
+    load = table.load.load if isinstance(table.load, LoadTable) else table.load
+    try:
+        load = load_of_text(load) if isinstance(load, str) else load
+    except ConfigError as error:
+        raise ConfigError(f"{where} {error}") from error
+    contact, collision = (_factors(getattr(table, level), where, level, bounds, joints) for level in LEVELS)
+    return Profile(name, contact, collision, load, table.expect)
 
 
-def _factors(path: Path, where: str, table: Any, level: str, joints: Sequence[str], factor: Key) -> np.ndarray:
-    value = table.get(level, 1.0)
+def _factors(value: Factors, where: str, level: str, bounds: Bounds, joints: Sequence[str]) -> np.ndarray:
+    factor = Annotated[float, within(bounds.lowest, bounds.highest)]
     if not isinstance(value, dict):
-        return np.full(len(joints), read_table(path, f"[{where}]", {level: value}, {level: factor})[level])
-    keys = dict.fromkeys(joints, factor._replace(default=None)) | {OTHERS: factor._replace(default=1.0)}
-    found = read_table(path, f"[{where}.{level}]", value, keys)
-    return np.array([found[OTHERS] if found[joint] is None else found[joint] for joint in joints])
+        return np.full(len(joints), value_of(factor, value, where, level))
+    inside = f"{where[:-1]}.{level}]"
+    expect_known(inside, value, (*joints, OTHERS) if joints else value)
+    given = {joint: value_of(factor, one, inside, joint) for joint, one in value.items()}
+    return np.array([given.get(joint, given.get(OTHERS, 1.0)) for joint in joints])

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
+from tauext.monitor.cell_file import Reaction
 from tauext.monitor.latency import Latencies
-from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.sink import Publisher, ReactionEvent, Sink
 from tauext.monitor.source import Source, StopChecked, Stoppable
 

@@ -12,6 +12,7 @@ from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
+    from tauext.monitor.cell_file import Cell
     from tauext.monitor.sink import Sink
     from tauext.monitor.source import Source
 
@@ -41,6 +42,9 @@ class SourceKind:
     """Name of the target after the colon, such as HOST; empty: the kind has no target."""
     options: tuple[Option, ...] = ()
     """Options that the kind takes."""
+    takes_bus: bool = False
+    """Whether the kind needs the table [bus] of the cell's file: open() then has the argument `cell`, a
+    tauext.monitor.cell_file.Cell."""
     robot: Callable[[str, Path], Path] | None = None
     """robot(target, folder) writes the arm's robot file into the folder and returns its path; None: a user has one."""
 
@@ -111,12 +115,15 @@ def options_of(kinds: Mapping[str, SourceKind]) -> dict[str, Option]:
     return found
 
 
-def open_source(text: str, options: Mapping[str, Any], bundle: Bundle | None = None) -> tuple[Source, tuple[Sink, ...]]:
+def open_source(
+    text: str, options: Mapping[str, Any], bundle: Bundle | None = None, cell: Cell | None = None
+) -> tuple[Source, tuple[Sink, ...]]:
     """The source of this text, KIND:TARGET, not connected yet, and the sinks that belong to it.
 
     Args:
         options: values of the options that were given, by name.
         bundle: what the samples are for; sinks of the source take frames and units from it.
+        cell: the cell's file, which describes the joints of a servo bus.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
@@ -132,6 +139,13 @@ def open_source(text: str, options: Mapping[str, Any], bundle: Bundle | None = N
         if option not in {one.name for one in kind.options}:
             those = ", ".join(other for other, one in kinds().items() if option in {each.name for each in one.options})
             raise ConfigError(f"--{option.replace('_', '-')} is for source {those}, not for {name}")
+    if kind.takes_bus:
+        if cell is None or cell.bus is None:
+            raise ConfigError(
+                f"--source {kind.typed(name)} needs --cell FILE with a table [bus]: which servo is which joint "
+                "(docs/servo-arms.md)"
+            )
+        options = {**options, "cell": cell}
     opened = kind.open(target, bundle, **options)
     return opened if isinstance(opened, tuple) else (opened, ())
 

@@ -6,13 +6,16 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from tauext.config import NOT_0, within
 from tauext.errors import ConfigError
-from tauext.files.toml_file import number, read_table, read_toml, tables
+from tauext.files.plain_file import read_toml
+from tauext.files.typed_table import expect_known, read_table
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.plugins import optional_library
 from tauext.sources.describing import LEARNT_STEPS, joint_names, learnt_period_ns
@@ -22,7 +25,12 @@ from tauext.sources.ur_dashboard import PORT, Dashboard, DashboardError
 # --- Torque constants of an arm that reports motor currents, from a file.
 
 
-CONSTANT = number(-1e6, 1e6).where(lambda constant: constant != 0, "a number from -1e+06 to 1e+06, not 0")
+@dataclass(frozen=True)
+class ConstantsFile:
+    """A file of torque constants."""
+
+    nm_per_ampere: dict[str, Annotated[float, within(-1e6, 1e6), NOT_0]]
+    """Joint torque a unit of current, after the gear, [N m/A]."""
 
 
 def load_torque_constants(path: Path, joints: Sequence[str]) -> np.ndarray:
@@ -36,8 +44,11 @@ def load_torque_constants(path: Path, joints: Sequence[str]) -> np.ndarray:
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.
     """
-    table = read_table(path, "", read_toml(path), {"nm_per_ampere": tables("[nm_per_ampere]")})["nm_per_ampere"]
-    return np.array(list(read_table(path, "[nm_per_ampere]", table, dict.fromkeys(joints, CONSTANT)).values()))
+    constants = read_table(ConstantsFile, read_toml(path), f"{path}:").nm_per_ampere
+    expect_known(f"{path}: [nm_per_ampere]", constants, joints)
+    if missing := [joint for joint in joints if joint not in constants]:
+        raise ConfigError(f"{path}: [nm_per_ampere] {missing[0]} is missing; it must be a number, not 0")
+    return np.array([constants[joint] for joint in joints])
 
 
 # --- The source.

@@ -213,7 +213,7 @@ def sim_line(body: dict[str, Any]) -> str | None:
     if what == "load" and 0 <= value <= MOST_LOAD_KG:
         return f"sim load mass={value:g}"
     if what == "cold" and 1 <= value <= MOST_COLD:
-        return f"sim friction factor=1 from={value:g} minutes={WARM_MINUTES}"
+        return f"sim friction factor=1 start={value:g} minutes={WARM_MINUTES}"
     return None
 
 

@@ -10,18 +10,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from tauext import _core
+from tauext.config import within
 from tauext.data.servo import settings_by_type
 from tauext.errors import ConfigError
-from tauext.files.plain_file import number_of
-from tauext.files.toml_file import number, numbers, one_of, read_table
+from tauext.files.typed_table import JointName, read_table, table_of_line
 from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSettings
 from tauext.monitor.stop_signals import without_interrupts
 from tauext_lab.sim.arms import ARMS, GearedArm
@@ -43,24 +44,62 @@ from tauext_lab.sim.servo_arm import (
 # --- Commands, as lines: `push joint=joint2 force=0,0,-40 seconds=1`.
 
 
+Force = Annotated[float, within(-1000, 1000)]
+Metres = Annotated[float, within(-100, 100)]
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force on the link of a joint for some seconds; the next push replaces it."""
+
+    joint: JointName
+    force: tuple[Force, Force, Force]
+    """[N], in the base frame."""
+    point: tuple[Metres, Metres, Metres] | None = None
+    """Where it acts, in the base frame, [m]; None: at the centre of mass."""
+    seconds: Annotated[float, within(0, 3600)] = 0.5
+
+
+@dataclass(frozen=True)
+class NewFriction:
+    """A factor on the arm's own friction."""
+
+    factor: Annotated[float, within(0.1, 10)]
+    start: Annotated[float, within(0.1, 10)] | None = None
+    """Factor from which it is reached; None: the present one."""
+    minutes: Annotated[float, within(0, 1e5)] = 0.0
+    """Time constant of the change, [min]."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A weight in the hand; 0 takes it out."""
+
+    mass: Annotated[float, within(0, 10)]
+
+
+@dataclass(frozen=True)
+class Off:
+    """No sample for some seconds."""
+
+    seconds: Annotated[float, within(0, 1e7)]
+
+
+@dataclass(frozen=True)
+class Jump:
+    """Stamps jump."""
+
+    seconds: Annotated[float, within(-1e9, 1e9)]
+
+
+@dataclass(frozen=True)
+class Halt:
+    """stop, move: the arm comes to rest, and goes on."""
+
+
 COMMANDS = {
-    "push": {
-        "joint": one_of(()),  # those of the arm, see command_of()
-        "force": numbers((3,), number(-1000, 1000)),
-        "point": numbers((3,), number(-100, 100), default=None),
-        "seconds": number(0, 3600, 0.5),
-    },
-    "friction": {"factor": number(0.1, 10), "from": number(0.1, 10, None), "minutes": number(0, 1e5, 0.0)},
-    "load": {"mass": number(0, 10)},
-    "off": {"seconds": number(0, 1e7)},
-    "clock": {"seconds": number(-1e9, 1e9)},
-    "stop": {},
-    "move": {},
-}
-"""push: a force on the link of a joint, at a point of it (its centre of mass where left out), both in the base frame,
-for some seconds; the next push replaces it. friction: a factor on the arm's own, reached from another one with a time
-constant in minutes. load: a weight in the hand; 0 takes it out. off: no sample for some seconds. clock: stamps jump.
-stop, move: the arm comes to rest, and goes on."""
+    "push": Push, "friction": NewFriction, "load": Weight, "off": Off, "clock": Jump, "stop": Halt, "move": Halt,
+}  # fmt: skip
 USAGE = "`push joint=NAME force=X,Y,Z`, `friction factor=F`, `load mass=KG`, `off seconds=S`, `clock seconds=S`, `stop`"
 
 
@@ -68,7 +107,7 @@ class Command(NamedTuple):
     """A command with checked values."""
 
     name: str
-    values: dict[str, Any]
+    values: Any
 
 
 def command_of(text: str, joints: Sequence[str]) -> Command:
@@ -77,28 +116,11 @@ def command_of(text: str, joints: Sequence[str]) -> Command:
     Raises:
         ConfigError: names the command, the key and the rule.
     """
-    name, *rest = text.split() or [""]
-    if name not in COMMANDS:
+    name = text.split(maxsplit=1)[0] if text.strip() else ""
+    head, table = table_of_line(COMMANDS.get(name, Halt), text, f"sim: {name}")
+    if name not in COMMANDS or head != name:
         raise ConfigError(f"sim: {text[:60]!r} must be {USAGE} or `move`")
-    table: dict[str, Any] = {}
-    for one in rest:
-        key, _, value = one.partition("=")
-        words = value.split(",")
-        table[key] = words[0] if key == "joint" else _numbers(words)
-    return Command(name, read_table("sim", name, table, COMMANDS[name] | _joint_key(name, joints)))
-
-
-def _joint_key(name: str, joints: Sequence[str]) -> dict:
-    return {"joint": one_of(tuple(joints))} if name == "push" else {}
-
-
-def _numbers(words: list[str]) -> Any:
-    """A number, or a list of several; text where one is not a number, which no rule accepts."""
-    try:
-        found = [number_of(word) for word in words]
-    except ValueError:
-        return ",".join(words)
-    return found[0] if len(found) == 1 else found
+    return Command(name, read_table(COMMANDS[name], table, f"sim: {name}", joints))
 
 
 # --- Simulated arms, one sample at a time.
@@ -133,11 +155,11 @@ class Friction:
         self._rate_hz = rate_hz
         self._begin, self._end, self._constant, self._since = 1.0, 1.0, 1.0, 0
 
-    def change(self, values: dict[str, Any], tick: int) -> float:
+    def change(self, values: NewFriction, tick: int) -> float:
         """Follow the command `friction` from this tick on; returns the factor now."""
-        constant, begin = 60 * values["minutes"] * self._rate_hz, values["from"]
+        constant, begin = 60 * values.minutes * self._rate_hz, values.start
         start = self.at(tick) if begin is None else begin
-        self._begin, self._end = start if constant else values["factor"], values["factor"]
+        self._begin, self._end = start if constant else values.factor, values.factor
         self._constant, self._since = constant or 1.0, tick
         return self._begin
 
@@ -175,16 +197,16 @@ class DrivenArm:
     def obey(self, command: Command) -> None:
         name, values = command
         if name == "push":
-            joint = self._arm.joints.index(values["joint"])
+            joint = self._arm.joints.index(values.joint)
             origin, rotation = self._plant.body_pose(joint)
-            point = values["point"]
+            point = values.point
             given = self._plant.data.xipos[joint + 1] if point is None else np.array(point)
-            self._push = joint, np.array(values["force"]), rotation.T @ (given - origin)
-            self._push_until = self._tick + round(values["seconds"] * self._arm.rate_hz)
+            self._push = joint, np.array(values.force), rotation.T @ (given - origin)
+            self._push_until = self._tick + round(values.seconds * self._arm.rate_hz)
         elif name == "friction":
             self._plant.set_friction(self._friction.change(values, self._tick))
         elif name == "load":
-            self._plant.hold(weight(values["mass"], RIG_HAND_M if self._arm.hand_m is None else self._arm.hand_m))
+            self._plant.hold(weight(values.mass, RIG_HAND_M if self._arm.hand_m is None else self._arm.hand_m))
         elif name == "stop":
             self._mover.stop()
         elif name == "move":
@@ -247,14 +269,14 @@ class BusArm:
     def obey(self, command: Command) -> None:
         name, values = command
         if name == "push":
-            point = values["point"]
-            joint = SO101_JOINTS.index(values["joint"])
-            self._plant.push(joint, np.array(values["force"]), None if point is None else np.array(point))
-            self._push_until = self._tick + round(values["seconds"] * self._rate_hz)
+            point = values.point
+            joint = SO101_JOINTS.index(values.joint)
+            self._plant.push(joint, np.array(values.force), None if point is None else np.array(point))
+            self._push_until = self._tick + round(values.seconds * self._rate_hz)
         elif name == "friction":
             self._plant.set_friction(self._friction.change(values, self._tick))
         elif name == "load":
-            self._plant.hold(weight(values["mass"], HAND_M))
+            self._plant.hold(weight(values.mass, HAND_M))
         elif name in ("stop", "move"):
             self._poses.stopped = name == "stop"
 
@@ -341,9 +363,9 @@ def simulate(
 
 def _obey(command: Command, arm: SimulatedArm, stamps: Stamps) -> None:
     if command.name == "off":
-        stamps.off_ns = round(command.values["seconds"] * 1e9)
+        stamps.off_ns = round(command.values.seconds * 1e9)
     elif command.name == "clock":
-        stamps.ahead_ns += round(command.values["seconds"] * 1e9)
+        stamps.ahead_ns += round(command.values.seconds * 1e9)
     else:
         arm.obey(command)
 

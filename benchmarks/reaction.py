@@ -115,8 +115,8 @@ class Timing:
         pass
 
     def verdict(self, verdict: object) -> None:
-        if verdict.sample is not None:
-            self.latencies.add(time.monotonic_ns() - verdict.sample.received_ns)
+        for received_ns in verdict.block.received_ns.tolist() if verdict.block is not None else ():
+            self.latencies.add(time.monotonic_ns() - received_ns)
 
     def every_second(self, report: object) -> None:
         pass

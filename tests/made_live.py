@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+import numpy as np
+
+from tauext.monitor.episode import Episode
+from tauext.monitor.sink import Verdict
+from tauext.monitor.source import SIGNALS, Sample, SourceCounts, SourceSettings
+from tauext.sources.replay import ReplaySource
 
 
 def samples_of(recording, rows: slice = slice(None)) -> list[Sample]:
@@ -31,7 +37,20 @@ class Clock:
         self._now_ns += max(1, math.ceil(seconds * 1e9))
 
 
-class ScriptedSource:
+class OneByOne:
+    """Of a source: no sample is late, however busy the machine is, so the loop takes each alone and executes requests
+    in between."""
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        sample = super().next_sample(timeout_s)
+        return None if sample is None else replace(sample, received_ns=sample.received_ns + 1_000_000_000)
+
+
+class Replayed(OneByOne, ReplaySource):
+    """A recording one by one."""
+
+
+class AllAtOnce:
     """Gives samples as fast as they are taken; where the script holds a function, none until it returns true."""
 
     name = "script"
@@ -68,18 +87,59 @@ class ScriptedSource:
         self.closed += 1
 
 
+class ScriptedSource(OneByOne, AllAtOnce):
+    """A script whose samples are taken one by one."""
+
+
+@dataclass(frozen=True)
+class OfSample:
+    """A verdict about one sample, or about one that did not come."""
+
+    row: int
+    t_ns: int
+    sample: Sample | None
+    estimates: dict[str, np.ndarray]
+    """One row."""
+    changes: tuple
+    episode: Episode | None
+    """As of the end of its block."""
+    news: tuple[Episode, ...]
+
+    @property
+    def alarm_number(self) -> int:
+        return 0 if self.episode is None else self.episode.number
+
+
+def of_samples(verdict: Verdict) -> Iterator[OfSample]:
+    """The verdict sample by sample."""
+    block = verdict.block
+    for k, t_ns in enumerate(verdict.t_ns.tolist()):
+        sample, row = None, verdict.row + k
+        if block is not None:
+            signals = {name: None if (one := getattr(block, name)) is None else one[k] for name in SIGNALS}
+            sample = Sample(t_ns, received_ns=int(block.received_ns[k]), **signals)
+        estimates = {name: values[k : k + 1] for name, values in verdict.estimates.items()}
+        changes = tuple(change for change in verdict.changes if change.row == row)
+        news = tuple(one for one in verdict.news if one.row == row)
+        yield OfSample(row, t_ns, sample, estimates, changes, verdict.episode, news)
+
+
 class Keeper:
-    """A sink that keeps everything; `each` is called with every verdict, too."""
+    """A sink that keeps everything sample by sample; `each` is called with every one, too."""
 
     def __init__(self, each: Callable = lambda verdict: None):
         self.verdicts, self.reports, self.closed, self.each = [], [], 0, each
+        self.whole = []
+        """Verdicts as they came."""
 
     def open(self, joints, control) -> None:
         self.joints, self.control = joints, control
 
     def verdict(self, verdict) -> None:
-        self.verdicts.append(verdict)
-        self.each(verdict)
+        self.whole.append(verdict)
+        for one in of_samples(verdict):
+            self.verdicts.append(one)
+            self.each(one)
 
     def every_second(self, report) -> None:
         self.reports.append(report)

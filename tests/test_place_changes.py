@@ -287,8 +287,8 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
         news = changes.find(k, t_ns[k : k + 1], row) + places.find(
             k, t_ns[k : k + 1], q[k : k + 1], 0 * q[k : k + 1], row
         )
-        of_alarm = episodes.find(int(t_ns[k]), row, news)
-        events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news), episodes.standing, of_alarm))
+        of_alarm = episodes.find(k, t_ns[k : k + 1], row, news)
+        events += finder.find(Verdict(k, t_ns[k : k + 1], None, row, tuple(news), episodes.standing, of_alarm))
     kinds = [(event.kind, event.of_place, event.newtons is not None) for event in events]
     assert kinds[:3] == [("collision", False, False), ("collision", True, True), ("collision", True, True)]
     assert kinds[3:5] == [("cleared", False, False), ("contact", False, False)]

@@ -81,9 +81,10 @@ def events_of(of: dict[str, np.ndarray]) -> list[ReactionEvent]:
     finder, episodes, changes, found = EventFinder(JOINTS, {}), EpisodeFinder(), ChangeFinder(), []
     for k in range(len(of["touch"])):
         row = {name: values[k : k + 1] for name, values in of.items()}
-        news = changes.find(k, np.array([k * 10_000_000]), row)
-        of_alarm = episodes.find(k * 10_000_000, row | {"held_alarm": [0]}, news)
-        found += finder.find(Verdict(k, k * 10_000_000, None, row, tuple(news), episodes.standing, of_alarm))
+        t_ns = np.array([k * 10_000_000])
+        news = changes.find(k, t_ns, row)
+        of_alarm = episodes.find(k, t_ns, row | {"held_alarm": np.zeros(1)}, news)
+        found += finder.find(Verdict(k, t_ns, None, row, tuple(news), episodes.standing, of_alarm))
     return found
 
 

@@ -164,7 +164,7 @@ class EpisodeKeeper:
         self._units = tuple(bundle.estimate_units)
 
     def verdict(self, verdict: Verdict) -> None:
-        self._now = self._epoch(), verdict.t_ns, verdict.alarm_number
+        self._now = self._epoch(), int(verdict.t_ns[-1]), verdict.alarm_number
         for one in verdict.news:
             self.learned(one)
 

@@ -26,7 +26,7 @@ from tauext.files import journal
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.sink import Verdict
-from tauext.monitor.source import Sample, SourceSettings
+from tauext.monitor.source import Block, Sample, SourceSettings
 
 PERIOD_NS = 20_000_000
 ARM = SourceSettings(("shoulder", "elbow"), PERIOD_NS, ("N m", "N m"), "held")
@@ -86,8 +86,9 @@ class Script:
             estimates = ESTIMATES | {name: np.array([value]) for name, value in numbers.items()}
             estimates |= {"tau_ext": np.full((1, 2), push), "load_nm": np.zeros((1, 2))}
             news = self.changes.find(self.row, np.array([self.t_ns]), estimates)
-            told = self.episodes.find(self.t_ns, estimates, news, q)
-            verdict = Verdict(self.row, self.t_ns, sample, estimates, tuple(news), self.episodes.standing, told)
+            block = Block.of([sample])
+            told = self.episodes.find(self.row, block.t_ns, estimates, news, block.q)
+            verdict = Verdict(self.row, block.t_ns, block, estimates, tuple(news), self.episodes.standing, told)
             for sink in (self.sink, self.keeper):
                 sink.verdict(verdict)
             self.row, self.t_ns = self.row + 1, self.t_ns + PERIOD_NS

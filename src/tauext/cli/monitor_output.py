@@ -104,9 +104,9 @@ class OutputSink:
     def verdict(self, verdict: Verdict) -> None:
         if not self._seen:
             self._seen = True
-            self._aside.do(partial(self._output.first, verdict.t_ns))
+            self._aside.do(partial(self._output.first, int(verdict.t_ns[0])))
         self._verdicts.append(verdict)
-        if verdict.changes or len(self._verdicts) >= self._most:
+        if verdict.changes or sum(len(one.t_ns) for one in self._verdicts) >= self._most:
             self._print()
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
@@ -151,5 +151,6 @@ class OutputSink:
         if not verdicts:
             return
         chunk = chunk_of(verdicts)
-        self.tally.add(chunk, self._loop.monitor, [one.sample is not None for one in verdicts])
+        came = [one.block is not None for one in verdicts for _ in one.t_ns]
+        self.tally.add(chunk, self._loop.monitor, came)
         self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)

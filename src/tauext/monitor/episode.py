@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,12 @@ class Episode:
     is_touched: bool = True
     """Whether its touch lasts."""
     ended: bool = False
+    row: int = 0
+    """Number of the sample at which the newest of this became known."""
 
 
 class EpisodeFinder:
-    """Follows the alarm that stands, sample after sample."""
+    """Follows the alarm that stands, block after block; the result does not depend on the blocks."""
 
     def __init__(self, bundle: str = ""):
         self.bundle = bundle
@@ -67,17 +70,50 @@ class EpisodeFinder:
         self.standing = Episode(number, alarm, joint, self.bundle)
 
     def find(
-        self, t_ns: int, estimates: Mapping[str, np.ndarray], changes: Sequence[Change], q: np.ndarray | None = None
+        self,
+        first_row: int,
+        t_ns: np.ndarray,
+        estimates: Mapping[str, np.ndarray],
+        changes: Sequence[Change],
+        q: np.ndarray | None = None,
     ) -> tuple[Episode, ...]:
-        """Alarms of which something is new at this sample, usually none.
+        """Alarms of which something is new at these samples, usually none, in order.
 
         Args:
-            estimates: one row of Monitor.run.
-            changes: at this sample.
-            q: positions, (joints,), [rad]; None: the sample is missing.
+            first_row: number of samples before these.
+            t_ns: (rows,), [ns].
+            estimates: their rows of Monitor.run.
+            changes: at these samples, by rising row.
+            q: positions, (rows, joints), [rad]; None: the sample is missing.
         """
         if self.standing is None and not changes:
             return ()
+        by_row = {row - first_row: list(group) for row, group in groupby(changes, key=lambda change: change.row)}
+        found: list[Episode] = []
+        begin = 0
+        for k in self._turning_points(t_ns, estimates, by_row):
+            self._follow(t_ns, estimates, slice(begin, k), q is not None)
+            news = self._apply(by_row.get(k, ()), int(t_ns[k]), None if q is None else q[k])
+            self._judge(k, t_ns, estimates, news, q is not None)
+            found += [replace(one, row=first_row + k) for one in news.values()]
+            begin = k + 1
+        return tuple(found)
+
+    def _turning_points(
+        self, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], by_row: Mapping[int, list[Change]]
+    ) -> list[int]:
+        """Rows at which something may be new, and the last one."""
+        rows = {0, len(t_ns) - 1, *by_row}
+        if len(t_ns) > 1:
+            ends, is_set_back = np.diff(estimates["touch_over"].astype(int)) != 0, np.diff(t_ns) < 0
+            rows |= set((1 + np.flatnonzero(ends | is_set_back)).tolist())
+            if self.standing is not None:
+                lasts = estimates["touch_t_ns"] > self.standing.touch_t_ns + LASTS_NS
+                rows |= {int(lasts.argmax())}
+        return sorted(rows)
+
+    def _apply(self, changes: Sequence[Change], t_ns: int, q: np.ndarray | None) -> dict[int, Episode]:
+        """Changes at one sample; alarms of which they bring news, by number."""
         news: dict[int, Episode] = {}
         for change in changes:
             if isinstance(change, AlarmChange):
@@ -90,21 +126,36 @@ class EpisodeFinder:
                 self._learn(change.number, news, touch=change.touch)
             elif isinstance(change, PlaceChange):
                 self._learn(change.number, news, place=change, q=() if q is None else tuple(q.tolist()))
-        if (one := self.standing) is not None:
-            if estimates["held_alarm"][0]:
-                share = 1 - estimates["margin_nm"][0] / estimates["limit_nm"][0]
-                self._over = np.fmax(self._over, share) if len(self._over) else share
-            self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][0]))
-            is_touched = not estimates["touch_over"][0]
-            so_far = self._so_far()
-            lasts = is_touched and so_far.touch_t_ns > one.touch_t_ns + LASTS_NS
-            was_set_back = q is not None and t_ns < self._last_ns and so_far != one  # what follows is of another clock
-            self._last_ns = self._last_ns if q is None else t_ns
-            if one.number in news or lasts or was_set_back or (one.is_touched and not is_touched):
-                self.standing = news[one.number] = replace(so_far, is_touched=is_touched)
-            elif is_touched and not one.is_touched:  # again; its end is news
-                self.standing = replace(one, is_touched=True)
-        return tuple(news.values())
+        return news
+
+    def _follow(self, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], rows: slice, came: bool) -> None:
+        """Largest torques and the end of the touch at these samples."""
+        if self.standing is None or rows.start == rows.stop:
+            return
+        held = estimates["held_alarm"][rows] != 0
+        if held.any():
+            margin, limit = estimates["margin_nm"][rows][held], estimates["limit_nm"][rows][held]
+            share = np.fmax.reduce(1 - margin / limit, axis=0)
+            self._over = np.fmax(self._over, share) if len(self._over) else share
+        self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][rows].max()))
+        if came:
+            self._last_ns = int(t_ns[rows.stop - 1])
+
+    def _judge(
+        self, k: int, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], news: dict[int, Episode], came: bool
+    ) -> None:
+        """Whether there is news of the alarm that stands at one sample."""
+        if (one := self.standing) is None:
+            return
+        last_ns, is_touched = self._last_ns, not estimates["touch_over"][k]
+        self._follow(t_ns, estimates, slice(k, k + 1), came)
+        so_far = self._so_far()
+        lasts = is_touched and so_far.touch_t_ns > one.touch_t_ns + LASTS_NS
+        was_set_back = came and t_ns[k] < last_ns and so_far != one  # what follows is of another clock
+        if one.number in news or lasts or was_set_back or (one.is_touched and not is_touched):
+            self.standing = news[one.number] = replace(so_far, is_touched=is_touched)
+        elif is_touched and not one.is_touched:  # again; its end is news
+            self.standing = replace(one, is_touched=True)
 
     def _rise(self, t_ns: int, change: AlarmChange, news: dict[int, Episode]) -> None:
         """To the first or to a higher level."""

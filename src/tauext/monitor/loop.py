@@ -8,6 +8,7 @@ import queue
 import sys
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -39,7 +40,7 @@ from tauext.monitor.exchange import (
 )
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
-from tauext.monitor.monitored_time import Monitored, MonitoredTime
+from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
 from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
@@ -54,6 +55,7 @@ from tauext.monitor.sink import (
     Verdict,
 )
 from tauext.monitor.source import (
+    Block,
     Commanded,
     CountedTime,
     Recorded,
@@ -61,6 +63,7 @@ from tauext.monitor.source import (
     ServoStage,
     Source,
     SourceSettings,
+    blocks_of,
     settings_of,
 )
 from tauext.monitor.touch_place import PlaceFinder
@@ -71,16 +74,21 @@ from tauext.monitor.turns import Turns
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     """Combine successive verdicts, at least one; the speed of a missing sample is NaN."""
-    estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in verdicts[0].estimates}
-    unknown = np.full(estimates["tau_ext"].shape[1], np.nan)
-    dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
+    first = verdicts[0]
+    if len(verdicts) == 1 and first.block is not None:
+        return Chunk(first.row, first.t_ns, first.block.dq, dict(first.estimates), list(first.changes), 0.0)
+    estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in first.estimates}
+    unknown = np.full((1, estimates["tau_ext"].shape[1]), np.nan)
+    dq = np.concatenate([unknown if one.block is None else one.block.dq for one in verdicts])
     changes = [change for one in verdicts for change in one.changes]
-    return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
+    return Chunk(first.row, np.concatenate([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
 
 
 # --- The live loop. Sinks and reactions never delay the monitor.
 
 
+BLOCK_S = 0.1
+"""Longest time of the samples that are judged at once, [s]: requests are executed between two blocks."""
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
 SWITCH_S = 0.0005
@@ -196,9 +204,13 @@ class Loop:
         """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
         self._answered = 0
         """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
-        self._last: Sample | None = None
+        self._last_t_ns: int | None = None
+        """Stamp of the last sample, [ns]; None: none came yet."""
+        self._received_ns = 0
+        """Its reception, by time.monotonic_ns()."""
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
+        self._most_rows = max(1, round(BLOCK_S / period_s))
         self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
@@ -406,13 +418,14 @@ class Loop:
             if self._stopped:
                 return
             now = time.monotonic()
-            sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
-            if sample is not None:
-                self._sample(sample)
-                due = sample.received_ns * 1e-9 + self._missing_after_s
+            samples = self._take(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
+            for block, is_sized in blocks_of(samples, len(self.joints)):
+                self._block(block, is_sized)
+            if samples:
+                due = samples[-1].received_ns * 1e-9 + self._missing_after_s
             else:
                 now = time.monotonic()
-                if now >= due and self._last is not None and not self._source.ended:
+                if now >= due and self._last_t_ns is not None and not self._source.ended:
                     due = now + self._missed(now)
             now = time.monotonic()
             if now >= second + 1:
@@ -428,66 +441,107 @@ class Loop:
         except TauextError as error:
             self.note(str(error))
 
-    def _sample(self, sample: Sample) -> None:
-        is_sized = sample.fits(len(self.joints))
-        if not is_sized:  # a fault of this sample; sinks and the next bundle get NaN
-            sample = sample.without_values(len(self.joints))
-        else:
-            sample = self._turns.made(sample)
+    def _take(self, timeout_s: float) -> list[Sample]:
+        """The next sample, and after a late one those that have come since; empty: none within this time."""
+        first = self._source.next_sample(timeout_s)
+        if first is None:
+            return []
+        samples = [first]
+        if time.monotonic_ns() - first.received_ns > self._arm.period_ns:
+            while len(samples) < self._most_rows and (one := self._source.next_sample(0.0)) is not None:
+                samples.append(one)
+        return samples
+
+    def _block(self, block: Block, is_sized: bool) -> None:
+        """Judge successive samples, as many at once as nothing must be done between.
+
+        Args:
+            is_sized: whether they have one value for each joint; else they are faults, and sinks and the next bundle
+                get NaN.
+        """
+        if is_sized:
+            block = self._turns.made(block)
             if self._servo is not None:
-                sample = self._servo.made(sample)
-        self._time.step(sample.t_ns)
-        self._acknowledge_when_due()
-        if sample.temperature is not None:
-            self.monitor.set_temperature(sample.temperature)
-        estimates = self._run_monitor(sample) if is_sized else self.monitor.run_wrong_size(sample.t_ns, self._recorder)
-        self._last = sample
+                block = self._servo.made(block)
+        times_ns = [self._time.step(t_ns) for t_ns in block.t_ns.tolist()]
+        begin = 0
+        while begin < len(block):
+            self._acknowledge_when_due(times_ns[begin])
+            end = begin + self._rows_at_once(block.t_ns[begin:], times_ns[begin:], is_sized)
+            self._judge(block[begin:end], times_ns[begin:end], is_sized)
+            begin = end
+
+    def _rows_at_once(self, t_ns: np.ndarray, times_ns: list[int], is_sized: bool) -> int:
+        """Number of these samples, at least one, in which no alarm is to be acknowledged and no contact declared.
+
+        An answered alarm is acknowledged with the first sample after its touch.
+        """
+        if self._is_recorded and not self.samples:
+            self._changes.schedule(int(t_ns[0]))
+        declared_ns = self._changes.declare_due(int(t_ns[0])) if self._is_recorded else None
+        rows = 1 if self._answered or not is_sized else len(times_ns)
+        after_s = self._settings.acknowledge_after_s
+        if rows > 1 and after_s is not None:
+            due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
+            rows = bisect_left(times_ns, due_ns, 1, rows)
+        if rows > 1 and declared_ns is not None:
+            rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= declared_ns)[:1]).tolist()])
+        return rows
+
+    def _judge(self, block: Block, times_ns: list[int], is_sized: bool) -> None:
+        """Run the monitor on these samples, and publish what it finds.
+
+        Args:
+            times_ns: their counted times.
+        """
+        if is_sized:
+            signals = (block.t_ns, block.q, block.dq, block.tau)
+            estimates = self.monitor.run(*signals, self._recorder, block.temperature)
+        else:
+            estimates = self.monitor.run_wrong_size(int(block.t_ns[0]), self._recorder)
+        received = block.received_ns.tolist()
+        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), received[-1]
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
         if self._ring is not None:
-            self._remember(self._ring, sample, estimates)
-        self._publish(sample.t_ns, sample, estimates)
-        self.samples += 1
+            self._remember(self._ring, block, estimates)
+        self._publish(block.t_ns, block, times_ns, estimates)
+        self.samples += len(block)
         now_ns = time.monotonic_ns()
-        ns = now_ns - sample.received_ns
-        self.tick.add(ns)
-        self._second.add(ns)
-        self._watched.add(now_ns, estimates["health"][0] == OK, int(estimates["causes"][0]), ns)
-
-    def _run_monitor(self, sample: Sample) -> dict[str, np.ndarray]:
-        if self._is_recorded:
-            if not self.samples:
-                self._changes.schedule(sample.t_ns)
-            self._changes.declare_due(sample.t_ns)
-        signals = (sample.q[None], sample.dq[None], sample.tau[None])
-        return self.monitor.run(np.array([sample.t_ns]), *signals, self._recorder)
+        for one in received:
+            self.tick.add(now_ns - one)
+            self._second.add(now_ns - one)
+        healths = estimates["health"].tolist()
+        valid = [h == OK and now_ns - one <= LATE_S * 1e9 for h, one in zip(healths, received, strict=True)]
+        self._watched.add(now_ns, sum(valid) / len(valid), int(np.bitwise_or.reduce(estimates["causes"])))
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
-        assert self._last is not None  # silence counts from a sample
+        assert self._last_t_ns is not None  # silence counts from a sample
         self.missing += 1
-        silent_s = now - self._last.received_ns * 1e-9
-        t_ns = self._last.t_ns + round(silent_s * 1e9)
-        self._time.step(t_ns)
-        self._acknowledge_when_due()
+        silent_s = now - self._received_ns * 1e-9
+        t_ns = self._last_t_ns + round(silent_s * 1e9)
+        time_ns = self._time.step(t_ns)
+        self._acknowledge_when_due(time_ns)
         if self._ring is not None:
             self._ring.miss(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
-        self._publish(t_ns, None, estimates)
-        self._watched.add(time.monotonic_ns(), False, int(estimates["causes"][0]))
+        self._publish(np.array([t_ns]), None, [time_ns], estimates)
+        self._watched.miss(time.monotonic_ns(), int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
-    def _remember(self, ring: Ring, sample: Sample, estimates: dict[str, np.ndarray]) -> None:
-        """For the next bundle: this sample, what it did to the load, and what is carried once a second."""
-        if estimates["load_kg"][0] != self._load_kg:
-            self._load_kg = float(estimates["load_kg"][0])
-            load, since_ns = self.monitor.load, int(estimates["load_found_ns"][0])
-            ring.act(partial(put_load, load=load, since_ns=since_ns or None))
-        held = max(int(estimates["held_alarm"][0]), int(holds_back(int(estimates["load_phase"][0]))))
-        ring.add(sample.t_ns, sample.q, sample.dq, sample.tau, sample.temperature, held)
+    def _remember(self, ring: Ring, block: Block, estimates: dict[str, np.ndarray]) -> None:
+        """For the next bundle: these samples, what they did to the load, and what is carried once a second."""
+        kg, t_ns = estimates["load_kg"], int(block.t_ns[-1])
+        if kg[-1] != self._load_kg or (kg != kg[0]).any():
+            k = int(np.flatnonzero(np.append(self._load_kg, kg[:-1]) != kg)[-1])
+            self._load_kg, since_ns = float(kg[-1]), int(estimates["load_found_ns"][-1])
+            ring.act(partial(put_load, load=self.monitor.load, since_ns=since_ns or None), ahead=k)
+        held = np.maximum(estimates["held_alarm"], holds_back(estimates["load_phase"]))
+        ring.add(block, held)
         if isinstance(self.monitor, _core.Monitor):
-            if self._mark_ns is None or not 0 <= sample.t_ns - self._mark_ns < MARK_S * 1e9:
-                self._mark_ns = sample.t_ns
+            if self._mark_ns is None or not 0 <= t_ns - self._mark_ns < MARK_S * 1e9:
+                self._mark_ns = t_ns
                 ring.mark(self.monitor.carried(), self._model)
 
     # Exchange of the bundle.
@@ -548,27 +602,29 @@ class Loop:
         self._episodes.bundle = successor.bundle.name
         self._sinks_follow()
         took_us = (time.monotonic_ns() - started) * 1e-3
-        last_ns, replayed = (self._last.t_ns if self._last else None), successor.row - first
-        facts = (self.samples, last_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
+        replayed = successor.row - first
+        facts = (self.samples, self._last_t_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
         self.exchanged(Exchanged(successor.bundle.name, old, *facts))
         return ""
 
-    def _publish(self, t_ns: int, sample: Sample | None, estimates: dict[str, np.ndarray]) -> None:
+    def _publish(
+        self, t_ns: np.ndarray, block: Block | None, times_ns: list[int], estimates: dict[str, np.ndarray]
+    ) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
-        q, dq = (None, None) if sample is None else (sample.q[None], sample.dq[None])
-        changes = self._changes.find(self.samples, np.array([t_ns]), estimates, q, dq)
+        q, dq = (None, None) if block is None else (block.q, block.dq)
+        changes = self._changes.find(self.samples, t_ns, estimates, q, dq)
         if not self.samples:  # loads set before the first sample apply from there on
             early = LoadChange | WeighChange
-            changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
-        news = self._episodes.find(t_ns, estimates, changes, None if sample is None else sample.q)
+            changes = [replace(one, t_ns=int(t_ns[0])) if isinstance(one, early) else one for one in changes]
+        news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
         if any(one.ended for one in news):
             self._due_ns = None
-        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._episodes.standing, news)
+        verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news)
         for event in self._events.find(verdict):
             self._reactions.put(event)
         after_s = self._settings.acknowledge_after_s
-        if estimates["alarm"][0] == COLLISION and after_s is not None and self._due_ns is None:
-            self._due_ns = self._time.now_ns + round(after_s * 1e9)
+        if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
+            self._due_ns = times_ns[int((estimates["alarm"] == COLLISION).argmax())] + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
@@ -631,8 +687,7 @@ class Loop:
             self._carry(new.load, None, f"profile {name}")
         if new.expect is not None:
             self._expect(new.expect, f"profile {name}")
-        last_ns = self._last.t_ns if self._last else None
-        self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+        self.switched(ProfileSwitch(self._last_t_ns, by, old.name if old else "", name))
 
     @property
     def _real(self) -> _core.Monitor:
@@ -668,7 +723,7 @@ class Loop:
 
     @property
     def _last_ns(self) -> int:
-        return self._last.t_ns if self._last else 0
+        return self._last_t_ns or 0
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
@@ -699,13 +754,14 @@ class Loop:
             self.note(f"the time stamps jumped: {what} ended, if it had not before; ask for it again")
         self._timed.clear()
 
-    def _acknowledge_when_due(self) -> None:
+    def _acknowledge_when_due(self, now_ns: int) -> None:
+        """now_ns: counted time of the next sample."""
         if self._answered and self._answered != self._standing:  # it has ended by itself
             self._answered, self._due_ns = 0, None
         after_s = self._settings.acknowledge_after_s
         if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
-            self._due_ns = self._time.now_ns + round(after_s * 1e9)
-        is_due = self._due_ns is not None and self._time.now_ns >= self._due_ns
+            self._due_ns = now_ns + round(after_s * 1e9)
+        is_due = self._due_ns is not None and now_ns >= self._due_ns
         if is_due or (self._answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 

@@ -33,7 +33,7 @@ class McapSink:
         self._made = (path, bundle, source, frame)
         self._most = max(1, round(BATCH_S * 1e9 / bundle.observer.sample_period_ns))
         self._verdicts: list[Verdict] = []
-        self._reported = 0
+        self._rows = self._reported = 0
         self._waiting: queue.SimpleQueue[list[Verdict] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="mcap", daemon=True)
 
@@ -50,7 +50,8 @@ class McapSink:
 
     def verdict(self, verdict: Verdict) -> None:
         self._verdicts.append(verdict)
-        if len(self._verdicts) >= self._most:
+        self._rows += len(verdict.t_ns)
+        if self._rows >= self._most:
             self._hand_over()
 
     def every_second(self, report: LoopReport) -> None:
@@ -66,7 +67,7 @@ class McapSink:
         self._thread.join()
 
     def _hand_over(self, last: bool = False) -> None:
-        verdicts, self._verdicts = self._verdicts, []
+        verdicts, self._verdicts, self._rows = self._verdicts, [], 0
         if self._waiting.qsize() >= MOST_WAITING and not last:
             self._lose(verdicts, "the disk was too slow")
         elif verdicts:
@@ -84,14 +85,13 @@ class McapSink:
             self.error = self.error or str(error)
 
     def _add(self, verdicts: list[Verdict]) -> None:
-        came = [one for one in verdicts if one.sample is not None]
-        changes = [change for one in verdicts for change in one.changes]
-        samples = [one.sample for one in came if one.sample is not None]
-        t_ns = np.array([one.t_ns for one in came], np.int64)
-        q, dq, tau = (np.array([getattr(one, name) for one in samples]) for name in ("q", "dq", "tau"))
-        estimates = {name: np.concatenate([one.estimates[name] for one in came]) for name in COLUMNS if came}
-        self._log.add(t_ns, q, dq, tau, estimates, changes)
+        came, changes = [one for one in verdicts if one.block is not None], [c for one in verdicts for c in one.changes]
+        if not came:
+            return self._log.add(np.zeros(0, np.int64), *[np.zeros((0, 0))] * 3, {}, changes)
+        signals = (np.concatenate([getattr(one.block, name) for one in came]) for name in ("t_ns", "q", "dq", "tau"))
+        estimates = {name: np.concatenate([one.estimates[name] for one in came]) for name in COLUMNS}
+        self._log.add(*signals, estimates, changes)
 
     def _lose(self, verdicts: list[Verdict], why: str) -> None:
-        self.lost += sum(one.sample is not None for one in verdicts)
+        self.lost += sum(len(one.block) for one in verdicts if one.block is not None)
         self.error = self.error or why

@@ -101,39 +101,45 @@ class RecordSink:
         self._thread.start()
 
     def verdict(self, verdict: Verdict) -> None:
-        sample, estimates, k = verdict.sample, verdict.estimates, self._row
-        if sample is None:
+        if (block := verdict.block) is None:
             return
         if not self._names:  # the other signals of the source, taken from its first sample
-            measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
-            self._warm = sample.temperature
-            if self._warm is not None and np.isfinite(self._warm).all():
-                measured.append("temperature")
+            measured = [name for name in RAW_SIGNALS if getattr(block, name) is not None]
+            if block.temperature is not None:
+                self._warm = block.temperature[0]
+                measured += ["temperature"] * bool(np.isfinite(self._warm).all())
             self._names = ("q", "dq", "tau", *measured)
             self._begin()
-        signals = [getattr(sample, name) for name in self._names]
+        estimates = verdict.estimates
+        touched, is_ok = (estimates["alarm"] != NONE) | (estimates["declared"] != 0), estimates["health"] == OK
+        contact = np.where(touched, 1, np.where(is_ok, 0, -1)).tolist()
+        for row, t_ns in enumerate(block.t_ns.tolist()):
+            signals = [None if (one := getattr(block, name)) is None else one[row] for name in self._names]
+            self._add(t_ns, signals, contact[row])
+
+    def _add(self, t_ns: int, signals: list[np.ndarray | None], contact: int) -> None:
+        """Keep one sample, if it is usable."""
+        k = self._row
         if self._names[-1] == "temperature" and signals[-1] is not None:  # measured seldom: the last value holds
             signals[-1] = self._warm = np.array(np.where(np.isfinite(signals[-1]), signals[-1], self._warm))
         if any(values is None for values in signals) or not all(np.isfinite(values).all() for values in signals):
             self.count.unfit += 1
             return
-        if k and sample.t_ns <= self._t_ns[k - 1]:
-            if self._late_ns is None or sample.t_ns <= self._late_ns:
-                self._late_ns = sample.t_ns
+        if k and t_ns <= self._t_ns[k - 1]:
+            if self._late_ns is None or t_ns <= self._late_ns:
+                self._late_ns = t_ns
                 self.count.unfit += 1
                 return
             self._hand_over()
             self._clock_restarted()
             k = 0
         self._late_ns = None
-        if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
+        if k == self._rows or (k and t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
             self._hand_over()
             k = 0
-        self._t_ns[k] = sample.t_ns
+        self._t_ns[k], self._contact[k] = t_ns, contact
         for values, kept in zip(signals, self._signals, strict=True):
             kept[k] = values
-        alarm, healthy = estimates["alarm"][0] != NONE or estimates["declared"][0] != 0, estimates["health"][0] == OK
-        self._contact[k] = 1 if alarm else 0 if healthy else -1
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
@@ -254,7 +260,12 @@ class FlightSink(FlightWriter):
     def verdict(self, verdict: Verdict) -> None:
         if self._source is None and self._bundle is not None:
             made, without = self._bundle.observer, lacking(self._bundle)
-            of_arm = (self._joints, verdict.t_ns, 1e9 / made.sample_period_ns, cast(TorqueTiming, made.timing.name))
+            of_arm = (
+                self._joints,
+                int(verdict.t_ns[0]),
+                1e9 / made.sample_period_ns,
+                cast(TorqueTiming, made.timing.name),
+            )
             self._source = FlightSource(self._bundle, self._name, *of_arm, without, command="tauext monitor")
 
     def every_second(self, report: LoopReport) -> None:

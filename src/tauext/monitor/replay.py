@@ -183,7 +183,7 @@ class EventStream:
             self._places, self._next_places = self._next_places, None
         if self._places is not None and q is not None and dq is not None:
             changes += self._places.find(row, t_ns, q, dq, estimates)
-        return changes
+        return sorted(changes, key=lambda change: change.row)
 
 
 def replay(

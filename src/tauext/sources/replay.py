@@ -56,7 +56,8 @@ class ReplaySource:
             return None
         k, recording = self._next, self.recording
         t_ns = int(recording.t_ns[k])
-        if self._pace.left_s(t_ns) > timeout_s:
+        left_s = self._pace.left_s(t_ns)
+        if left_s > timeout_s:
             time.sleep(timeout_s)
             return None
         self._pace.wait_until(t_ns)
@@ -67,7 +68,7 @@ class ReplaySource:
             for name in ("temperature", *RAW_SIGNALS)
             if (values := getattr(recording, name)) is not None
         }
-        received_ns = time.monotonic_ns()
+        received_ns = time.monotonic_ns() + min(0, round(left_s * 1e9))  # it has waited here since then
         return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], received_ns, **optional)
 
     @property

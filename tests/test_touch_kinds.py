@@ -14,7 +14,6 @@ from tauext.bundle.estimates import COLUMNS, TOUCHES
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder, TouchChange
 from tauext.monitor.episode import EpisodeFinder
-from tauext.monitor.events import touch_words
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.replay import replay
@@ -70,10 +69,10 @@ def test_a_kind_is_told_when_it_becomes_known_or_another_whatever_the_chunks(chu
 
 def test_words_name_the_kind_and_what_it_was_taken_for():
     assert (
-        touch_words(TouchChange(3, 0, CLAMP, UNKNOWN, 2, 1, 0.164))
+        TouchChange(3, 0, CLAMP, UNKNOWN, 2, 1, 0.164).words(JOINTS)[0]
         == "the collision is a clamp, 164 ms after the alarm"
     )
-    words = touch_words(TouchChange(3, 0, IMPACT, PUSH, 1, 1, 0.03))
+    (words,) = TouchChange(3, 0, IMPACT, PUSH, 1, 1, 0.03).words(JOINTS)
     assert words == "the contact is an impact, 30 ms after the alarm (was taken for push)"
 
 

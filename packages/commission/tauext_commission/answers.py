@@ -20,7 +20,6 @@ from tauext.bundle.history_file import read_events
 from tauext.data.labels import Label, label_of_alarm
 from tauext.errors import ConfigError
 from tauext.monitor.episode import Episode
-from tauext.monitor.events import episode_facts
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
@@ -176,7 +175,7 @@ class EpisodeKeeper:
 
     def learned(self, one: Episode) -> None:
         """Something is new of an alarm."""
-        facts, known = episode_facts(one, self._joints, self._units), self._events.get(one.number)
+        facts, known = one.facts(self._joints, self._units), self._events.get(one.number)
         if known is None and one.t_ns is None:
             return  # the line of an earlier process is lost
         if known is None:

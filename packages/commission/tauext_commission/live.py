@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, OK
+from tauext.bundle.estimates import HEALTHS, OK, rounded
 from tauext.files.plain_file import FORMAT
 from tauext.monitor.control_lines import listen_at
-from tauext.monitor.events import rounded
 from tauext.monitor.monitored_time import Monitored, blind_words
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext_commission.folder import wall

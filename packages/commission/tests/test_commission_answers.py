@@ -28,14 +28,13 @@ from tauext_commission.processes import Child
 from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
 
-from tauext.bundle.estimates import CONTACT, OK, STALE
+from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
 from tauext.bundle.history_file import read_events
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
-from tauext.monitor.events import episode_facts, rounded
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
@@ -168,7 +167,7 @@ def test_force_and_torque_of_an_alarm_are_of_one_moment():
         (one,) = finder.find(
             change.row, np.array([t_ns]), {name: np.array([value]) for name, value in at.items()}, (change,)
         )
-        return episode_facts(one, ("a", "b"), ("N m", "N m"))
+        return one.facts(("a", "b"), ("N m", "N m"))
 
     finder = EpisodeFinder()
     rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0, number=3)

@@ -21,7 +21,6 @@ from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
 from tauext.monitor.control_lines import alarm_of_text
-from tauext.monitor.events import health_words
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, unseen_words
 from tauext.monitor.phases import announced_of_text
 from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
@@ -71,7 +70,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         joint = int(estimates["alarm_joint"][-1])
         texts.append(ALARMS[alarm] + (f" on {joints[joint]}" if joint >= 0 else ""))
     if health != HEALTHY:
-        texts.append(health_words(HealthChange(0, 0, health, health, int(estimates["causes"][-1]), -1), joints))
+        texts += HealthChange(0, 0, health, health, int(estimates["causes"][-1]), -1).words(joints)
     if drifted:
         texts.append(f"drift at its bound on {', '.join(drifted)}: record and retrain")
     unfamiliar = float(estimates["unfamiliar"][-1])

@@ -21,7 +21,7 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.monitor.changes import LoadChange, WeighChange
+from tauext.monitor.changes import WeighChange
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.exchange import (
     FIRST_QUIET_S,
@@ -613,9 +613,6 @@ class Loop:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
         q, dq = (None, None) if block is None else (block.q, block.dq)
         changes = self._changes.find(self.samples, t_ns, estimates, q, dq)
-        if not self.samples:  # loads set before the first sample apply from there on
-            early = LoadChange | WeighChange
-            changes = [replace(one, t_ns=int(t_ns[0])) if isinstance(one, early) else one for one in changes]
         news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
         if any(one.ended for one in news):
             self._due_ns = None

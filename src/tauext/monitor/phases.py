@@ -13,7 +13,6 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import number_of
 from tauext.files.toml_file import Key, flag, number, numbers, one_of, read_table, read_toml, text
-from tauext.monitor.changes import DeclaredChange
 
 AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
 ZEROS = (0.0, 0.0, 0.0)
@@ -177,13 +176,6 @@ class Phases:
             for phase in self.by_name.values()
             if phase.during
         ]
-
-    def with_names(self, change: DeclaredChange) -> DeclaredChange:
-        """The change with the name and the bounds of its contact."""
-        from dataclasses import replace
-
-        name, bounds = self.declared.get(change.contact, ("", None))
-        return replace(change, phase=name, bounds=bounds)
 
 
 def bounds_words(contact: DeclaredContact) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, DeclaredChange, HiddenCollision, LoadChange
+from tauext.monitor.changes import Change, ChangeFinder, LoadChange
 from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
@@ -108,7 +108,7 @@ class EventStream:
             phases: whose contacts are declared to the monitor.
         """
         self.monitor, self.phases = monitor, phases or Phases()
-        self._finder, self._places = ChangeFinder(), places
+        self._finder, self._places = ChangeFinder(self.phases.declared), places
         self._next_places: PlaceFinder | None = None
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._noted: list[Change] = []
@@ -175,10 +175,9 @@ class EventStream:
     ) -> list[Change]:
         """Noted changes, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
         changes, self._noted = self._noted, []
-        changes += [
-            self.phases.with_names(one) if isinstance(one, DeclaredChange) else one
-            for one in self._finder.find(row, t_ns, estimates)
-        ]
+        if row == 0:  # what was set before the first sample applies from there on
+            changes = [replace(one, t_ns=int(t_ns[0])) for one in changes]
+        changes += self._finder.find(row, t_ns, estimates)
         if self._next_places is not None and estimates["alarm"][0] == NONE:
             self._places, self._next_places = self._next_places, None
         if self._places is not None and q is not None and dq is not None:
@@ -303,11 +302,10 @@ class Tally:
             came: whether each row belongs to a received sample, which counts; empty: all.
         """
         for change in chunk.changes:
-            self.hidden += isinstance(change, HiddenCollision)
-            if isinstance(change, AlarmChange):
-                self.acknowledged += change.acknowledged
-                if change.joint >= 0:
-                    self.alarms[change.alarm, change.joint] += 1
+            self.hidden += change.event == "hidden"
+            self.acknowledged += change.is_acknowledgement
+            if change.raised is not None:
+                self.alarms[change.raised] += 1
         if came and not any(came):
             return
         if not all(came):

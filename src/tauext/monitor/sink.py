@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from tauext._core import Bundle, Load, LoadSums, Monitor
-from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
-from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
+from tauext.bundle.estimates import NONE, OK, sample_facts
+from tauext.monitor.changes import Change, Trigger
 from tauext.monitor.episode import Episode
-from tauext.monitor.events import sample_facts
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.phases import Announced
 from tauext.monitor.source import Block, SourceCounts
-from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
+from tauext.monitor.touch_place import newtons
 
 # --- Receivers of every sample and event: publishers, outputs, recordings.
 
@@ -269,24 +268,13 @@ class EventFinder:
         events: list[ReactionEvent] = []
         begin = 0
         for change in verdict.changes:
-            row = change.row - verdict.row
-            if not (found := self._of_change(change, row, verdict)):
+            if (trigger := change.trigger) is None:
                 continue
+            row = change.row - verdict.row
             events += self._cleared(verdict, begin, row)
-            events.append(found)
+            events.append(self._event(trigger, verdict, row))
             self._unsettled, begin = True, row + 1
         return events + self._cleared(verdict, begin, len(verdict.t_ns))
-
-    def _of_change(self, change: Change, row: int, verdict: Verdict) -> ReactionEvent | None:
-        if isinstance(change, HealthChange):
-            is_news = change.health == FAULT and change.was != FAULT
-            return self._event("fault", change.joint, verdict, row) if is_news else None
-        if not isinstance(change, AlarmChange | TouchChange | PlaceChange) or not change.alarm or change.joint < 0:
-            return None
-        kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
-        episode = next((one for one in verdict.news if one.number == change.number and one.row == change.row), None)
-        event = self._event(kind, change.joint, verdict, row, episode)
-        return replace(event, news=isinstance(change, AlarmChange), of_place=isinstance(change, PlaceChange))
 
     def _cleared(self, verdict: Verdict, begin: int, end: int) -> list[ReactionEvent]:
         """The end of all that was reported, if it is at one of these rows."""
@@ -297,17 +285,19 @@ class EventFinder:
         if not is_clear.any():
             return []
         self._unsettled = False
-        return [self._event("cleared", -1, verdict, begin + int(is_clear.argmax()))]
+        return [self._event(None, verdict, begin + int(is_clear.argmax()))]
 
-    def _event(
-        self, kind: EventKind, joint: int, verdict: Verdict, row: int, episode: Episode | None = None
-    ) -> ReactionEvent:
-        """episode: of a collision or contact."""
+    def _event(self, trigger: Trigger | None, verdict: Verdict, row: int) -> ReactionEvent:
+        """trigger: None: all is cleared."""
+        kind, joint, of_alarm, is_news, of_place = trigger or ("cleared", -1, 0, True, False)
+        is_fault, news = kind not in ("collision", "contact"), verdict.news
+        found = [] if is_fault else [one for one in news if (one.number, one.row) == (of_alarm, verdict.row + row)]
+        episode = found[0] if found else None
         received_ns = time.monotonic_ns() if verdict.block is None else int(verdict.block.received_ns[row])
         place, number = (None, 0) if episode is None else (episode.place, episode.number)
         facts = self._facts | {"joints": list(self._joints), "row": verdict.row + row}
         facts |= sample_facts(verdict.estimates, row)
-        facts |= {"number": number or None, "place": place and place_facts(place, self._joints)}
+        facts |= {"number": number or None, "place": place and place.place_facts(self._joints)}
         return ReactionEvent(
             kind,
             self._joints[joint] if joint >= 0 else None,
@@ -318,4 +308,6 @@ class EventFinder:
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),
             number=number,
+            news=is_news,
+            of_place=of_place,
         )

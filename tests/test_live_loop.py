@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from doc_pages import Page
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
-from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, samples_of
+from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, replay, samples_of
 from made_results import run_command
 
 from tauext import _core
@@ -27,7 +27,6 @@ from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
 from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
-from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder
 from tauext.monitor.source import Sample, SourceCounts, Stoppable, blocks_of, settings_of
 from tauext.sources.reader import SampleQueue
@@ -172,6 +171,24 @@ def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle
     assert all(v.estimates["margin_nm"].shape == (1, 2) for v in missed)
     # A gap of one sample is bridged, the long one begins anew.
     assert (loop.monitor.bridged_ticks >= 1, loop.monitor.restarts) == (True, 1)
+
+
+def test_samples_that_come_late_after_a_silence_lose_nothing(bundle, clock):
+    """A computer without time for the sender: no sample for 60 ms, then all that were measured meanwhile."""
+    recording = pushed(pushes=())
+    everything = samples_of(recording)
+    keeper = Keeper()
+
+    script = [*everything[:2000], lambda: loop.missing > 20, *everything[2000:3000]]
+    loop = Loop(bundle, ScriptedSource(script, clock), [keeper])
+    loop.run()
+    missed = [v for v in keeper.verdicts if v.sample is None]
+    assert {_core.cause_names(int(v.estimates["causes"][0]))[0] for v in missed} == {"missing sample", "gap"}
+    undisturbed = _core.Monitor(bundle).run(*(getattr(recording, name)[:3000] for name in ("t_ns", "q", "dq", "tau")))
+    said = joined([v for v in keeper.verdicts if v.sample is not None])
+    for name in ("tau_ext", "health", "limit_nm", "margin_nm"):
+        np.testing.assert_array_equal(said[name], undisturbed[name], err_msg=name)
+    assert loop.monitor.restarts == 0
 
 
 def test_a_loop_ends_after_its_time_and_reports_every_second(bundle, clock):

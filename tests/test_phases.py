@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_arms import six_axis_tree
 from made_bundles import constant_error_scale
-from made_live import Keeper, ScriptedSource, samples_of
+from made_live import Keeper, ScriptedSource, replay, samples_of
 
 from tauext import DeclaredContact, WrenchModel, _core
 from tauext.bundle.estimates import COLLISION, DECLARED, unexplained
@@ -24,7 +24,6 @@ from tauext.monitor.changes import AlarmChange, DeclaredChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.loop import Loop
 from tauext.monitor.phases import Phases, announced_of_text, read_phases
-from tauext.monitor.replay import replay
 from tauext.sources.replay import ReplaySource
 
 SAMPLES = 6000

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
+from made_live import replay
 
 from tauext import Touch, _core
 from tauext.bundle.estimates import COLUMNS, TOUCHES
@@ -16,7 +17,6 @@ from tauext.monitor.changes import ChangeFinder, TouchChange
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.reaction_file import Reaction, load_reactions
 from tauext.monitor.reactions import ReactionThread, content_of
-from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "contact_limit_nm": [1.0, 1.5]}

@@ -34,8 +34,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 from common import arguments, commit, head, joined, save_json, table_row, tauext, write_tables
+from made_live import replay as replayed
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
@@ -57,7 +59,6 @@ from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
-from tauext.monitor.replay import replay as replayed
 
 PAUSE_NS, JOIN_NS = round(2 * 3.6e12), 2_000_000_000
 """Between two parts, and between two stretches of one."""

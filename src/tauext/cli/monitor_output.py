@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from tauext import _core
 from tauext.cli.json_lines import Output
-from tauext.monitor.flight_files import FlightCount
+from tauext.monitor.flight_files import FlightCount, FlightNews, FlightSettings
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.record_sink import FlightSink
-from tauext.monitor.replay import PACED_CHUNK_S, Tally
+from tauext.monitor.replay import Tally
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
 # --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
@@ -22,6 +24,8 @@ from tauext.monitor.sink import Control, LoopReport, Verdict
 
 MOST_WAITING = 1000
 """Waiting outputs above which optional ones are dropped: twenty seconds of chunks."""
+MOST_BEHIND = 4
+"""Outputs of a replay that wait, of a second each."""
 END_S = 5.0
 """Time that a reader has at the end for the outputs that still wait, [s]."""
 
@@ -32,8 +36,9 @@ class Aside:
     The first thing that raises ends it: the rest is left out, `failed` is called, and the end of the context raises it.
     """
 
-    def __init__(self, failed: Callable[[], None]):
-        self.left_out = 0
+    def __init__(self, failed: Callable[[], None], patient: bool = False):
+        """patient: whether do() waits while MOST_BEHIND things are left, and leaves nothing out: for replays."""
+        self._patient, self.left_out = patient, 0
         """Outputs that were dropped because too many waited."""
         self._failed = failed
         self._error: BaseException | None = None
@@ -51,7 +56,9 @@ class Aside:
             raise self._error
 
     def do(self, what: Callable[[], None], may_be_left_out: bool = False) -> None:
-        """Returns at once."""
+        """Returns at once, unless it is patient."""
+        while self._patient and self._waiting.qsize() > MOST_BEHIND and self._thread.is_alive():
+            time.sleep(1e-3)
         if may_be_left_out and self._waiting.qsize() > MOST_WAITING:
             self.left_out += 1
         else:
@@ -72,11 +79,12 @@ class Aside:
 
 QUIET_S = 10
 """Between two notes that nothing has come yet."""
+CHUNK_S = 0.02
+"""Time of a chunk of samples, short enough for viewers."""
 
 
 class OutputSink:
-    """Counts verdicts and prints them in another thread, in chunks of PACED_CHUNK_S; every change ends a chunk
-    early."""
+    """Counts verdicts and prints them in another thread, in chunks; every change ends a chunk early."""
 
     def __init__(
         self,
@@ -86,14 +94,19 @@ class OutputSink:
         reactions: Reactions,
         flights: FlightSink | None = None,
         remedy: str = "",
+        chunk_s: float = CHUNK_S,
     ):
-        """remedy: what a person can do if samples come late or not at all."""
+        """
+        Args:
+            remedy: what a person can do if samples come late or not at all.
+            chunk_s: shortest chunk, in the time of the samples, [s].
+        """
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
         self.flights = FlightCount()
         self._output, self._aside, self._loop = output, aside, loop
         self._reactions, self._flight_sink = reactions, flights
-        self._most = max(1, round(PACED_CHUNK_S * 1e9 / period_ns))
+        self._most = max(1, round(chunk_s * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
         self._seen, self._silent_s = False, 0
         self.monitored, self._news = Monitored(), MonitoredNews(remedy)
@@ -142,7 +155,10 @@ class OutputSink:
             self._aside.do(partial(self._output.reaction, news))
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
-            self._aside.do(partial(self._output.flight, flight))
+            self._aside.do(partial(self._output.flight, self._shown(flight)))
+
+    def _shown(self, flight: FlightNews) -> FlightNews:
+        return flight
 
     def _print(self) -> None:
         """Samples that did not come are shown, and not counted."""
@@ -154,3 +170,28 @@ class OutputSink:
         came = [one.block is not None for one in verdicts for _ in one.t_ns]
         self.tally.add(chunk, self._loop.monitor, came)
         self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)
+
+
+class ReplayOutput(OutputSink):
+    """The output of a recording, which has no time of its own to report."""
+
+    def __init__(
+        self,
+        output: Output,
+        aside: Aside,
+        loop: Loop,
+        flights: FlightSink | None,
+        kept: FlightSettings | None,
+        chunk_s: float,
+    ):
+        super().__init__(output, aside, loop, Reactions(), flights, chunk_s=chunk_s)
+        self._kept, self._seen = kept, True
+
+    def every_second(self, report: LoopReport) -> None:
+        self.print_news()
+
+    def _shown(self, flight: FlightNews) -> FlightNews:
+        """Where the user wants it, not where it waits to be sent."""
+        if self._kept is None or flight.path is None:
+            return flight
+        return replace(flight, path=self._kept.given / flight.path.name)

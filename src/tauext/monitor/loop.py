@@ -8,8 +8,7 @@ import queue
 import sys
 import threading
 import time
-from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -39,7 +38,7 @@ from tauext.monitor.exchange import (
     why_not_exchange,
 )
 from tauext.monitor.latency import Latencies, ask_for_real_time
-from tauext.monitor.loads import Expected
+from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
 from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.profiles import Profile, Profiles
@@ -59,7 +58,6 @@ from tauext.monitor.source import (
     Commanded,
     CountedTime,
     Recorded,
-    Sample,
     ServoStage,
     Source,
     SourceSettings,
@@ -69,26 +67,26 @@ from tauext.monitor.source import (
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.turns import Turns
 
-# --- Verdicts of a live loop in the form of a replay, for output and statistics.
+# --- Verdicts as chunks, for output and statistics.
 
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     """Combine successive verdicts, at least one; the speed of a missing sample is NaN."""
     first = verdicts[0]
     if len(verdicts) == 1 and first.block is not None:
-        return Chunk(first.row, first.t_ns, first.block.dq, dict(first.estimates), list(first.changes), 0.0)
+        return Chunk(first.row, first.t_ns, first.block.dq, dict(first.estimates), list(first.changes), first.core_s)
     estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in first.estimates}
     unknown = np.full((1, estimates["tau_ext"].shape[1]), np.nan)
     dq = np.concatenate([unknown if one.block is None else one.block.dq for one in verdicts])
     changes = [change for one in verdicts for change in one.changes]
-    return Chunk(first.row, np.concatenate([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
+    core_s = sum(one.core_s for one in verdicts)
+    return Chunk(first.row, np.concatenate([one.t_ns for one in verdicts]), dq, estimates, changes, core_s)
 
 
-# --- The live loop. Sinks and reactions never delay the monitor.
+# --- The loop. Sinks and reactions of a live arm never delay the monitor.
 
 
 BLOCK_S = 0.1
-"""Longest time of the samples that are judged at once, [s]: requests are executed between two blocks."""
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
 SWITCH_S = 0.0005
@@ -114,6 +112,9 @@ class LoopSettings:
     """Real-time priority of these threads and processes."""
     wrench: str | None = None
     """Frame at which the force of a touch is also estimated; None: none."""
+    block_s: float = BLOCK_S
+    """Longest time of the samples that are judged at once, [s]: requests are executed between two blocks. 0: a sample
+    at a time."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,7 @@ class Loop:
         settings: LoopSettings = LoopSettings(),
         arm: SourceSettings | None = None,
         phases: Phases | None = None,
+        loads: Sequence[TimedLoad] = (),
     ):
         """Raises ConfigError where the parts do not fit each other.
 
@@ -152,6 +154,7 @@ class Loop:
             recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
             arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
             phases: contacts that the task means. Not where the bundle can be exchanged: training would learn from them.
+            loads: of the arm in a recording, with the times from which on it carries them.
         """
         if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
             raise ConfigError(reason)
@@ -177,9 +180,12 @@ class Loop:
         self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
         """Called in the loop's thread with every exchange of the bundle."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._reacts = reactions is not None
         self._turns = Turns(self._arm, bundle)
         servo = self._arm.servo
-        self._servo = ServoStage(servo) if servo is not None and servo.on else None
+        self._recorded, self._loads = source if isinstance(source, Recorded) else None, loads
+        is_made = self._recorded is not None and self._recorded.is_made
+        self._servo = ServoStage(servo) if servo is not None and servo.on and not is_made else None
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
         self._settings = settings
@@ -189,7 +195,6 @@ class Loop:
         if reason := self._why_refused(self.monitor, places):
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places, phases)
-        self._is_recorded = isinstance(source, Recorded)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
         self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
@@ -210,7 +215,7 @@ class Loop:
         """Its reception, by time.monotonic_ns()."""
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
-        self._most_rows = max(1, round(BLOCK_S / period_s))
+        self._most_rows = max(1, round(settings.block_s / period_s))
         self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
@@ -399,8 +404,8 @@ class Loop:
     def _start_phases(self, monitor: _core.Monitor) -> None:
         """Declare what is always on; the times of a recording begin with its first sample."""
         phases = self._changes.phases
-        if isinstance(self._source, Recorded):
-            recording = self._source.recording
+        if self._recorded is not None:
+            recording = self._recorded.recording
             notes = phases.after_the_end(recording.duration_s, recording.name)
         else:
             phases.start(monitor)
@@ -418,11 +423,11 @@ class Loop:
             if self._stopped:
                 return
             now = time.monotonic()
-            samples = self._take(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
-            for block, is_sized in blocks_of(samples, len(self.joints)):
+            taken = self.samples
+            for block, is_sized in self._take(max(0.0, min(due - now, second + 1 - now, IDLE_S))):
                 self._block(block, is_sized)
-            if samples:
-                due = samples[-1].received_ns * 1e-9 + self._missing_after_s
+            if self.samples > taken:
+                due = self._received_ns * 1e-9 + self._missing_after_s
             else:
                 now = time.monotonic()
                 if now >= due and self._last_t_ns is not None and not self._source.ended:
@@ -441,8 +446,12 @@ class Loop:
         except TauextError as error:
             self.note(str(error))
 
-    def _take(self, timeout_s: float) -> list[Sample]:
-        """The next sample, and after a late one those that have come since; empty: none within this time."""
+    def _take(self, timeout_s: float) -> Iterable[tuple[Block, bool]]:
+        """The next sample, and after a late one those that have come since, as blocks_of() returns them; empty: none
+        came within this time."""
+        if self._recorded is not None:
+            block = self._recorded.next_block(timeout_s, self._most_rows)
+            return [] if block is None else [(block, True)]
         first = self._source.next_sample(timeout_s)
         if first is None:
             return []
@@ -450,7 +459,7 @@ class Loop:
         if time.monotonic_ns() - first.received_ns > self._arm.period_ns:
             while len(samples) < self._most_rows and (one := self._source.next_sample(0.0)) is not None:
                 samples.append(one)
-        return samples
+        return blocks_of(samples, len(self.joints))
 
     def _block(self, block: Block, is_sized: bool) -> None:
         """Judge successive samples, as many at once as nothing must be done between.
@@ -463,57 +472,57 @@ class Loop:
             block = self._turns.made(block)
             if self._servo is not None:
                 block = self._servo.made(block)
-        times_ns = [self._time.step(t_ns) for t_ns in block.t_ns.tolist()]
+        times_ns = self._time.steps(block.t_ns)
+        if self._recorded is not None and not self.samples:
+            self._changes.schedule(int(block.t_ns[0]), self._loads)
         begin = 0
         while begin < len(block):
-            self._acknowledge_when_due(times_ns[begin])
+            self._acknowledge_when_due(int(times_ns[begin]))
             end = begin + self._rows_at_once(block.t_ns[begin:], times_ns[begin:], is_sized)
             self._judge(block[begin:end], times_ns[begin:end], is_sized)
             begin = end
 
-    def _rows_at_once(self, t_ns: np.ndarray, times_ns: list[int], is_sized: bool) -> int:
-        """Number of these samples, at least one, in which no alarm is to be acknowledged and no contact declared.
+    def _rows_at_once(self, t_ns: np.ndarray, times_ns: np.ndarray, is_sized: bool) -> int:
+        """Number of these samples, at least one, before any of which nothing is to be done; do what is due before them.
 
         An answered alarm is acknowledged with the first sample after its touch.
         """
-        if self._is_recorded and not self.samples:
-            self._changes.schedule(int(t_ns[0]))
-        declared_ns = self._changes.declare_due(int(t_ns[0])) if self._is_recorded else None
+        next_ns = self._changes.act_when_due(self.samples, int(t_ns[0]))
         rows = 1 if self._answered or not is_sized else len(times_ns)
         after_s = self._settings.acknowledge_after_s
         if rows > 1 and after_s is not None:
             due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
-            rows = bisect_left(times_ns, due_ns, 1, rows)
-        if rows > 1 and declared_ns is not None:
-            rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= declared_ns)[:1]).tolist()])
+            rows = max(1, min(rows, int(np.searchsorted(times_ns, due_ns))))
+        if rows > 1 and next_ns is not None:
+            rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= next_ns)[:1]).tolist()])
         return rows
 
-    def _judge(self, block: Block, times_ns: list[int], is_sized: bool) -> None:
+    def _judge(self, block: Block, times_ns: np.ndarray, is_sized: bool) -> None:
         """Run the monitor on these samples, and publish what it finds.
 
         Args:
             times_ns: their counted times.
         """
+        began_ns = time.monotonic_ns()
         if is_sized:
             signals = (block.t_ns, block.q, block.dq, block.tau)
             estimates = self.monitor.run(*signals, self._recorder, block.temperature)
         else:
             estimates = self.monitor.run_wrong_size(int(block.t_ns[0]), self._recorder)
-        received = block.received_ns.tolist()
-        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), received[-1]
+        core_s = (time.monotonic_ns() - began_ns) * 1e-9
+        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
         if self._ring is not None:
             self._remember(self._ring, block, estimates)
-        self._publish(block.t_ns, block, times_ns, estimates)
+        self._publish(block.t_ns, block, times_ns, estimates, core_s)
         self.samples += len(block)
         now_ns = time.monotonic_ns()
-        for one in received:
-            self.tick.add(now_ns - one)
-            self._second.add(now_ns - one)
-        healths = estimates["health"].tolist()
-        valid = [h == OK and now_ns - one <= LATE_S * 1e9 for h, one in zip(healths, received, strict=True)]
-        self._watched.add(now_ns, sum(valid) / len(valid), int(np.bitwise_or.reduce(estimates["causes"])))
+        ages_ns = now_ns - block.received_ns
+        self.tick.add_all(ages_ns)
+        self._second.add_all(ages_ns)
+        valid = np.count_nonzero((estimates["health"] == OK) & (ages_ns <= LATE_S * 1e9))
+        self._watched.add(now_ns, valid / len(block), int(np.bitwise_or.reduce(estimates["causes"])))
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
@@ -526,7 +535,7 @@ class Loop:
         if self._ring is not None:
             self._ring.miss(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
-        self._publish(np.array([t_ns]), None, [time_ns], estimates)
+        self._publish(np.array([t_ns]), None, np.array([time_ns]), estimates)
         self._watched.miss(time.monotonic_ns(), int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
@@ -608,7 +617,12 @@ class Loop:
         return ""
 
     def _publish(
-        self, t_ns: np.ndarray, block: Block | None, times_ns: list[int], estimates: dict[str, np.ndarray]
+        self,
+        t_ns: np.ndarray,
+        block: Block | None,
+        times_ns: np.ndarray,
+        estimates: dict[str, np.ndarray],
+        core_s: float = 0.0,
     ) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
         q, dq = (None, None) if block is None else (block.q, block.dq)
@@ -616,12 +630,13 @@ class Loop:
         news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
         if any(one.ended for one in news):
             self._due_ns = None
-        verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news)
-        for event in self._events.find(verdict):
-            self._reactions.put(event)
+        verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news, core_s)
+        if self._reacts:
+            for event in self._events.find(verdict):
+                self._reactions.put(event)
         after_s = self._settings.acknowledge_after_s
         if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
-            self._due_ns = times_ns[int((estimates["alarm"] == COLLISION).argmax())] + round(after_s * 1e9)
+            self._due_ns = int(times_ns[(estimates["alarm"] == COLLISION).argmax()]) + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,24 +29,27 @@ class McapSink:
         expect_log(path)
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread; set it before open()."""
+        self.patient = False
+        """Whether the loop waits for the disk instead of losing samples: for a source faster than real time."""
         self.path, self.lost, self.error = path, 0, ""
         """lost: samples that are not in the file; error: why."""
         self._made = (path, bundle, source, frame)
+        self._log: McapLog | None = None
         self._most = max(1, round(BATCH_S * 1e9 / bundle.observer.sample_period_ns))
         self._verdicts: list[Verdict] = []
         self._rows = self._reported = 0
         self._waiting: queue.SimpleQueue[list[Verdict] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="mcap", daemon=True)
 
     @property
     def samples(self) -> int:
         """Samples in the file."""
-        return self._log.samples
+        return 0 if self._log is None else self._log.samples
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._log = McapLog(*self._made)
-        if self._log.without:
-            self.note(f"{self.path.name}: {self._log.without}")
+        self._log = log = McapLog(*self._made)
+        if log.without:
+            self.note(f"{self.path.name}: {log.without}")
+        self._thread = threading.Thread(target=self._work, args=(log,), name="mcap", daemon=True)
         self._thread.start()
 
     def verdict(self, verdict: Verdict) -> None:
@@ -68,29 +72,31 @@ class McapSink:
 
     def _hand_over(self, last: bool = False) -> None:
         verdicts, self._verdicts, self._rows = self._verdicts, [], 0
+        while self.patient and self._waiting.qsize() >= MOST_WAITING and self._thread.is_alive():
+            time.sleep(1e-3)
         if self._waiting.qsize() >= MOST_WAITING and not last:
             self._lose(verdicts, "the disk was too slow")
         elif verdicts:
             self._waiting.put(verdicts)
 
-    def _work(self) -> None:
+    def _work(self, log: McapLog) -> None:
         while (verdicts := self._waiting.get()) is not None:
             try:
-                self._add(verdicts)
+                self._add(log, verdicts)
             except Exception as error:  # continue with the next batch
                 self._lose(verdicts, str(error))
         try:
-            self._log.close()
+            log.close()
         except ConfigError as error:
             self.error = self.error or str(error)
 
-    def _add(self, verdicts: list[Verdict]) -> None:
+    def _add(self, log: McapLog, verdicts: list[Verdict]) -> None:
         came, changes = [one for one in verdicts if one.block is not None], [c for one in verdicts for c in one.changes]
         if not came:
-            return self._log.add(np.zeros(0, np.int64), *[np.zeros((0, 0))] * 3, {}, changes)
+            return log.add(np.zeros(0, np.int64), *[np.zeros((0, 0))] * 3, {}, changes)
         signals = (np.concatenate([getattr(one.block, name) for one in came]) for name in ("t_ns", "q", "dq", "tau"))
         estimates = {name: np.concatenate([one.estimates[name] for one in came]) for name in COLUMNS}
-        self._log.add(*signals, estimates, changes)
+        log.add(*signals, estimates, changes)
 
     def _lose(self, verdicts: list[Verdict], why: str) -> None:
         self.lost += sum(len(one.block) for one in verdicts if one.block is not None)

@@ -243,11 +243,20 @@ FAULT_EVERY_S = 60.0
 class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
-    def __init__(self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str):
-        """folder: exists. bundle: None: none monitors yet, and flights are lost. source: its name, for file names."""
-        super().__init__(recorder, self._write_here, fault_every_s=FAULT_EVERY_S)
-        self._folder, self._bundle, self._name = folder, bundle, file_name(source)
-        self._source: FlightSource | None = None
+    def __init__(
+        self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str | FlightSource
+    ):
+        """
+        Args:
+            folder: exists.
+            bundle: None: none monitors yet, and flights are lost.
+            source: name of a live source, for file names; or a recording, whose replay waits for the disk.
+        """
+        self._of_recording = isinstance(source, FlightSource)
+        super().__init__(recorder, self._write_here, fault_every_s=0.0 if self._of_recording else FAULT_EVERY_S)
+        self._folder, self._bundle = folder, bundle
+        self._name = file_name(source) if isinstance(source, str) else ""
+        self._source = source if isinstance(source, FlightSource) else None
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
@@ -255,9 +264,12 @@ class FlightSink(FlightWriter):
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
         """The next flights are this bundle's."""
-        self._bundle, self._source = bundle, None
+        if not self._of_recording:
+            self._bundle, self._source = bundle, None
 
     def verdict(self, verdict: Verdict) -> None:
+        if self._of_recording:
+            self.catch_up()
         if self._source is None and self._bundle is not None:
             made, without = self._bundle.observer, lacking(self._bundle)
             of_arm = (

@@ -43,6 +43,8 @@ class Verdict:
     """The alarm that stands at the last sample, as of the newest news; None: none stands."""
     news: tuple[Episode, ...] = ()
     """Alarms of which something is new at these samples, or that have ended, in order."""
+    core_s: float = 0.0
+    """Time spent in the core, [s]."""
 
     @property
     def alarm_number(self) -> int:

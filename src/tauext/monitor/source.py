@@ -85,6 +85,10 @@ class Block:
         times = {name: rows(name, np.int64) for name in ("t_ns", "received_ns")}
         return Block(**times, **{name: rows(name) for name in measured})
 
+    def sample(self, row: int) -> Sample:
+        signals = {name: None if (one := getattr(self, name)) is None else one[row] for name in SIGNALS}
+        return Sample(int(self.t_ns[row]), received_ns=int(self.received_ns[row]), **signals)
+
     def __len__(self) -> int:
         return len(self.t_ns)
 
@@ -125,6 +129,16 @@ class CountedTime:
             self.now_ns += step_ns if 0 < step_ns <= self._longest_ns else self._period_ns
         self._last_ns = t_ns
         return self.now_ns
+
+    def steps(self, t_ns: np.ndarray) -> np.ndarray:
+        """Count samples, at least one; returns the time of each, (samples,) [ns]."""
+        times_ns = np.array([self.step(int(t_ns[0]))])
+        if len(t_ns) > 1:
+            steps_ns = np.diff(t_ns)
+            steps_ns[(steps_ns <= 0) | (steps_ns > self._longest_ns)] = self._period_ns
+            times_ns = np.append(times_ns, self.now_ns + np.cumsum(steps_ns))
+            self.now_ns, self._last_ns = int(times_ns[-1]), int(t_ns[-1])
+        return times_ns
 
 
 @dataclass
@@ -214,9 +228,15 @@ class Commanded(Protocol):
 
 @runtime_checkable
 class Recorded(Protocol):
-    """A source whose samples are those of a recording, with their stamps."""
+    """A source whose samples are those of a recording, with their stamps. The loop takes them as blocks."""
 
     recording: Recording
+    is_made: bool
+    """Whether velocity and torque of a servo arm are those of the recording, not computed again from its signals."""
+
+    def next_block(self, timeout_s: float, most_rows: int) -> Block | None:
+        """Return the next samples whose time has come; None if there are none within timeout_s, or after the last."""
+        ...
 
 
 class Source(Protocol):

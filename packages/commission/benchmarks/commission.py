@@ -26,6 +26,7 @@ import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,7 @@ class Simulation:
         self.truth: list[Touch] = []
         self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
         self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
-        self.sink.patient = True
+        self.sink.worker.patient = True
         self.first_s: float | None = None
         self.busy_s = self.asked_s = 0.0
         self.monitor: _core.Monitor | None = None
@@ -199,7 +200,7 @@ class Simulation:
             names = ("t_ns", "q", "dq", "tau", *RAW_SIGNALS)
             signals = {name: getattr(part, name) for name in names if getattr(part, name) is not None}
             self.sink._labels = {one.id: one for one in self.folder.labels()}
-            self.sink._waiting.put(signals | {"contact": np.zeros(part.samples, dtype=np.int8)})
+            self.sink.worker.put(partial(self.sink._write, signals), must=True)
             while self.folder.seconds() < seconds + 0.9 * part.samples / made.rate_hz:
                 time.sleep(0.001)
             self.answer(seconds)

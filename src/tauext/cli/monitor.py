@@ -141,7 +141,7 @@ def watch(
         AwayError: the source or the duration ended without a sample.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.cli.monitor_output import Aside, OutputSink
+    from tauext.cli.monitor_output import OutputSink, output_thread
     from tauext.cli.text_lines import Outcome
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
@@ -176,16 +176,16 @@ def watch(
         stack.callback(reactions.end)
         loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, phases=phases)
         stack.enter_context(output)
-        aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
+        worker = stack.enter_context(output_thread(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
-        shown = OutputSink(output, aside, loop, reactions, flights, remedy)
+        shown = OutputSink(output, worker, loop, reactions, flights, remedy)
         loop.sinks.append(shown)
         for sink in (record, mcap):
             if sink is not None:
                 sink.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
-        aside.do(partial(output.start_live, source.name, bundle))
+        worker.put(partial(output.start_live, source.name, bundle), must=True)
         for words in unmonitored:
             loop.note(words)
         began_s = time.monotonic()
@@ -201,7 +201,7 @@ def watch(
         outcome.monitored = loop.monitored
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
-        aside.do(partial(output.finish, outcome))
+        worker.put(partial(output.finish, outcome), must=True)
     if not loop.samples and not loop.stopped:
         refused = source.counts.refused
         came = f"none of {refused} samples could be used" if refused else "no sample came"

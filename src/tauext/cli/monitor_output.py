@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
 from tauext import _core
 from tauext.cli.json_lines import Output
+from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.flight_files import FlightCount, FlightNews, FlightSettings
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
@@ -30,48 +29,23 @@ END_S = 5.0
 """Time that a reader has at the end for the outputs that still wait, [s]."""
 
 
-class Aside:
-    """Does one thing after the other in a thread: a context, whose end waits for what is left.
+@contextmanager
+def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterator[BackgroundWorker]:
+    """A thread for output, whose first error is raised at the end.
 
-    The first thing that raises ends it: the rest is left out, `failed` is called, and the end of the context raises it.
+    Args:
+        failed: called after that error.
+        patient: see BackgroundWorker.
     """
-
-    def __init__(self, failed: Callable[[], None], patient: bool = False):
-        """patient: whether do() waits while MOST_BEHIND things are left, and leaves nothing out: for replays."""
-        self._patient, self.left_out = patient, 0
-        """Outputs that were dropped because too many waited."""
-        self._failed = failed
-        self._error: BaseException | None = None
-        self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="output", daemon=True)
-
-    def __enter__(self) -> Aside:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        self._waiting.put(None)
-        self._thread.join(END_S)
-        if self._error is not None and error is None:
-            raise self._error
-
-    def do(self, what: Callable[[], None], may_be_left_out: bool = False) -> None:
-        """Returns at once, unless it is patient."""
-        while self._patient and self._waiting.qsize() > MOST_BEHIND and self._thread.is_alive():
-            time.sleep(1e-3)
-        if may_be_left_out and self._waiting.qsize() > MOST_WAITING:
-            self.left_out += 1
-        else:
-            self._waiting.put(what)
-
-    def _work(self) -> None:
-        while (what := self._waiting.get()) is not None:
-            try:
-                what()
-            except BaseException as error:
-                self._error = error
-                self._failed()
-                return
+    worker = BackgroundWorker("output", MOST_BEHIND if patient else MOST_WAITING, failed)
+    worker.patient = patient
+    worker.start()
+    try:
+        yield worker
+    finally:
+        worker.end(END_S)
+    if worker.error is not None:
+        raise worker.error
 
 
 # --- Reports of the loop, printed in another thread.
@@ -89,7 +63,7 @@ class OutputSink:
     def __init__(
         self,
         output: Output,
-        aside: Aside,
+        worker: BackgroundWorker,
         loop: Loop,
         reactions: Reactions,
         flights: FlightSink | None = None,
@@ -104,7 +78,7 @@ class OutputSink:
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
         self.flights = FlightCount()
-        self._output, self._aside, self._loop = output, aside, loop
+        self._output, self._worker, self._loop = output, worker, loop
         self._reactions, self._flight_sink = reactions, flights
         self._most = max(1, round(chunk_s * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
@@ -117,7 +91,7 @@ class OutputSink:
     def verdict(self, verdict: Verdict) -> None:
         if not self._seen:
             self._seen = True
-            self._aside.do(partial(self._output.first, int(verdict.t_ns[0])))
+            self._worker.put(partial(self._output.first, int(verdict.t_ns[0])), must=True)
         self._verdicts.append(verdict)
         if verdict.changes or sum(len(one.t_ns) for one in self._verdicts) >= self._most:
             self._print()
@@ -135,7 +109,7 @@ class OutputSink:
         self.monitored = report.monitored
         if line := self._news.line(report.t_ns * 1e-9, report.monitored):
             self.note(line)
-        self._aside.do(partial(self._output.watched, report.monitored), may_be_left_out=True)
+        self._worker.put(partial(self._output.watched, report.monitored))
         self._print()
 
     def close(self) -> None:
@@ -143,19 +117,19 @@ class OutputSink:
 
     def note(self, text: str) -> None:
         """For the loop."""
-        self._aside.do(partial(self._output.note, text))
+        self._worker.put(partial(self._output.note, text), must=True)
 
     def switched(self, switch: ProfileSwitch) -> None:
         """For the loop."""
-        self._aside.do(partial(self._output.switched, switch))
+        self._worker.put(partial(self._output.switched, switch), must=True)
 
     def print_news(self) -> None:
         """Print the outcome of reactions and flights."""
         for news in self._reactions.news():
-            self._aside.do(partial(self._output.reaction, news))
+            self._worker.put(partial(self._output.reaction, news), must=True)
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
-            self._aside.do(partial(self._output.flight, self._shown(flight)))
+            self._worker.put(partial(self._output.flight, self._shown(flight)), must=True)
 
     def _shown(self, flight: FlightNews) -> FlightNews:
         return flight
@@ -169,7 +143,7 @@ class OutputSink:
         chunk = chunk_of(verdicts)
         came = [one.block is not None for one in verdicts for _ in one.t_ns]
         self.tally.add(chunk, self._loop.monitor, came)
-        self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)
+        self._worker.put(partial(self._output.chunk, chunk, self.tally), must=bool(chunk.changes))
 
 
 class ReplayOutput(OutputSink):
@@ -178,13 +152,13 @@ class ReplayOutput(OutputSink):
     def __init__(
         self,
         output: Output,
-        aside: Aside,
+        worker: BackgroundWorker,
         loop: Loop,
         flights: FlightSink | None,
         kept: FlightSettings | None,
         chunk_s: float,
     ):
-        super().__init__(output, aside, loop, Reactions(), flights, chunk_s=chunk_s)
+        super().__init__(output, worker, loop, Reactions(), flights, chunk_s=chunk_s)
         self._kept, self._seen = kept, True
 
     def every_second(self, report: LoopReport) -> None:

@@ -219,7 +219,7 @@ def replay_one(
     Raises:
         ConfigError: the MCAP file cannot be written.
     """
-    from tauext.cli.monitor_output import CHUNK_S, Aside, ReplayOutput
+    from tauext.cli.monitor_output import CHUNK_S, ReplayOutput, output_thread
     from tauext.monitor.flight_files import FlightSource
     from tauext.monitor.loop import Loop, LoopSettings
     from tauext.monitor.mcap_sink import McapSink
@@ -240,14 +240,14 @@ def replay_one(
         block_s = min(block_s, max(kept.after_s, CHUNK_S))
     if settings.mcap is not None:
         mcap = McapSink(settings.mcap, bundle, recording.name, settings.wrench)
-        mcap.patient = True
+        mcap.worker.patient = True
     in_loop = LoopSettings(
         settings.own_rate, NEVER_S, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
     )
     source, sinks = ReplaySource(recording, settings.speed, is_made=True), [one for one in (flights, mcap) if one]
     loop = Loop(bundle, source, sinks, None, None, recorder, in_loop, phases=settings.phases, loads=settings.loads)
-    with Aside(lambda: loop.stop("an output that cannot be written"), patient=True) as aside:
-        shown = ReplayOutput(output, aside, loop, flights, kept, chunk_s)
+    with output_thread(lambda: loop.stop("an output that cannot be written"), patient=True) as worker:
+        shown = ReplayOutput(output, worker, loop, flights, kept, chunk_s)
         loop.sinks.append(shown)
         loop.note = shown.note
         if mcap is not None:
@@ -265,6 +265,6 @@ def replay_one(
             total.merge(shown.tally)
             all_flights.merge(shown.flights)
             is_complete = shown.tally.samples == recording.samples
-            aside.do(partial(output.end, shown.tally, shown.flights, is_complete))
+            worker.put(partial(output.end, shown.tally, shown.flights, is_complete))
     if mcap is not None and mcap.error:
         raise ConfigError(f"{mcap.lost} of {recording.samples} samples of the MCAP file are lost: {mcap.error}")

@@ -553,9 +553,9 @@ class ChangeFinder:
             returns = beyond and 0 <= t_ns[k] - self._beyond_ns <= APART_S * 1e9  # a clock that was set back: not soon
             ends = now == 0 and self._declared
             if not returns and (beyond or ends or contact != self._declared_contact):
-                numbers = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
+                size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
                 of = self._declared_contact if ends else contact
-                named = self._contacts.get(of, ("", None))
+                numbers, named = (size, sigma, moment_nm, travel_m), self._contacts.get(of, ("", None))
                 found.append(DeclaredChange(first_row + k, int(t_ns[k]), now, of, *numbers, *named))
             self._declared, self._declared_contact = now, contact
         return found

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +19,7 @@ from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
 from tauext.files.preflight import LEAST_ROOM, expect_folder
 from tauext.files.provenance import VERSION
+from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
@@ -89,16 +89,13 @@ class RecordSink:
         self._late_ns: int | None = None
         """Stamp of a sample older than the one before; the clock started again if the next one follows it."""
         self.count = RecordCount()
-        self.patient = False
-        """Whether the loop waits for the disk instead of losing samples: for a source faster than real time."""
-        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        """Segments to write; None at the end."""
-        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self.worker = BackgroundWorker("recording", MOST_WAITING)
+        """Writes segments."""
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
         self._begin()
-        self._thread.start()
+        self.worker.start()
 
     def verdict(self, verdict: Verdict) -> None:
         if (block := verdict.block) is None:
@@ -117,8 +114,8 @@ class RecordSink:
             signals = [None if (one := getattr(block, name)) is None else one[row] for name in self._names]
             self._add(t_ns, signals, contact[row])
 
-    def _add(self, t_ns: int, signals: list[np.ndarray | None], contact: int) -> None:
-        """Keep one sample, if it is usable."""
+    def _add(self, t_ns: int, signals: list[Any], contact: int) -> None:
+        """Keep one sample, if it is usable. signals: None: not measured."""
         k = self._row
         if self._names[-1] == "temperature" and signals[-1] is not None:  # measured seldom: the last value holds
             signals[-1] = self._warm = np.array(np.where(np.isfinite(signals[-1]), signals[-1], self._warm))
@@ -155,8 +152,7 @@ class RecordSink:
     def close(self) -> None:
         """Write the remaining samples and wait for the disk."""
         self._hand_over(last=True)
-        self._waiting.put(None)
-        self._thread.join()
+        self.worker.end()
 
     def _clock_restarted(self) -> None:
         """Called in the loop's thread before the first sample of the new clock."""
@@ -168,22 +164,15 @@ class RecordSink:
 
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
-        while self.patient and self._waiting.qsize() >= MOST_WAITING and self._thread.is_alive():
-            time.sleep(1e-3)
+        signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
+        segment = {"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals
         if k < 2:
             self.count.unfit += k
-        elif self._waiting.qsize() >= MOST_WAITING and not last:
+        elif not self.worker.put(partial(self._write, segment), must=last):
             self.count.lost += k
             self.count.error = self.count.error or "the disk was too slow"
-        else:
-            signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
-            self._waiting.put({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
         if not last:
             self._begin()
-
-    def _work(self) -> None:
-        while (work := self._waiting.get()) is not None:
-            self._write(work)
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         while True:

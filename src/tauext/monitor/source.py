@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -86,8 +86,8 @@ class Block:
         return Block(**times, **{name: rows(name) for name in measured})
 
     def sample(self, row: int) -> Sample:
-        signals = {name: None if (one := getattr(self, name)) is None else one[row] for name in SIGNALS}
-        return Sample(int(self.t_ns[row]), received_ns=int(self.received_ns[row]), **signals)
+        of_row: dict[str, Any] = {name: None if (one := getattr(self, name)) is None else one[row] for name in SIGNALS}
+        return Sample(int(self.t_ns[row]), received_ns=int(self.received_ns[row]), **of_row)
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -95,7 +95,8 @@ class Block:
     def __getitem__(self, rows: slice) -> Block:
         if rows == slice(0, len(self)):
             return self
-        return Block(*(None if (one := getattr(self, name.name)) is None else one[rows] for name in fields(self)))
+        parts: list[Any] = [None if (one := getattr(self, name.name)) is None else one[rows] for name in fields(self)]
+        return Block(*parts)
 
 
 def blocks_of(samples: Sequence[Sample], joints: int) -> Iterator[tuple[Block, bool]]:
@@ -105,7 +106,7 @@ def blocks_of(samples: Sequence[Sample], joints: int) -> Iterator[tuple[Block, b
             yield Block.of(tuple(group)), True
         else:
             unknown = np.full(joints, np.nan)
-            yield Block.of([Sample(one.t_ns, *[unknown] * 3, one.received_ns) for one in group]), False
+            yield Block.of([Sample(one.t_ns, unknown, unknown, unknown, one.received_ns) for one in group]), False
 
 
 class CountedTime:

@@ -11,19 +11,23 @@ instead of cylinders, too. OUT gets the bundles, links.json and links.md.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import arguments, head, table_row, trained, write_tables
+from common import ROOT, arguments, head, table_row, trained, write_tables
 from scipy.optimize import minimize
 from unseen.arms import Maker, arm_of, makers
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
 from unseen.surfaces import SURFACES, Part, capsules_of, draw_touch, triangles_of
 from wrench import WARM_S, logged, short, told
 
+sys.path.insert(0, str(ROOT / "tests"))
+
+from made_live import replay
+
 from tauext import _core
-from tauext.monitor.replay import replay
 from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
 from tauext.robot.capsules import link_capsules
 from tauext.robot.read import load_tree

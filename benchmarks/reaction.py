@@ -26,11 +26,11 @@ from pathlib import Path
 import numpy as np
 from common import ROOT, arguments, loop_arguments
 from seven_axis import bundle, motion
+from tauext.monitor.cell_file import Reaction
 
 from tauext import _core
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
 from tauext.monitor.sink import ReactionEvent
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
@@ -115,8 +115,8 @@ class Timing:
         pass
 
     def verdict(self, verdict: object) -> None:
-        if verdict.sample is not None:
-            self.latencies.add(time.monotonic_ns() - verdict.sample.received_ns)
+        for received_ns in verdict.block.received_ns.tolist() if verdict.block is not None else ():
+            self.latencies.add(time.monotonic_ns() - received_ns)
 
     def every_second(self, report: object) -> None:
         pass

@@ -25,7 +25,7 @@ from tauext.monitor.control_lines import obey
 from tauext.monitor.exchange import Exchanged, NoMonitor, Ring, why_not_exchange
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.replay import EventStream
-from tauext.monitor.source import Sample, settings_of
+from tauext.monitor.source import Block, Sample, settings_of
 
 QUIET_S = 0.5
 ARM = settings_of(watching_bundle())
@@ -203,7 +203,7 @@ def test_a_successor_repeats_missing_samples_and_what_was_done_at_their_row():
             if k < 2000 + exchange.SILENT_ROWS:
                 plain.run_missing(int(t_ns))
             continue
-        ring.add(int(t_ns), q, dq, tau, None, 0)
+        ring.add(Block.of([Sample(int(t_ns), q, dq, tau, 0)]), np.zeros(1))
         plain.run(np.array([t_ns]), q[None], dq[None], tau[None])
     successor = exchange.Successor(bundle_of("b"), ring, False, None, QUIET_S)
     while successor.follow(64):
@@ -387,7 +387,7 @@ def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp
 def test_no_monitor_answers_with_the_same_columns():
     recording, none = pushed(), NoMonitor(ARM)
     real = _core.Monitor(watching_bundle()).run(*(signal[:1] for signal in signals_of(recording)))
-    for row in (none.run(), none.run_missing(0)):
+    for row in (none.run(np.zeros(1)), none.run_missing(0)):
         assert {k: (v.dtype, v.shape) for k, v in row.items()} == {k: (v.dtype, v.shape) for k, v in real.items()}
     assert none.run_missing(0)["health"][0] == STALE
     assert {name for name in dir(none) if not name.startswith("_")} <= set(dir(_core.Monitor))
@@ -512,7 +512,8 @@ def test_a_ring_keeps_the_last_minute_and_no_long_silence():
     for k in range(700):
         if k % 10 == 0:
             ring.mark(b"%d" % k, k // 400)
-        ring.add(k, k * one, one, one, one if k == 695 else None, k % 2)
+        warm = one if k == 695 else None
+        ring.add(Block.of([Sample(k, k * one, one, one, 0, warm)]), np.array([k % 2]))
     assert ring.start(0) == ring.start(7) == (100, b"100") and ring.carried == b"690"
     assert ring.start(1) == (400, b"400")  # of the same model
     assert ring.since(5, 10) is None

@@ -19,7 +19,6 @@ from tauext.fit.torque_constants import with_constants
 from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import ChangeFinder, FoundLoad
 from tauext.monitor.control_lines import obey
-from tauext.monitor.events import found_load_words
 from tauext.monitor.loads import Expected, expected_of_text
 from tauext.monitor.loop import Loop
 
@@ -142,8 +141,8 @@ def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
     assert 1 <= len(told) <= 4 and told[-1].mass_kg == pytest.approx(MASS, abs=2 * told[-1].error_kg)
     assert PICKED < told[0].row < PICKED + 1000
     assert all(verdict.estimates["alarm"][0] == 0 for verdict in keeper.verdicts)
-    assert found_load_words(told[0]).startswith("the expected load was picked up: carries 1.")
-    assert "carries nothing" in found_load_words(FoundLoad(0, 0, 0.0, 0.1))
+    assert told[0].words(())[0].startswith("the expected load was picked up: carries 1.")
+    assert "carries nothing" in FoundLoad(0, 0, 0.0, 0.1).words(())[0]
 
 
 def test_a_profile_says_what_is_expected(arm, tmp_path):

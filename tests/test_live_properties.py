@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_bundles import JOINTS, damaged, pushed, watching_bundle
-from made_live import Keeper, ScriptedSource, samples_of
+from made_live import Keeper, Replayed, ScriptedSource, samples_of
 
 from tauext import _core
 from tauext.bundle.estimates import FAULT, OK, WARMING_UP
@@ -20,10 +20,9 @@ from tauext.data.recording import TURN, unwrapped
 from tauext.data.recording_file import save_recording
 from tauext.fit.coverage import Motion, seen
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.source import Sample, SourceSettings, settings_of
+from tauext.monitor.source import Block, Sample, SourceSettings, settings_of
 from tauext.monitor.turns import Turns, trained_positions
 from tauext.sources.franka import FrankaSource
-from tauext.sources.replay import ReplaySource
 from tauext.sources.ur import UrSource
 
 OFFSET = np.array([2.8, -0.5])
@@ -120,7 +119,7 @@ def source_of(kind: str, made, request, tmp_path):
     if kind == "script":
         return ScriptedSource(samples_of(made))
     if kind == "replay":
-        return ReplaySource(made, None)
+        return Replayed(made, None)
     arm = request.getfixturevalue(kind)
     Streamed(arm, made)
     if kind == "franka":
@@ -212,12 +211,13 @@ def test_rows_are_what_samples_are():
         goals = q + rng.normal(0, 0.1, q.shape)
         one, other = Turns(arm), Turns(arm)
         samples = samples_of(damaged(pushed(seconds=0.4), t_ns=t_ns, q=q, dq=q, tau=q))
-        made = [one.made(replace(sample, q_des=goal)) for sample, goal in zip(samples, goals, strict=True)]
+        blocks = [Block.of([replace(sample, q_des=goal)]) for sample, goal in zip(samples, goals, strict=True)]
+        made = [one.made(block) for block in blocks]
         rows, to = zip(
             *(other.rows(t_ns[part], q[part], goals[part]) for part in (slice(150), slice(150, 400))), strict=True
         )
-        np.testing.assert_array_equal(np.concatenate(rows), [sample.q for sample in made])
-        np.testing.assert_array_equal(np.concatenate(to), [sample.q_des for sample in made])
+        np.testing.assert_array_equal(np.concatenate(rows), [block.q[0] for block in made])
+        np.testing.assert_array_equal(np.concatenate(to), [block.q_des[0] for block in made])
         assert one.notes() == other.notes()
         np.testing.assert_array_equal(np.concatenate(rows)[:, 2], q[:, 2])  # slides
 

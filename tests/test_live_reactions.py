@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
-from made_live import Keeper
+from made_live import Keeper, Replayed
 
 from tauext import _core
 from tauext.errors import ConfigError
@@ -309,7 +309,7 @@ def test_publish_and_stop_reach_sinks_and_source():
         def publish_event(self, one):
             published.append(one)
 
-    sink, source = Publishing(), ReplaySource(pushed(), None)
+    sink, source = Publishing(), Replayed(pushed(), None)
     rules = [Reaction("p", ("contact",), publish=True), Reaction("s", ("collision",), stop=True)]
     reactions = start_reactions(rules, source, [sink])
     slow = Keeper(lambda verdict: verdict.row > 2016 and wait_for(lambda: source.ended))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made_arms import prismatic_mass
 from made_bundles import JOINTS, pushed
-from made_live import Keeper, ScriptedSource, samples_of
+from made_live import AllAtOnce, Keeper, samples_of
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -46,7 +46,7 @@ def any_source(request):
             return UrSource("10.0.0.2", file), SourceSettings(UR_JOINTS, 2_000_000), arm
         return FrankaSource("10.0.0.3"), SourceSettings(FRANKA_JOINTS, 1_000_000), arm
     recording = pushed(seconds=0.2)
-    source = ReplaySource(recording, None) if request.param == "replay" else ScriptedSource(samples_of(recording))
+    source = ReplaySource(recording, None) if request.param == "replay" else AllAtOnce(samples_of(recording))
     return source, SourceSettings(JOINTS, 1_000_000), None
 
 

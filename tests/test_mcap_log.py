@@ -17,7 +17,7 @@ import pinocchio_oracle as oracle
 import pytest
 from made_arms import prismatic_mass
 from made_bundles import planar_arm_bundle, pushed, seven_axis_bundle, watching_bundle
-from made_live import ScriptedSource, samples_of
+from made_live import ScriptedSource, replay, samples_of
 from made_results import run_command
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
@@ -35,7 +35,6 @@ from tauext.monitor.loop import Loop
 from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
 from tauext.monitor.mcap_sink import McapSink
 from tauext.monitor.phases import Phase, Phases
-from tauext.monitor.replay import replay
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.robot.viewer_urdf import viewer_urdf
 
@@ -111,7 +110,7 @@ def write(
     log, monitor = McapLog(path, bundle, recording.name), _core.Monitor(bundle)
     phases = None if phase is None else Phases({phase.name: phase})
     places = PlaceFinder(bundle)
-    for chunk in replay(monitor, recording, None, None, acknowledge_after_s, chunk_s, (), places, phases):
+    for chunk in replay(monitor, recording, None, acknowledge_after_s, chunk_s, (), places, phases):
         rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
         log.add(chunk.t_ns, recording.q[rows], recording.dq[rows], recording.tau[rows], chunk.estimates, chunk.changes)
     log.close()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_arms import six_axis_tree
 from made_bundles import constant_error_scale
-from made_live import Keeper, ScriptedSource, samples_of
+from made_live import Keeper, ScriptedSource, replay, samples_of
 
 from tauext import DeclaredContact, WrenchModel, _core
 from tauext.bundle.estimates import COLLISION, DECLARED, unexplained
@@ -23,10 +23,8 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import AlarmChange, DeclaredChange
 from tauext.monitor.control_lines import obey
-from tauext.monitor.events import change_facts, change_words
 from tauext.monitor.loop import Loop
 from tauext.monitor.phases import Phases, announced_of_text
-from tauext.monitor.replay import replay
 from tauext.sources.replay import ReplaySource
 
 SAMPLES = 6000
@@ -189,13 +187,13 @@ def test_phases_of_a_file_are_declared_at_their_times_and_reported(arm, tool, tm
     presses = pressed(free, tool, 25.0, 2000, 5000)
     chunks = list(replay(_core.Monitor(bundle), presses, chunk_s=0.4, phases=phases))
     events = [change for chunk in chunks for change in chunk.changes if isinstance(change, DeclaredChange)]
-    words = [line for event in events for line in change_words(event, free.joints, bundle.estimate_units)]
+    words = [line for event in events for line in event.words(free.joints, bundle.estimate_units)]
     assert words[0] == "grip: contact of joint joint5 of at most 0.5"
     assert f"pressing: contact at {TOOL} of at most 20 N" in words
     beyond = [event for event in events if DECLARED[event.state] == "beyond"]
     assert len(beyond) == 1 and beyond[0].phase == "pressing"
     assert f"N at {TOOL}, of at most 20 N" in words[events.index(beyond[0])]
-    kind, facts = change_facts(beyond[0], free.joints)
+    kind, facts = beyond[0].event, beyond[0].facts(free.joints)
     assert (kind, facts["phase"], facts["state"], facts["frame"], facts["at_most_n"]) == (
         "declared",
         "pressing",

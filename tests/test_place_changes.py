@@ -15,10 +15,9 @@ from tauext.errors import ConfigError
 from tauext.monitor.cell_file import Reaction, load_cell
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
-from tauext.monitor.events import change_facts
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
-from tauext.monitor.touch_place import FrameForce, PlaceFinder, frame_force_words, links_words, place_facts, place_words
+from tauext.monitor.touch_place import FrameForce, PlaceFinder, links_words
 
 SIGMA_NM, RATE_HZ, RISES, FALLS = 0.1, 1000, 200, 900
 JOINTS = tuple(f"joint{k + 1}" for k in range(7))
@@ -117,15 +116,15 @@ def test_an_acknowledged_alarm_that_stands_again_is_another(bundle, signals):
 
 def test_words_and_facts(bundle, signals):
     change = found(bundle, signals, 1200)[0]
-    words = place_words(replace(change, consistent=0.5), JOINTS)
-    assert "no single force" in place_words(replace(change, consistent=0.001), JOINTS)
+    words = replace(change, consistent=0.5).words(JOINTS)[0]
+    assert "no single force" in replace(change, consistent=0.001).words(JOINTS)[0]
     best = JOINTS[change.links[0][0]]
     links = links_words(change.links, JOINTS)
     assert best in links and words.startswith(f"the touch is on {links}: ") and " N within " in words
-    facts = place_facts(change, JOINTS)
+    facts = change.place_facts(JOINTS)
     assert facts["links"][0]["joint"] == best and len(facts["places"]) == len(change.places)
     assert len(facts["places"][0]["force_n"]) == 3
-    event, content = change_facts(change, JOINTS)
+    event, content = change.event, change.facts(JOINTS)
     assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
     assert content["shapes_guessed"] is False
     json.dumps(content, allow_nan=False)
@@ -138,14 +137,14 @@ def test_a_link_that_is_not_sure_is_most_likely(bundle, signals):
         (0.5, "the touch is most likely on the link"),
     ):
         links = ((0, share), *((link, (1 - share) / 3) for link in (3, 5, 6)), *((link, 0.0) for link in (1, 2, 4)))
-        assert place_words(replace(change, links=links, consistent=0.5), JOINTS).startswith(words)
+        assert replace(change, links=links, consistent=0.5).words(JOINTS)[0].startswith(words)
 
 
 def test_words_and_facts_say_that_shapes_are_guessed(bundle, signals, monkeypatch):
     monkeypatch.setattr(bundle, "capsules", [])
     change = found(bundle, signals, 1200)[0]
-    assert "; shapes guessed): " in place_words(change, JOINTS)
-    assert place_facts(change, JOINTS)["shapes_guessed"] is True
+    assert "; shapes guessed): " in change.words(JOINTS)[0]
+    assert change.place_facts(JOINTS)["shapes_guessed"] is True
 
 
 WRISTS = ("pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -287,8 +286,8 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
         news = changes.find(k, t_ns[k : k + 1], row) + places.find(
             k, t_ns[k : k + 1], q[k : k + 1], 0 * q[k : k + 1], row
         )
-        of_alarm = episodes.find(int(t_ns[k]), row, news)
-        events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news), episodes.standing, of_alarm))
+        of_alarm = episodes.find(k, t_ns[k : k + 1], row, news)
+        events += finder.find(Verdict(k, t_ns[k : k + 1], None, row, tuple(news), episodes.standing, of_alarm))
     kinds = [(event.kind, event.of_place, event.newtons is not None) for event in events]
     assert kinds[:3] == [("collision", False, False), ("collision", True, True), ("collision", True, True)]
     assert kinds[3:5] == [("cleared", False, False), ("contact", False, False)]
@@ -313,18 +312,18 @@ def test_the_force_at_the_frame_comes_with_the_place(bundle):
     assert force is not None and told[1].force is None and told[0].row == told[1].row
     np.testing.assert_allclose(force.force_n, FORCE, atol=0.3)
     assert force.consistent > 0.9 and 0 < force.off_n < 10
-    words, facts = place_words(told[0], JOINTS), place_facts(told[0], JOINTS)
-    assert words.endswith(f"; {frame_force_words(force)}") and " 23 N at joint7 (up to " in words
+    words, facts = told[0].words(JOINTS)[0], told[0].place_facts(JOINTS)
+    assert words.endswith(f"; {force.words()}") and " 23 N at joint7 (up to " in words
     assert facts["at_frame"]["force_n"] == force.force_n and len(facts["at_frame"]["covariance"]) == 9
-    assert "at_frame" not in place_facts(told[1], JOINTS) and " N at " not in place_words(told[1], JOINTS)
+    assert "at_frame" not in told[1].place_facts(JOINTS) and " N at " not in told[1].words(JOINTS)[0]
 
 
 def test_words_say_size_doubt_and_the_nearest_axis():
-    assert frame_force_words(DOWN) == "25 N at tool0 (up to 4 N wrong), 11° from -z"
-    assert frame_force_words(replace(DOWN, force_n=(0.0, 20.0, 0.0))).endswith("0° from +y")
-    blind = frame_force_words(replace(DOWN, blind=1))
+    assert DOWN.words() == "25 N at tool0 (up to 4 N wrong), 11° from -z"
+    assert replace(DOWN, force_n=(0.0, 20.0, 0.0)).words().endswith("0° from +y")
+    blind = replace(DOWN, blind=1).words()
     assert blind == "25 N at tool0 (and 1 direction that this pose cannot show), 11° from -z"
-    assert frame_force_words(replace(DOWN, consistent=0.001)) == "no force at tool0 explains it"
+    assert replace(DOWN, consistent=0.001).words() == "no force at tool0 explains it"
 
 
 def test_a_frame_that_there_is_none_is_refused_with_those_that_there_are(bundle):

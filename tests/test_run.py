@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_bundles import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, watching_bundle, with_error_scale
+from made_live import replay
 from made_results import run_command
 from rich.console import Console
 
@@ -29,7 +30,8 @@ from tauext.monitor.changes import AlarmChange, ChangeFinder, HiddenCollision, T
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
 from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
-from tauext.monitor.replay import Pace, Tally, chunk_rows, replay
+from tauext.monitor.replay import Tally
+from tauext.sources.replay import Pace, ReplaySource
 
 CAUSES = 12
 
@@ -160,37 +162,37 @@ def test_what_is_said_of_every_sample_does_not_depend_on_the_chunks(bundle):
         np.testing.assert_array_equal(values, other[key], err_msg=key)
 
 
-@pytest.mark.parametrize(
-    "wait_ns, due_ns, rows",
-    [(None, None, 6), (3, None, 3), (1, None, 1), (None, 4, 4), (5, 2, 2), (9, 0, 1), (9, 99, 6)],
-)
-def test_a_chunk_ends_before_an_acknowledgement_is_due(wait_ns, due_ns, rows):
-    assert chunk_rows(np.arange(6), wait_ns, due_ns) == rows
-
-
-def test_samples_come_when_their_time_has_come_by_the_clock(bundle):
+def test_samples_come_when_their_time_has_come_by_the_clock():
     now, slept = [50.0], []
 
     def sleep(seconds):
         slept.append(seconds)
         now[0] += seconds
 
-    recording = pushed(seconds=2.0)
-    pace = Pace(4.0, clock=lambda: now[0], sleep=sleep)
-    late = 0.0
-    for chunk in replay(_core.Monitor(bundle), recording, pace, chunk_s=0.1):
-        due = 50.0 + (chunk.t_ns[-1] - recording.t_ns[0]) * 1e-9 / 4
-        assert now[0] == pytest.approx(max(due, late))
-        if chunk.first_row == 500:
-            late = now[0] = now[0] + 0.06  # a slow reader; then the replay does not wait until it has caught up
-    assert len(slept) == 20 - 2 and now[0] == pytest.approx(50.0 + 1.999 / 4)
+    recording, rows = pushed(seconds=2.0), []
+    source = ReplaySource(recording, 4.0)
+    source._pace = Pace(4.0, clock=lambda: now[0], sleep=sleep)
+    while not source.ended:
+        if (block := source.next_block(10.0, 100)) is None:
+            continue
+        due = 50.0 + (block.t_ns - recording.t_ns[0]) * 1e-9 / 4
+        assert (due <= now[0] + 1e-9).all()
+        rows.append(len(block))
+        if sum(rows) == 500:
+            now[0] += 0.06  # a slow reader finds the samples waiting, and is told since when
+            block = source.next_block(10.0, 1000)
+            rows.append(len(block))
+            assert len(block) == 240 and np.ptp(block.received_ns) == pytest.approx(239 / 4 * 1e6, rel=1e-3)
+    assert sum(rows) == 2000 and now[0] == pytest.approx(50.0 + 1.999 / 4)
 
 
-def test_a_replay_as_fast_as_it_can_never_sleeps(bundle):
+def test_a_replay_as_fast_as_it_can_never_sleeps():
     def sleep(seconds):
         raise AssertionError
 
-    assert len(list(replay(_core.Monitor(bundle), pushed(), Pace(None, sleep=sleep)))) == 6
+    source = ReplaySource(pushed(), None)
+    source._pace = Pace(None, sleep=sleep)
+    assert [len(source.next_block(0.0, 1000)) for _ in range(6)] == [1000] * 6 and source.ended
 
 
 def test_the_tally_counts_what_arrays_of_all_samples_hold(bundle):
@@ -225,8 +227,8 @@ def flown(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=Fal
     recorder = _core.FlightRecorder(2, monitor.sample_period_ns, before_s, after_s, contacts)
     source = FlightSource.of(bundle, samples)
     with FlightWriter(recorder, partial(write_flight, folder=folder, source=source)) as writer:
-        for _ in replay(monitor, samples, recorder=recorder, chunk_s=after_s or 0.02, **options):
-            writer.catch_up()
+        chunk_s = after_s or 0.02
+        replay(monitor, samples, recorder=recorder, chunk_s=chunk_s, each=lambda chunk: writer.catch_up(), **options)
     assert recorder.missed == 0
     return writer.news()
 
@@ -496,8 +498,7 @@ def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle,
 
     recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
     with FlightWriter(recorder, write) as writer:
-        for _ in replay(_core.Monitor(bundle), recording, recorder=recorder, acknowledge_after_s=0.8, chunk_s=0.5):
-            writer.catch_up()
+        replay(_core.Monitor(bundle), recording, recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
     first, second = writer.news()
     assert (first.path, first.error) == (None, "the disk is full")
     assert second.path.exists() and second.error is None
@@ -516,9 +517,14 @@ def test_a_replay_waits_for_a_slow_disk_before_memory_fills(bundle, tmp_path, mo
         return tmp_path
 
     with FlightWriter(recorder, write) as writer:
-        for _ in replay(_core.Monitor(bundle), many, recorder=recorder, acknowledge_after_s=0.3, chunk_s=0.1):
+        waiting = []
+
+        def each(chunk):
             writer.catch_up()
-            assert writer.waiting <= 1
+            waiting.append(writer.waiting)
+
+        replay(_core.Monitor(bundle), many, recorder, 0.3, 0.1, each=each)
+        assert max(waiting) <= 1
     assert len(written) == len(starts) == len(writer.news())
 
 
@@ -526,8 +532,7 @@ def test_a_mistake_in_the_writing_is_not_swallowed(bundle):
     recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
     with pytest.raises(ZeroDivisionError):
         with FlightWriter(recorder, lambda flight: 1 / 0) as writer:
-            for _ in replay(_core.Monitor(bundle), pushed(), recorder=recorder, chunk_s=0.5, acknowledge_after_s=0.8):
-                writer.catch_up()
+            replay(_core.Monitor(bundle), pushed(), recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
     errors = [one.error for one in writer.news()]
     assert len(errors) > 1 and set(errors) == {"ZeroDivisionError: division by zero"}  # reported at once, each flight
 

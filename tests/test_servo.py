@@ -18,7 +18,7 @@ from tauext.data.importers.open_raw import open_raw
 from tauext.data.servo import servo_of, servo_of_recordings, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import BundleError, ConfigError
-from tauext.monitor.source import ServoStage, SourceSettings
+from tauext.monitor.source import Block, ServoStage, SourceSettings
 from tauext.sources.replay import ReplaySource
 
 HEAD = """
@@ -100,8 +100,8 @@ def test_a_live_loop_makes_the_same_to_the_last_bit(raw):
     source, stage = ReplaySource(blank, None), ServoStage(servo_of(recording.provenance["servo"]))
     source.open(SourceSettings(recording.joints, 20_000_000))
     for k in range(recording.samples):
-        sample = stage.made(source.next_sample(1.0))
-        assert (sample.dq == recording.dq[k]).all() and (sample.tau == recording.tau[k]).all(), k
+        made = stage.made(Block.of([source.next_sample(1.0)]))
+        assert (made.dq[0] == recording.dq[k]).all() and (made.tau[0] == recording.tau[k]).all(), k
 
 
 def test_a_goal_acts_one_period_after_its_stamp_unless_the_table_says_otherwise(raw):

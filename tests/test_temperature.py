@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import planar_arm
+from made_live import replay
 from test_drift import with_dynamics
 from test_train import recording
 
@@ -15,7 +16,6 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import fit_prior
 from tauext.fit.training_set import with_presliding
 from tauext.monitor.estimate import estimate_recording
-from tauext.monitor.replay import replay
 
 SETTINGS = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
 COULOMB, VISCOUS = -0.1, -0.3

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
+from made_live import replay
 
 from tauext import Touch, _core
 from tauext.bundle.estimates import COLUMNS, TOUCHES
@@ -15,9 +16,7 @@ from tauext.errors import ConfigError
 from tauext.monitor.cell_file import Reaction, load_cell
 from tauext.monitor.changes import ChangeFinder, TouchChange
 from tauext.monitor.episode import EpisodeFinder
-from tauext.monitor.events import touch_words
 from tauext.monitor.reactions import ReactionThread, content_of
-from tauext.monitor.replay import replay
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "contact_limit_nm": [1.0, 1.5]}
@@ -70,10 +69,10 @@ def test_a_kind_is_told_when_it_becomes_known_or_another_whatever_the_chunks(chu
 
 def test_words_name_the_kind_and_what_it_was_taken_for():
     assert (
-        touch_words(TouchChange(3, 0, CLAMP, UNKNOWN, 2, 1, 0.164))
+        TouchChange(3, 0, CLAMP, UNKNOWN, 2, 1, 0.164).words(JOINTS)[0]
         == "the collision is a clamp, 164 ms after the alarm"
     )
-    words = touch_words(TouchChange(3, 0, IMPACT, PUSH, 1, 1, 0.03))
+    (words,) = TouchChange(3, 0, IMPACT, PUSH, 1, 1, 0.03).words(JOINTS)
     assert words == "the contact is an impact, 30 ms after the alarm (was taken for push)"
 
 
@@ -81,9 +80,10 @@ def events_of(of: dict[str, np.ndarray]) -> list[ReactionEvent]:
     finder, episodes, changes, found = EventFinder(JOINTS, {}), EpisodeFinder(), ChangeFinder(), []
     for k in range(len(of["touch"])):
         row = {name: values[k : k + 1] for name, values in of.items()}
-        news = changes.find(k, np.array([k * 10_000_000]), row)
-        of_alarm = episodes.find(k * 10_000_000, row | {"held_alarm": [0]}, news)
-        found += finder.find(Verdict(k, k * 10_000_000, None, row, tuple(news), episodes.standing, of_alarm))
+        t_ns = np.array([k * 10_000_000])
+        news = changes.find(k, t_ns, row)
+        of_alarm = episodes.find(k, t_ns, row | {"held_alarm": np.zeros(1)}, news)
+        found += finder.find(Verdict(k, t_ns, None, row, tuple(news), episodes.standing, of_alarm))
     return found
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import planar_rig, six_axis_tree, urdf
+from made_live import replay
 from made_recordings import Drive, made_motion
 from scipy.optimize import least_squares
 
@@ -24,7 +25,6 @@ from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import Flight, rows_kept
 from tauext.monitor.flight_files import FlightSource
 from tauext.monitor.known_load import weigh_constants
-from tauext.monitor.replay import replay
 from tauext.monitor.weighing import (
     WeighedMotion,
     between,
@@ -560,10 +560,9 @@ def with_load(arm: _core.Tree, free: Recording, mass: float) -> Recording:
 def flight_of(bundle: _core.Bundle, recording: Recording) -> Flight:
     recorder = _core.FlightRecorder(bundle.joints, bundle.observer.sample_period_ns, 2.0, 1.0)
     monitor = _core.Monitor(bundle)
-    for _ in replay(monitor, recording, recorder=recorder, chunk_s=0.5):
-        flight = recorder.take()
-        if flight:
-            return flight
+    flights = []
+    replay(monitor, recording, recorder=recorder, chunk_s=0.5, each=lambda chunk: flights.append(recorder.take()))
+    return next(flight for flight in flights if flight)
     raise AssertionError("no alarm")
 
 

@@ -15,7 +15,6 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.control_lines import obey
-from tauext.monitor.events import found_facts, weigh_words
 from tauext.monitor.loop import Loop
 
 
@@ -76,11 +75,11 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     assert told[0].found is None and told[1].found.verdict == "too little"
     assert abs(told[2].found.mass_kg - MASS) < 0.05 and told[2].found.reach_m == 0.25
     assert not loop.monitor.weighing
-    sentences = [weigh_words(change) for change in told]
+    sentences = [change.words(()) for change in told]
     assert sentences[0] == ["weighing the payload, by a line"]
     assert sentences[1] == ["0.00 s of healthy motion are too little to weigh a load"]
     assert sentences[2][0].startswith("load 1.6")
-    facts = found_facts(told[2])
+    facts = told[2].facts(())
     assert facts["found"]["verdict"] == "load" and json.loads(json.dumps(facts)) == facts
     assert facts["load"]["mass_kg"] == told[2].found.load.mass and 0 < facts["load"]["error_share"] <= 1
     bundle.load_settings = _core.LoadSettings()

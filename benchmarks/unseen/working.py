@@ -17,7 +17,7 @@ from tauext_lab.sim.source import servo_facts_of_so101
 
 from tauext import _core
 from tauext.data.recording import Recording
-from tauext.monitor.source import Sample, ServoStage, SourceFacts, SourceSettings
+from tauext.monitor.source import Block, ServoStage, SourceFacts, SourceSettings
 from tauext.robot.read import load_tree
 from unseen.arms import Maker, TrueArm, add_ball, arm_of, fresh_makers, with_ball
 from unseen.recordings import DRIVE_VELOCITY_RAD_S, Take, readings
@@ -201,13 +201,11 @@ def servo_signals(settings: SourceSettings, run: ServoRun, rng: np.random.Genera
         "voltage": np.repeat(volts, true["q"].shape[1], axis=1),
     }
     assert settings.servo is not None
-    stage, unknown, dq, tau = ServoStage(settings.servo), np.full(true["q"].shape[1], np.nan), [], []
-    for k in range(len(run.ticks)):
-        row = {name: values[k] for name, values in registers.items()}
-        made = stage.made(Sample(k * settings.period_ns, row.pop("q"), true["speed"][k], unknown, 0, **row))
-        dq.append(made.dq)
-        tau.append(made.tau)
-    signals = registers | {"dq": np.array(dq), "tau": np.array(tau)}
+    t_ns = np.arange(len(run.ticks)) * settings.period_ns
+    unknown = np.full_like(true["q"], np.nan)
+    block = Block(t_ns, dq=true["speed"], tau=unknown, received_ns=t_ns, **registers)
+    made = ServoStage(settings.servo).made(block)
+    signals = registers | {"dq": made.dq, "tau": made.tau}
     signals["dq"][0], signals["tau"][0] = 0.0, signals["tau"][1]  # a derived velocity begins with the second sample
     return signals
 

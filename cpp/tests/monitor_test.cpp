@@ -301,6 +301,12 @@ void late_and_missing_samples_are_stale_and_change_nothing() {
   CHECK(e.health == Health::stale && e.causes == kMissingSample && e.tau_ext[1] == before.tau_ext[1]);
   e = monitor.step(s.at(805));
   CHECK(e.health == Health::ok && same(e, undisturbed.step(s.at(805))));
+  for (const std::int64_t silent : {810, 820, 900}) e = monitor.no_sample(silent * kMs);
+  CHECK(e.health == Health::fault && e.causes == kGap && std::isnan(e.tau_ext[0]));
+  for (std::int64_t k = 806; k < 1000; ++k) {  // only late: nothing is lost
+    e = monitor.step(s.at(k));
+    CHECK(e.health == Health::ok && same(e, undisturbed.step(s.at(k))));
+  }
   Monitor unstarted(bundle);
   CHECK(unstarted.no_sample(0).health == Health::warming_up);
   CHECK(unstarted.step(s.at(0)).causes == 0);

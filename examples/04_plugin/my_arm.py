@@ -79,7 +79,7 @@ class Printer:
 
     def verdict(self, verdict: Verdict) -> None:
         for change in verdict.changes:
-            print(f"sample {verdict.row}: {change}")
+            print(f"sample {change.row}: {change}")
 
     def every_second(self, report: LoopReport) -> None:
         print(f"{report.rate_hz:.0f} Hz, {report.missing} missing, reported after {report.tick_p99_us:.0f} us (p99)")

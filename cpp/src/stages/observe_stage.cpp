@@ -103,13 +103,15 @@ const Observed& ObserveStage::step(const Sample& s) noexcept {
 }
 
 const Observed& ObserveStage::no_sample(std::int64_t now_ns) noexcept {
-  const Progress& p = progress_;
+  Progress& p = progress_;
   const bool recent =
       now_ns <= p.t_ns || elapsed_ns(now_ns, p.t_ns) <= static_cast<std::uint64_t>(bridged_ns_);
-  if (!p.started || (recent && !p.restart_next && !stands_still(now_ns)))
+  const bool broken = p.restart_next || (recent && stands_still(now_ns));
+  if (!p.started || (recent && !broken))
     hold(now_ns, kMissingSample);
   else
     refuse(now_ns, kGap, -1);
+  p.restart_next = broken;  // a silence breaks nothing: the stamp of the next sample shows whether samples are lost
   record_health();
   return observed_;
 }

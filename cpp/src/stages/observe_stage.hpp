@@ -36,7 +36,8 @@ class ObserveStage {
 
   // Reports a fault; the chain then restarts at the next good sample.
   const Observed& step(const Sample& sample) noexcept;
-  // For a loop cycle without a sample: held while the clock bridges gaps, then a fault.
+  // For a loop cycle without a sample: held while the clock bridges gaps, then a fault. The chain continues if the next
+  // sample's stamp shows that it is only late.
   const Observed& no_sample(std::int64_t now_ns) noexcept;
   // See ResidualStage; joints: one bit per joint.
   void forget_friction(std::uint32_t joints) noexcept;

@@ -26,6 +26,7 @@ import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 from common import arguments, commit, head, joined, save_json, table_row, tauext, write_tables
+from made_live import replay as replayed
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
@@ -57,7 +60,6 @@ from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
-from tauext.monitor.replay import replay as replayed
 
 PAUSE_NS, JOIN_NS = round(2 * 3.6e12), 2_000_000_000
 """Between two parts, and between two stretches of one."""
@@ -129,7 +131,7 @@ class Simulation:
         self.truth: list[Touch] = []
         self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
         self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
-        self.sink.patient = True
+        self.sink.worker.patient = True
         self.first_s: float | None = None
         self.busy_s = self.asked_s = 0.0
         self.monitor: _core.Monitor | None = None
@@ -198,7 +200,7 @@ class Simulation:
             names = ("t_ns", "q", "dq", "tau", *RAW_SIGNALS)
             signals = {name: getattr(part, name) for name in names if getattr(part, name) is not None}
             self.sink._labels = {one.id: one for one in self.folder.labels()}
-            self.sink._waiting.put(signals | {"contact": np.zeros(part.samples, dtype=np.int8)})
+            self.sink.worker.put(partial(self.sink._write, signals), must=True)
             while self.folder.seconds() < seconds + 0.9 * part.samples / made.rate_hz:
                 time.sleep(0.001)
             self.answer(seconds)

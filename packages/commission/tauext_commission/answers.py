@@ -20,7 +20,6 @@ from tauext.bundle.history_file import read_events
 from tauext.data.labels import Label, label_of_alarm
 from tauext.errors import ConfigError
 from tauext.monitor.episode import Episode
-from tauext.monitor.events import episode_facts
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
@@ -164,7 +163,7 @@ class EpisodeKeeper:
         self._units = tuple(bundle.estimate_units)
 
     def verdict(self, verdict: Verdict) -> None:
-        self._now = self._epoch(), verdict.t_ns, verdict.alarm_number
+        self._now = self._epoch(), int(verdict.t_ns[-1]), verdict.alarm_number
         for one in verdict.news:
             self.learned(one)
 
@@ -176,7 +175,7 @@ class EpisodeKeeper:
 
     def learned(self, one: Episode) -> None:
         """Something is new of an alarm."""
-        facts, known = episode_facts(one, self._joints, self._units), self._events.get(one.number)
+        facts, known = one.facts(self._joints, self._units), self._events.get(one.number)
         if known is None and one.t_ns is None:
             return  # the line of an earlier process is lost
         if known is None:

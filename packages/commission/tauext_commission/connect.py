@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -28,8 +27,8 @@ from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import read_json
-from tauext.monitor.monitored_time import PARTLY, Monitored, MonitoredTime, percent
-from tauext.monitor.source import Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
+from tauext.monitor.monitored_time import LATE_S, PARTLY, Monitored, MonitoredTime, percent
+from tauext.monitor.source import Block, Describes, Sample, ServoStage, Source, SourceFacts, SourceSettings
 from tauext.monitor.turns import Turns
 from tauext.robot.capsules import SHAPES_FILE, write_shapes
 from tauext.robot.read import load_tree
@@ -291,7 +290,7 @@ def connect(
             if (sample := source.next_sample(0.1)) is None:
                 continue
             now_ns = time.monotonic_ns()
-            watched.add(now_ns, True, age_ns=now_ns - sample.received_ns)
+            watched.add(now_ns, now_ns - sample.received_ns <= LATE_S * 1e9)
             if not samples:
                 until = min(until, time.monotonic() + LOOK_S)
             samples.append(sample)
@@ -324,7 +323,7 @@ def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Remark]:
     return [Remark(HELD, "warning", None, f"{words}; touches in the rest are noticed late or not at all", remedy)]
 
 
-def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Remark]]:
+def recording_of(samples: Sequence[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Remark]]:
     """Samples of a source as a recording, without those that are not usable, and what is missing in those.
 
     Returns: the recording, None without two usable samples in a row; what was left out, in words.
@@ -332,12 +331,12 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     settings = facts.settings
     stage = ServoStage(settings.servo) if settings.servo is not None and settings.servo.on else None
     turns = Turns(settings)
-    made = [turns.made(sample) for sample in samples]
-    made = made if stage is None else [stage.made(sample) for sample in made]
-    if not made:
+    if not samples:
         return None, []
-    names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if getattr(made[0], name) is not None)]
-    signals = {name: np.array([getattr(one, name) for one in made]) for name in names}
+    made = turns.made(Block.of(samples))
+    made = made if stage is None else stage.made(made)
+    names = ["q", "dq", "tau", *(name for name in RAW_SIGNALS if getattr(made, name) is not None)]
+    signals = {name: getattr(made, name) for name in names}
     first = 1 if stage is not None else 0  # a derived velocity begins with the second sample
     missing = [
         Remark(
@@ -351,9 +350,9 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
     finite = np.all([np.isfinite(values).all(axis=1) for values in signals.values()], axis=0)
     rows, newest = [], None
     for row in np.flatnonzero(finite).tolist():
-        if newest is None or made[row].t_ns > newest:
+        if newest is None or made.t_ns[row] > newest:
             rows.append(row)
-            newest = made[row].t_ns
+            newest = made.t_ns[row]
     late = 1 - len(rows) / max(1, int(finite.sum()))
     if late > 0.1:
         words = f"the time stamps stood still or went back in {late:.0%} of the samples"
@@ -365,7 +364,7 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
         recording = Recording(
             name="live",
             joints=settings.joints,
-            t_ns=np.array([made[row].t_ns for row in rows]),
+            t_ns=made.t_ns[rows],
             rate_hz=1e9 / settings.period_ns,
             torque_timing=cast(TorqueTiming, settings.torque_timing),
             source="live",
@@ -374,10 +373,9 @@ def recording_of(samples: Iterable[Sample], facts: SourceFacts) -> tuple[Recordi
             **{name: values[rows] for name, values in signals.items()},
         )
     except TauextError:  # another rate by a fifth or more
-        steps = [b.t_ns - a.t_ns for a, b in pairwise(made) if b.t_ns > a.t_ns]
-        words = (
-            f"{1e9 / float(np.median(steps)):.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
-        )
+        steps = np.diff(made.t_ns)
+        came_hz = 1e9 / float(np.median(steps[steps > 0]))
+        words = f"{came_hz:.4g} samples a second came, {1e9 / settings.period_ns:.4g} were described"
         return None, [*missing, Remark("wrong-rate", "fault", None, words, "set the driver's rate")]
     return recording, missing
 

@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -330,13 +331,15 @@ class KeepSink(RecordSink):
         with suppress(OSError):  # the arm is monitored all the same
             self._begin_epoch()
         self._coverage = Coverage.load(folder.path / "coverage.npz", self._arm)
-        self._is_lost = not self._coverage.visited.any() and bool(self._segments)
-        if self._is_lost:
+        is_lost = not self._coverage.visited.any() and bool(self._segments)
+        if is_lost:
             self._coverage.seconds = max(folder.seconds(), sum(one.seconds for one in self._segments))
             self._coverage.kept_s = motion_s(folder, self._segments, ("train", "test"))
         self._monitored = {one: [a, b] for one, (a, b) in monitored_of(folder.coverage()).items()}
         with suppress(OSError):  # a full disk loses recordings; the arm is monitored all the same
             self._tidy()
+        if is_lost:
+            self.worker.put(self._see_again, must=True)
         super().open(joints, control)
 
     def _begin_epoch(self) -> None:
@@ -356,22 +359,19 @@ class KeepSink(RecordSink):
 
     def _clock_restarted(self) -> None:
         self.epoch += 1
-        self._waiting.put(self.epoch)
+        self.worker.put(partial(self._try, self._set_epoch, self.epoch), must=True)
 
     # The recorder's thread.
 
-    def _work(self) -> None:
-        if self._is_lost:
-            self._see_again()
-        while (work := self._waiting.get()) is not None:
-            try:
-                if isinstance(work, int):
-                    self._writing = work
-                    self._kept.save(epoch=work)
-                else:
-                    self._write(work)
-            except Exception as error:  # a full disk, for example: the next recording is tried again
-                self.count.error = self.count.error or f"{type(error).__name__}: {error}"
+    def _try(self, do: Callable[..., None], *arguments: Any) -> None:
+        try:
+            do(*arguments)
+        except Exception as error:  # a full disk, for example: the next recording is tried again
+            self.count.error = self.count.error or f"{type(error).__name__}: {error}"
+
+    def _set_epoch(self, epoch: int) -> None:
+        self._writing = epoch
+        self._kept.save(epoch=epoch)
 
     def _see_again(self) -> None:
         """Rebuild the coverage from the recordings; its file is missing or damaged."""
@@ -386,6 +386,9 @@ class KeepSink(RecordSink):
             self._tidy()
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
+        self._try(self._keep_news, segment)
+
+    def _keep_news(self, segment: dict[str, np.ndarray]) -> None:
         if (begin := learns_from(self._kept)) != self._coverage.begin:  # of the changed arm, no motion is known yet
             self._coverage.begin = begin
             self._coverage.cells[:] = 0

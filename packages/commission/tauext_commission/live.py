@@ -17,13 +17,11 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, OK
+from tauext.bundle.estimates import HEALTHS, OK, rounded
 from tauext.files.plain_file import FORMAT
 from tauext.monitor.control_lines import listen_at
-from tauext.monitor.events import rounded
 from tauext.monitor.monitored_time import Monitored, blind_words
 from tauext.monitor.sink import Control, LoopReport, Verdict
-from tauext.monitor.source import Sample
 from tauext_commission.folder import wall
 
 PERIOD_S = 0.1
@@ -59,11 +57,12 @@ class Curves:
 
     def add(self, verdict: Verdict) -> None:
         """In the loop's thread."""
-        row = self._written % MOST_FRESH
-        self._t_ns[row] = verdict.t_ns
-        self._valid[row] = verdict.estimates["health"][0] == OK
-        self._tau[row] = verdict.estimates["tau_ext"][0]
-        self._written += 1
+        count = len(verdict.t_ns)
+        rows = np.arange(self._written, self._written + count) % MOST_FRESH
+        self._t_ns[rows] = verdict.t_ns
+        self._valid[rows] = verdict.estimates["health"] == OK
+        self._tau[rows] = verdict.estimates["tau_ext"]
+        self._written += count
 
     def draw(self, newest: Verdict) -> None:
         """Make points of the samples since the last call, with the limits and errors of the newest one."""
@@ -72,11 +71,11 @@ class Curves:
         if begin == end:
             return
         rows = np.arange(begin, end) % MOST_FRESH
-        t_ns, tau, limit = self._t_ns[rows], self._tau[rows], newest.estimates["limit_nm"][0]
+        t_ns, tau, limit = self._t_ns[rows], self._tau[rows], newest.estimates["limit_nm"][-1]
         share = np.where(self._valid[rows], np.nan_to_num(np.abs(tau) / limit).max(axis=1), -1.0)
         first = np.flatnonzero(np.diff(t_ns // POINT_NS, prepend=t_ns[0] // POINT_NS - 1))
         names = ("contact_sigma_nm", "limit_nm", "contact_limit_nm")
-        beside = [rounded(newest.estimates[name][0]) for name in names]
+        beside = [rounded(newest.estimates[name][-1]) for name in names]
         for start, stop in zip(first, [*first[1:], len(rows)], strict=True):
             at = start + int(np.argmax(share[start:stop]))
             point = int(t_ns[at]), rounded(tau[at]) if share[at] >= 0 else []
@@ -121,9 +120,9 @@ class LiveSink:
         self._joints: tuple[str, ...] = ()
         self._units: tuple[str, ...] = ()
         self._newest: Verdict | None = None
-        self._sample: Sample | None = None
-        self._rise: Verdict | None = None
-        """The newest rise of an alarm that the thread has not shown yet."""
+        self._q: np.ndarray | None = None
+        self._rise: tuple[Verdict, int] | None = None
+        """The newest rise of an alarm that the thread has not shown yet: its verdict and row."""
         self._curves: Curves | None = None
         self._lines = 0
         self._report: LoopReport | None = None
@@ -155,10 +154,10 @@ class LiveSink:
         self._newest = verdict
         if self._curves is not None:
             self._curves.add(verdict)
-        if verdict.sample is not None:
-            self._sample = verdict.sample
-        if any(one.t_ns == verdict.t_ns for one in verdict.news):
-            self._rise = verdict
+        if verdict.block is not None:
+            self._q = verdict.block.q[-1]
+        if rows := [one.row - verdict.row for one in verdict.news if one.t_ns == verdict.t_ns[one.row - verdict.row]]:
+            self._rise = verdict, rows[-1]
             self._wake.set()
 
     def every_second(self, report: LoopReport) -> None:
@@ -199,9 +198,9 @@ class LiveSink:
             if self._readers:
                 self._send(json.dumps(self._line(shown)).encode() + b"\n")
 
-    def _line(self, shown: Verdict | None) -> dict[str, Any]:
-        """shown: the sample at which an alarm rose; None: the newest."""
-        verdict, report = shown or self._newest, self._report
+    def _line(self, shown: tuple[Verdict, int] | None) -> dict[str, Any]:
+        """shown: verdict and row of the sample at which an alarm rose; None: the newest."""
+        (verdict, row), report = shown or (self._newest, -1), self._report
         line: dict[str, Any] = {
             "format": FORMAT,
             "wall": wall(),
@@ -218,24 +217,25 @@ class LiveSink:
         }
         if verdict is None:
             return line
-        estimates, sample = verdict.estimates, verdict.sample or self._sample
+        estimates = {name: values[row] for name, values in verdict.estimates.items()}
+        q = self._q if verdict.block is None else verdict.block.q[row]
         self._lines += 1
-        curves, now_ns = self._curves, verdict.t_ns
+        curves, now_ns = self._curves, int(verdict.t_ns[row])
         past = {}
         if curves is not None and self._lines % PAST_EVERY == 0:
             past = {"past": [[round((now_ns - t_ns) * 1e-6), *values] for t_ns, values in curves.past]}
         return line | {
-            "t_ns": verdict.t_ns,
+            "t_ns": now_ns,
             "trace": [[round((now_ns - t_ns) * 1e-6), tau] for t_ns, tau in (curves.trace if curves else ())],
             **past,
-            "q": [] if sample is None else rounded(sample.q),
+            "q": [] if q is None else rounded(q),
             "tau_ext": rounded(estimates["tau_ext"]),
             "sigma": rounded(estimates["contact_sigma_nm"]),
             "limit": rounded(estimates["limit_nm"]),
             "contact_limit": rounded(estimates["contact_limit_nm"]),
-            "near_stiction": estimates["near_stiction"][0].tolist(),
-            "health": HEALTHS[int(estimates["health"][0])],
-            "causes": _core.cause_names(int(estimates["causes"][0])),
+            "near_stiction": estimates["near_stiction"].tolist(),
+            "health": HEALTHS[int(estimates["health"])],
+            "causes": _core.cause_names(int(estimates["causes"])),
         }
 
     def _accept(self) -> None:

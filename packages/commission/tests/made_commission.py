@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from unittest import mock
 from zlib import crc32
 
-import numpy as np
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
 from tauext_lab.sim.arms import rig_arm
@@ -31,7 +31,7 @@ def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> Comm
         for begin in range(0, recording.samples, sink._rows):
             part = slice(begin, begin + sink._rows)
             signals = {name: getattr(recording, name)[part] for name in ("t_ns", "q", "dq", "tau")}
-            sink._waiting.put(signals | {"contact": np.zeros(len(signals["t_ns"]), dtype=np.int8)})
+            sink.worker.put(partial(sink._write, signals), must=True)
         sink.close()
         assert not sink.count.error, sink.count.error
     return folder

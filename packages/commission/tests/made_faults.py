@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -90,7 +91,7 @@ def record(folder: CommissionFolder) -> None:
     motion = pushed(seconds=20.0, pushes=())
     for rows in (slice(0, 10_000), slice(10_000, 20_000)):
         signals = {name: getattr(motion, name)[rows] for name in ("t_ns", "q", "dq", "tau")}
-        sink._waiting.put(signals | {"contact": np.zeros(10_000, dtype=np.int8)})
+        sink.worker.put(partial(sink._write, signals), must=True)
     sink.close()
     assert not sink.count.error, sink.count.error
 

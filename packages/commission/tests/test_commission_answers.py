@@ -28,14 +28,13 @@ from tauext_commission.processes import Child
 from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
 
-from tauext.bundle.estimates import CONTACT, OK, STALE
+from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
 from tauext.bundle.history_file import read_events
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
-from tauext.monitor.events import episode_facts, rounded
 from tauext.monitor.exchange import Exchanged
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
@@ -138,7 +137,7 @@ def test_curves_keep_the_peak_of_one_sample_and_are_empty_without_an_estimate():
     def verdict(t_ms, tau, health=OK):
         columns = {"tau_ext": tau, "contact_sigma_nm": 0.1, "limit_nm": 2.0, "contact_limit_nm": 1.0}
         estimates = {name: np.array([[value, value / 4]]) for name, value in columns.items()}
-        return SimpleNamespace(t_ns=t_ms * 1_000_000, estimates=estimates | {"health": np.array([health])})
+        return SimpleNamespace(t_ns=np.array([t_ms * 1_000_000]), estimates=estimates | {"health": np.array([health])})
 
     curves = Curves(2)
     for one in [verdict(k, -7.5 if k == 31 else 0.5) for k in range(50)]:
@@ -165,8 +164,10 @@ def test_a_page_that_is_opened_gets_the_past(tmp_path):
 def test_force_and_torque_of_an_alarm_are_of_one_moment():
     def facts(t_ns, change):
         at = {"held_alarm": 0, "touch_over": 0, "touch_t_ns": t_ns, "limit_nm": np.ones(2), "margin_nm": np.ones(2)}
-        (one,) = finder.find(t_ns, {name: np.array([value]) for name, value in at.items()}, (change,))
-        return episode_facts(one, ("a", "b"), ("N m", "N m"))
+        (one,) = finder.find(
+            change.row, np.array([t_ns]), {name: np.array([value]) for name, value in at.items()}, (change,)
+        )
+        return one.facts(("a", "b"), ("N m", "N m"))
 
     finder = EpisodeFinder()
     rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0, number=3)

@@ -26,7 +26,7 @@ from tauext.files import journal
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.sink import Verdict
-from tauext.monitor.source import Sample, SourceSettings
+from tauext.monitor.source import Block, Sample, SourceSettings
 
 PERIOD_NS = 20_000_000
 ARM = SourceSettings(("shoulder", "elbow"), PERIOD_NS, ("N m", "N m"), "held")
@@ -45,8 +45,7 @@ def no_thread_left(monkeypatch):
     monkeypatch.setattr(Script, "made", made, raising=False)
     yield
     for one in made:
-        one.sink._waiting.put(None)
-        one.sink._thread.join()
+        one.sink.worker.end()
         one.keeper.end()
 
 
@@ -58,7 +57,7 @@ class Script:
     def __init__(self, folder: Path, budget: float = 1e9, start_ns: int = 0):
         self.folder = CommissionFolder.open(folder, create=True)
         self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
-        self.sink.patient = True
+        self.sink.worker.patient = True
         self.notes: list[str] = []
         self.keeper = EpisodeKeeper(self.folder, lambda: self.sink.epoch, self.notes.append)
         self.made.append(self)
@@ -86,8 +85,9 @@ class Script:
             estimates = ESTIMATES | {name: np.array([value]) for name, value in numbers.items()}
             estimates |= {"tau_ext": np.full((1, 2), push), "load_nm": np.zeros((1, 2))}
             news = self.changes.find(self.row, np.array([self.t_ns]), estimates)
-            told = self.episodes.find(self.t_ns, estimates, news, q)
-            verdict = Verdict(self.row, self.t_ns, sample, estimates, tuple(news), self.episodes.standing, told)
+            block = Block.of([sample])
+            told = self.episodes.find(self.row, block.t_ns, estimates, news, block.q)
+            verdict = Verdict(self.row, block.t_ns, block, estimates, tuple(news), self.episodes.standing, told)
             for sink in (self.sink, self.keeper):
                 sink.verdict(verdict)
             self.row, self.t_ns = self.row + 1, self.t_ns + PERIOD_NS
@@ -287,8 +287,7 @@ def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
             return call
 
         sink = script.sink
-        sink._waiting.put(None)
-        sink._thread.join()
+        sink.worker.end()
         before = {one.name: one.set for one in script.folder.segments()}
         monkeypatch.setattr(Path, "unlink", counted("unlink"))
         monkeypatch.setattr(folder_module, "write_synced", counted("write"))
@@ -386,8 +385,7 @@ def test_a_disk_that_is_full_loses_recordings_but_no_answer(tmp_path, monkeypatc
         with pytest.raises(ConfigError, match="touched: not stored: full; please answer again"):
             script.answer("touched", 1)
         script.go(10)
-        script.sink._waiting.put(None)
-        script.sink._thread.join()
+        script.sink.worker.end()
         assert script.sink.count.lost >= ROWS and script.sink.is_losing and not script.folder.labels()
         assert [note for note in script.notes if "not stored" in note] == ["an event is not stored: full"]
     while not script.folder.labels():  # the alarm's line is tried again by itself

@@ -45,7 +45,7 @@ def test_the_shares_are_those_of_the_timeline(seed):
     valid[0] = True
     watched, second_ns, closed = MonitoredTime(0.003), 0, 0
     for k, now_ns in enumerate(at_ns.tolist()):
-        watched.add(now_ns, bool(valid[k]), age_ns=round(age_s[k] * 1e9))
+        watched.add(now_ns, valid[k] and age_s[k] <= LATE_S)
         if now_ns - second_ns > 1e9:
             found, second_ns, closed = watched.second(), now_ns, k
     good = valid & (wait_s <= LATE_S) & (age_s <= LATE_S)

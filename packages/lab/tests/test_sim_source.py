@@ -17,7 +17,7 @@ from tauext_lab.sim.servo_arm import SO101_JOINTS
 from tauext_lab.sim.source import KINDS, Clock, DrivenArm, SimSource, Stamps, command_of, write_robot_file
 
 from tauext.errors import ConfigError
-from tauext.monitor.source import Commanded, Describes, ServoStage, Stoppable
+from tauext.monitor.source import Block, Commanded, Describes, ServoStage, Stoppable
 
 JOINTS = ("joint1", "joint2")
 
@@ -142,8 +142,8 @@ def test_an_so101_reports_registers_of_which_the_loop_makes_torque(tmp_path):
         came = taken(source, 350)
     finally:
         source.close()
-    made = [stage.made(sample) for sample, _ in came]
-    q, dq, tau = (np.array([getattr(one, name) for one in made[1:]]) for name in ("q", "dq", "tau"))
+    made = stage.made(Block.of([sample for sample, _ in came]))
+    q, dq, tau = made.q[1:], made.dq[1:], made.tau[1:]
     truth = np.array([torque for _, torque in came[1:]])
     assert np.isfinite(tau).all() and np.isnan(came[0][0].tau).all()
     np.testing.assert_allclose(q / (2 * np.pi / 4096), np.round(q / (2 * np.pi / 4096)), atol=1e-9)

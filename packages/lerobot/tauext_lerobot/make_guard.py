@@ -104,7 +104,7 @@ def guard(
     print(*notes, out, sep="\n")
 
 
-def expect_minutes(minutes: float, sources: list[Path]) -> None:
+def expect_minutes(minutes: float, sources: Sequence[Path]) -> None:
     """Raise ConfigError where there is too little motion."""
     if minutes < LEAST_MINUTES:
         raise ConfigError(

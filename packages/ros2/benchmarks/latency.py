@@ -129,10 +129,10 @@ def run_monitor(options: argparse.Namespace) -> None:
 
         def verdict(self, verdict):
             now_ns = time.monotonic_ns()
-            if verdict.sample is not None:
-                self.stamps.append(source.last_stamp_ns)
-                self.received.append(verdict.sample.received_ns)
-                self.told.append(now_ns)
+            if verdict.block is not None:
+                self.stamps += [source.stamp_ns(t_ns) for t_ns in verdict.t_ns.tolist()]
+                self.received += verdict.block.received_ns.tolist()
+                self.told += [now_ns] * len(verdict.block)
             elif self.stamps and now_ns - self.received[-1] > SILENT_S * 1e9:
                 self.control.stop("silence")
 

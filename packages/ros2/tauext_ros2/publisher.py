@@ -21,7 +21,6 @@ from tauext.bundle.estimates import STALE as HEALTH_STALE
 from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
 from tauext.monitor.control_lines import alarm_of_text
-from tauext.monitor.events import health_words
 from tauext.monitor.explanation import MEANING, WORTH_TELLING, unseen_words
 from tauext.monitor.phases import announced_of_text
 from tauext.monitor.sink import Control, LoopReport, ReactionEvent, Verdict
@@ -63,25 +62,25 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
     if verdict is None:
         return status
     estimates = verdict.estimates
-    health, alarm = int(estimates["health"][0]), int(estimates["alarm"][0])
-    causes = _core.cause_names(int(estimates["causes"][0]))
-    drifted = [name for name, at_bound in zip(joints, estimates["drift_saturated"][0], strict=True) if at_bound]
+    health, alarm = int(estimates["health"][-1]), int(estimates["alarm"][-1])
+    causes = _core.cause_names(int(estimates["causes"][-1]))
+    drifted = [name for name, at_bound in zip(joints, estimates["drift_saturated"][-1], strict=True) if at_bound]
     texts = []
     if alarm != NONE:
-        joint = int(estimates["alarm_joint"][0])
+        joint = int(estimates["alarm_joint"][-1])
         texts.append(ALARMS[alarm] + (f" on {joints[joint]}" if joint >= 0 else ""))
     if health != HEALTHY:
-        texts.append(health_words(HealthChange(0, 0, health, health, int(estimates["causes"][0]), -1), joints))
+        texts += HealthChange(0, 0, health, health, int(estimates["causes"][-1]), -1).words(joints)
     if drifted:
         texts.append(f"drift at its bound on {', '.join(drifted)}: record and retrain")
-    unfamiliar = float(estimates["unfamiliar"][0])
+    unfamiliar = float(estimates["unfamiliar"][-1])
     if unfamiliar >= WORTH_TELLING:
-        what, joint, other = (int(estimates[key][0]) for key in ("unseen", "unseen_joint", "unseen_other"))
+        what, joint, other = (int(estimates[key][-1]) for key in ("unseen", "unseen_joint", "unseen_other"))
         texts.append(f"training never saw such motion: {unseen_words((what, joint, other), joints)}")
     status.message = "; ".join(texts) or "ok"
     if alarm == COLLISION:
         status.level = ERROR
-    elif verdict.sample is None or health == HEALTH_STALE:
+    elif verdict.block is None or health == HEALTH_STALE:
         status.level = STALE
     elif health == FAULT:
         status.level = ERROR
@@ -94,7 +93,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
             KeyValue(f"{key} {joint}", number(value))
-            for key, values in torque_lists(lambda name: estimates[name][0]).items()
+            for key, values in torque_lists(lambda name: estimates[name][-1]).items()
             for joint, value in zip(joints, values, strict=True)
         ),
     ]
@@ -193,19 +192,19 @@ class Wrenches:
         """Remove the writers."""
         self._writers = {}
 
-    def publish(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
-        """Send wrench and covariance at each frame where the force is known."""
-        if verdict.sample is None or self._model is None:
+    def publish(self, verdict: Verdict, stamps_ns: Sequence[int], send: Callable[[Any, Any], bool]) -> None:
+        """Send wrench and covariance of each sample at each frame where the force is known."""
+        if verdict.block is None or self._model is None:
             return
-        estimates, sample = verdict.estimates, verdict.sample
-        rows = (sample.q[None], estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
+        estimates, block = verdict.estimates, verdict.block
+        rows = (block.q, estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         for frame, (wrenches, covariances) in self._writers.items():
             own = _core.WrenchAxes.frame
-            found = self._model.wrenches(frame, *rows, None, own, estimates["contact_sigma_nm"], sample.dq[None])
-            if np.isfinite(found["force"]).all():
-                of_frame = (found[key][0].tolist() for key in ("force", "moment"))
-                send(wrenches, wrench_message(frame, stamp_ns, *of_frame))
-                send(covariances, covariance_message(found["covariance"][0]))
+            found = self._model.wrenches(frame, *rows, None, own, estimates["contact_sigma_nm"], block.dq)
+            for row in np.flatnonzero(np.isfinite(found["force"]).all(axis=1)).tolist():
+                of_frame = (found[key][row].tolist() for key in ("force", "moment"))
+                send(wrenches, wrench_message(frame, stamps_ns[row], *of_frame))
+                send(covariances, covariance_message(found["covariance"][row]))
 
 
 def wrench_writers(node: Node, name: str) -> tuple[Any, Any]:
@@ -336,7 +335,7 @@ class Ros2Publisher:
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, transient local: late subscribers receive the last one. `event`: String, JSON, for reactions with
     publish = true. `wrench/NAME`: WrenchStamped of each frame of the settings, with its covariance, while it is known.
-    `tool_force`: the same of the declared contact in effect, else of the load frame.
+    `tool_force`: the same of the declared contact in effect, else of the load frame, at the newest sample.
     `diagnostics`: DiagnosticArray. Subscribed: REQUESTS.
 
     A slow subscriber never blocks the loop; it misses messages older than the topic's depth. `unsent` counts messages
@@ -391,16 +390,17 @@ class Ros2Publisher:
 
     def verdict(self, verdict: Verdict) -> None:
         self._verdict = verdict
-        if verdict.sample is not None:
+        if verdict.block is not None:
+            stamps_ns = [self._source.stamp_ns(t_ns) for t_ns in verdict.t_ns.tolist()]
             # The writer serialises immediately, so one message is reused.
-            stamp_ns = self._source.last_stamp_ns
-            self._message.header.stamp = Time.of_ns(stamp_ns)
-            self._message.effort = verdict.estimates["tau_ext"][0].tolist()
-            self._send(self._torque, self._message)
-            self._wrenches.publish(verdict, stamp_ns, self._send)
-            self._tool.publish(stamp_ns, self._send)
+            for stamp_ns, tau_ext in zip(stamps_ns, verdict.estimates["tau_ext"].tolist(), strict=True):
+                self._message.header.stamp, self._message.effort = Time.of_ns(stamp_ns), tau_ext
+                self._send(self._torque, self._message)
+            self._wrenches.publish(verdict, stamps_ns, self._send)
+            self._tool.publish(stamps_ns[-1], self._send)
+        for change in verdict.changes:
+            self._send_alarm(int(verdict.estimates["alarm"][change.row - verdict.row]))
         if verdict.changes:
-            self._send_alarm(int(verdict.estimates["alarm"][0]))
             self._due = True
         if self._due:
             now_ns = time.monotonic_ns()

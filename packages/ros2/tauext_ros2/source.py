@@ -65,6 +65,8 @@ LISTEN_S, LISTEN_NS = 1.0, 50_000_000
 """Least time for which describe() listens, since publishers are found one after the other; longest wait of a step."""
 DESCRIBED_FROM = 2 * LEARNT_FROM
 """Messages of one publisher after which describe() has enough."""
+MOST_STAMPS = 1000
+"""Samples whose stamps are kept for what is published about them."""
 LOOK_NS = 500_000_000
 """Interval at which publishers are checked while no message arrives."""
 
@@ -84,8 +86,7 @@ class Ros2Source:
         self._while_open = ExitStack()
         self.name = f"ros2 {node.settings.topic}"
         self.counts = SourceCounts()
-        self.last_stamp_ns = 0
-        """Time of the last sample passed on, since 1970: the stamp of everything published about it."""
+        self._stamps_ns: dict[int, int] = {}
         self._inbox: Inbox | None = None
         self._waitset: Any = None
         self._pending: deque[JointState] = deque()
@@ -192,6 +193,14 @@ class Ros2Source:
         """Never: a publisher may return."""
         return False
 
+    def stamp_ns(self, t_ns: int) -> int:
+        """Time of one of the newest samples passed on, since 1970: the stamp of everything published about it.
+
+        Args:
+            t_ns: as passed on.
+        """
+        return self._stamps_ns.get(t_ns, t_ns)
+
     def notes(self) -> list[str]:
         return self.conditions.unreported()
 
@@ -263,7 +272,9 @@ class Ros2Source:
         tau = self._torque(tau, wanted)
         if not wanted:
             return None
-        self.last_stamp_ns = stamp_ns or t_ns
+        if len(self._stamps_ns) >= MOST_STAMPS:
+            self._stamps_ns.pop(next(iter(self._stamps_ns)))
+        self._stamps_ns[t_ns] = stamp_ns or t_ns
         assert self._temperatures is not None  # between open() and close()
         return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
 

@@ -45,7 +45,7 @@ from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
 from tauext.monitor.phases import Announced
 from tauext.monitor.sink import LoopReport, Publisher, ReactionEvent, Verdict
-from tauext.monitor.source import Sample, SourceCounts
+from tauext.monitor.source import Block, Sample, SourceCounts
 
 JOINTS = ("shoulder", "elbow")
 WARMING_UP, FINE, HEALTH_STALE, FAULT = range(4)
@@ -122,9 +122,9 @@ def verdict(
         "unseen_other": np.array([1]),
     }
     two = np.zeros(2)
-    made = Sample(t_ns, two, two, two, time.monotonic_ns()) if sample else None
+    made = Block.of([Sample(t_ns, two, two, two, time.monotonic_ns())]) if sample else None
     changes = (HealthChange(0, t_ns, health, health, causes, -1),) if changed else ()
-    return Verdict(0, t_ns, made, said, changes)
+    return Verdict(0, np.array([t_ns]), made, said, changes)
 
 
 def report(rate_hz=1000.0, profile="", **counts):
@@ -169,8 +169,9 @@ def test_it_is_a_publisher(talking):
 def test_torques_bear_stamp_and_names_and_nothing_but_effort(talking, peer, space):
     publisher, _ = talking
     reader = reading(peer, f"{space}/external_torque", JointState)
-    publisher._source.last_stamp_ns = 5 * 10**18 // 3
-    publisher.verdict(verdict((1.5, float("nan"))))
+    first = verdict((1.5, float("nan")))
+    publisher._source._stamps_ns[int(first.t_ns[0])] = 5 * 10**18 // 3
+    publisher.verdict(first)
     publisher.verdict(verdict(sample=False))
     publisher.verdict(verdict((2.5, 0.0)))
     first, second = next_of(reader), next_of(reader)

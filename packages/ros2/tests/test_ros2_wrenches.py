@@ -18,7 +18,7 @@ from tauext_ros2.settings import Ros2Settings
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.sink import Verdict
-from tauext.monitor.source import Sample
+from tauext.monitor.source import Block, Sample
 
 JOINTS = ("shoulder", "elbow")
 Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]
@@ -42,8 +42,8 @@ def said_of(tau=TAU):
 
 
 def verdict(tau=TAU, sample=True):
-    made = Sample(0, np.array(Q), np.array(DQ), np.zeros(2), time.monotonic_ns()) if sample else None
-    return Verdict(0, 0, made, said_of(tau), ())
+    made = Block.of([Sample(0, np.array(Q), np.array(DQ), np.zeros(2), time.monotonic_ns())]) if sample else None
+    return Verdict(0, np.zeros(1, np.int64), made, said_of(tau), ())
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_wrench_is_that_of_the_core_along_the_frame_s_own_axes_with_its_covari
         reading("wrench/tip_1", WrenchStamped),
         reading("wrench/tip_1/covariance", Float64MultiArray),
     )
-    source.last_stamp_ns = 5 * 10**18 // 3
+    source._stamps_ns[0] = 5 * 10**18 // 3
     publisher.verdict(verdict())
     told, with_doubt = next_of(wrenches), next_of(covariances)
     left = [torque - load for torque, load in zip(TAU, LOAD, strict=True)]
@@ -99,9 +99,9 @@ def test_forces_begin_with_the_first_bundle(bundle, talking):
     wrenches = Wrenches(("elbow",), None)
     sent = []
     wrenches._writers = {"elbow": (None, None)}
-    wrenches.publish(verdict([1.0, 2.0]), 0, lambda *one: sent.append(one))
+    wrenches.publish(verdict([1.0, 2.0]), [0], lambda *one: sent.append(one))
     assert not sent and wrenches.follow(bundle) == ""
-    wrenches.publish(verdict([1.0, 2.0]), 0, lambda *one: sent.append(one))
+    wrenches.publish(verdict([1.0, 2.0]), [0], lambda *one: sent.append(one))
     assert len(sent) == 2
     assert "must be one of" in Wrenches(("tool9",), None).follow(bundle)
 
@@ -147,7 +147,7 @@ def test_the_tool_force_is_that_of_the_monitor_at_the_load_frame_then_at_the_dec
     arm = Loaded(bundle)
     publisher.follow(arm.bundle, arm.monitor)
     forces, covariances = reading("tool_force", WrenchStamped), reading("tool_force/covariance", Float64MultiArray)
-    source.last_stamp_ns = 10**18
+    source._stamps_ns[0] = 10**18
     publisher.verdict(verdict())  # while it warms up
     arm.runs()
     for frame, declared in (("tool0", None), ("elbow", _core.DeclaredContact(frame="elbow", at_most_n=20.0))):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -199,6 +199,36 @@ def torque_lists(values: Callable[[str], Iterable[float]]) -> dict[str, list[flo
         values: those of the column of this name.
     """
     return {column.key: [number(value) for value in values(column.name)] for column in COLUMNS if column.in_messages}
+
+
+def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
+    """Estimate at one row of Monitor.run, as plain JSON; null for missing numbers."""
+    return estimate_facts(lambda name: estimates[name][row], _core.cause_names(int(estimates["causes"][row])))
+
+
+def estimate_facts(of: Callable[[str], Any], causes: Sequence[str]) -> dict[str, Any]:
+    """One estimate as plain JSON.
+
+    Args:
+        of: a quantity by the core's name; health, alarm and touch as numbers.
+    """
+    return {
+        "health": HEALTHS[of("health")],
+        "causes": list(causes),
+        "alarm": ALARMS[of("alarm")],
+        "touch": TOUCHES[of("touch")],
+        "detection": bool(of("detection")),
+        "declared": DECLARED[of("declared")],
+        "declared_size": number(of("declared_size")),
+        **torque_lists(of),
+        "unfamiliar": float(of("unfamiliar")),
+        "near_stiction": [bool(near) for near in of("near_stiction")],
+    }
+
+
+def rounded(values: Any) -> list[float | None]:
+    """One value a joint as JSON has it."""
+    return [round(value, 5) if math.isfinite(value) else None for value in np.ravel(np.asarray(values, float)).tolist()]
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:

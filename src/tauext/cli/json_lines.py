@@ -7,14 +7,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from tauext._core import Bundle
+from tauext.bundle.estimates import sample_facts
 from tauext.bundle.units import not_monitored
 from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
-from tauext.monitor.changes import (
-    HiddenCollision,
-)
-from tauext.monitor.events import change_facts, sample_facts
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.replay import Chunk, StatusClock, Tally
@@ -60,8 +57,11 @@ class JsonLines(PrintContext):
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         """Changes and status lines in the order of their samples."""
-        changes = [change for change in chunk.changes if not isinstance(change, HiddenCollision)]
-        lines = [(change.row, change.t_ns, *change_facts(change, self._joints)) for change in changes]
+        lines = [
+            (change.row, change.t_ns, change.event, change.facts(self._joints))
+            for change in chunk.changes
+            if change.event != "hidden"
+        ]
         for k in self._clock.rows(chunk.t_ns) if self._clock else ():
             lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.estimates, k)))
         for row, t_ns, event, content in sorted(lines, key=lambda line: line[0]):

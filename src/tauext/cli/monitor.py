@@ -143,7 +143,7 @@ def watch(
         AwayError: the source or the duration ended without a sample.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.cli.monitor_output import Aside, OutputSink
+    from tauext.cli.monitor_output import OutputSink, output_thread
     from tauext.cli.text_lines import Outcome
     from tauext.monitor.cell_file import Cell, load_cell
     from tauext.monitor.latency import how_to_hold_the_rate
@@ -163,15 +163,16 @@ def watch(
         recorder = flights.recorder if flights else None
         loop = Loop(bundle, source, sinks, reactions, cell.profiles, recorder, settings, phases=cell.phases)
         stack.enter_context(output)
-        aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
+        worker = stack.enter_context(output_thread(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
-        loop.sinks.append(shown := OutputSink(output, aside, loop, reactions, flights, remedy))
+        shown = OutputSink(output, worker, loop, reactions, flights, remedy)
+        loop.sinks.append(shown)
         for sink in (record, mcap):
             if sink is not None:
                 sink.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
-        aside.do(partial(output.start_live, source.name, bundle))
+        worker.put(partial(output.start_live, source.name, bundle), must=True)
         for words in unmonitored:
             loop.note(words)
         began_s = time.monotonic()
@@ -186,7 +187,7 @@ def watch(
         outcome.monitored = loop.monitored
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
-        aside.do(partial(output.finish, outcome))
+        worker.put(partial(output.finish, outcome), must=True)
     expect_samples(source, loop, ran_s)
     expect_nothing_lost(outcome.recorded, mcap)
     shown.flights.expect_all_written()

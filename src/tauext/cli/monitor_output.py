@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 
 from tauext import _core
 from tauext.cli.json_lines import Output
+from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.flight_files import FlightCount
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.record_sink import FlightSink
-from tauext.monitor.replay import PACED_CHUNK_S, Tally
+from tauext.monitor.replay import Tally
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
 # --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
@@ -22,49 +22,29 @@ from tauext.monitor.sink import Control, LoopReport, Verdict
 
 MOST_WAITING = 1000
 """Waiting outputs above which optional ones are dropped: twenty seconds of chunks."""
+MOST_BEHIND = 4
+"""Outputs of a replay that wait, of a second each."""
 END_S = 5.0
 """Time that a reader has at the end for the outputs that still wait, [s]."""
 
 
-class Aside:
-    """Does one thing after the other in a thread: a context, whose end waits for what is left.
+@contextmanager
+def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterator[BackgroundWorker]:
+    """A thread for output, whose first error is raised at the end.
 
-    The first thing that raises ends it: the rest is left out, `failed` is called, and the end of the context raises it.
+    Args:
+        failed: called after that error.
+        patient: see BackgroundWorker.
     """
-
-    def __init__(self, failed: Callable[[], None]):
-        self.left_out = 0
-        """Outputs that were dropped because too many waited."""
-        self._failed = failed
-        self._error: BaseException | None = None
-        self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="output", daemon=True)
-
-    def __enter__(self) -> Aside:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        self._waiting.put(None)
-        self._thread.join(END_S)
-        if self._error is not None and error is None:
-            raise self._error
-
-    def do(self, what: Callable[[], None], may_be_left_out: bool = False) -> None:
-        """Returns at once."""
-        if may_be_left_out and self._waiting.qsize() > MOST_WAITING:
-            self.left_out += 1
-        else:
-            self._waiting.put(what)
-
-    def _work(self) -> None:
-        while (what := self._waiting.get()) is not None:
-            try:
-                what()
-            except BaseException as error:
-                self._error = error
-                self._failed()
-                return
+    worker = BackgroundWorker("output", MOST_BEHIND if patient else MOST_WAITING, failed)
+    worker.patient = patient
+    worker.start()
+    try:
+        yield worker
+    finally:
+        worker.end(END_S)
+    if worker.error is not None:
+        raise worker.error
 
 
 # --- Reports of the loop, printed in another thread.
@@ -72,28 +52,34 @@ class Aside:
 
 QUIET_S = 10
 """Between two notes that nothing has come yet."""
+CHUNK_S = 0.02
+"""Time of a chunk of samples, short enough for viewers."""
 
 
 class OutputSink:
-    """Counts verdicts and prints them in another thread, in chunks of PACED_CHUNK_S; every change ends a chunk
-    early."""
+    """Counts verdicts and prints them in another thread, in chunks; every change ends a chunk early."""
 
     def __init__(
         self,
         output: Output,
-        aside: Aside,
+        worker: BackgroundWorker,
         loop: Loop,
         reactions: Reactions,
         flights: FlightSink | None = None,
         remedy: str = "",
+        chunk_s: float = CHUNK_S,
     ):
-        """remedy: what a person can do if samples come late or not at all."""
+        """
+        Args:
+            remedy: what a person can do if samples come late or not at all.
+            chunk_s: shortest chunk, in the time of the samples, [s].
+        """
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
         self.flights = FlightCount()
-        self._output, self._aside, self._loop = output, aside, loop
+        self._output, self._worker, self._loop = output, worker, loop
         self._reactions, self._flight_sink = reactions, flights
-        self._most = max(1, round(PACED_CHUNK_S * 1e9 / period_ns))
+        self._most = max(1, round(chunk_s * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
         self._seen, self._silent_s = False, 0
         self.monitored, self._news = Monitored(), MonitoredNews(remedy)
@@ -104,9 +90,9 @@ class OutputSink:
     def verdict(self, verdict: Verdict) -> None:
         if not self._seen:
             self._seen = True
-            self._aside.do(partial(self._output.first, verdict.t_ns))
+            self._worker.put(partial(self._output.first, int(verdict.t_ns[0])), must=True)
         self._verdicts.append(verdict)
-        if verdict.changes or len(self._verdicts) >= self._most:
+        if verdict.changes or sum(len(one.t_ns) for one in self._verdicts) >= self._most:
             self._print()
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
@@ -122,7 +108,7 @@ class OutputSink:
         self.monitored = report.monitored
         if line := self._news.line(report.t_ns * 1e-9, report.monitored):
             self.note(line)
-        self._aside.do(partial(self._output.watched, report.monitored), may_be_left_out=True)
+        self._worker.put(partial(self._output.watched, report.monitored))
         self._print()
 
     def close(self) -> None:
@@ -130,19 +116,19 @@ class OutputSink:
 
     def note(self, text: str) -> None:
         """For the loop."""
-        self._aside.do(partial(self._output.note, text))
+        self._worker.put(partial(self._output.note, text), must=True)
 
     def switched(self, switch: ProfileSwitch) -> None:
         """For the loop."""
-        self._aside.do(partial(self._output.switched, switch))
+        self._worker.put(partial(self._output.switched, switch), must=True)
 
     def print_news(self) -> None:
         """Print the outcome of reactions and flights."""
         for news in self._reactions.news():
-            self._aside.do(partial(self._output.reaction, news))
+            self._worker.put(partial(self._output.reaction, news), must=True)
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
-            self._aside.do(partial(self._output.flight, flight))
+            self._worker.put(partial(self._output.flight, flight), must=True)
 
     def _print(self) -> None:
         """Samples that did not come are shown, and not counted."""
@@ -151,5 +137,24 @@ class OutputSink:
         if not verdicts:
             return
         chunk = chunk_of(verdicts)
-        self.tally.add(chunk, self._loop.monitor, [one.sample is not None for one in verdicts])
-        self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)
+        came = [one.block is not None for one in verdicts for _ in one.t_ns]
+        self.tally.add(chunk, self._loop.monitor, came)
+        self._worker.put(partial(self._output.chunk, chunk, self.tally), must=bool(chunk.changes))
+
+
+class ReplayOutput(OutputSink):
+    """The output of a recording, which has no time of its own to report."""
+
+    def __init__(
+        self,
+        output: Output,
+        worker: BackgroundWorker,
+        loop: Loop,
+        flights: FlightSink | None,
+        chunk_s: float,
+    ):
+        super().__init__(output, worker, loop, Reactions(), flights, chunk_s=chunk_s)
+        self._seen = True
+
+    def every_second(self, report: LoopReport) -> None:
+        self.print_news()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,16 +15,19 @@ from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.data.recording import Recording
     from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
-    from tauext.monitor.mcap_log import McapLog
     from tauext.monitor.phases import Phases
     from tauext.monitor.replay import Tally
+
+
+BLOCK_S = 1.0
+"""Samples that are judged at once, as fast as possible, [s]."""
+NEVER_S = 1e6
+"""Silence of a recording that counts as a missing sample, [s]: a gap is found by the stamp of the sample after it."""
 
 
 @dataclass(frozen=True)
@@ -208,74 +210,57 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
 def replay_one(
     bundle: Bundle, recording: Recording, settings: RunSettings, total: Tally, all_flights: FlightCount, output: Output
 ) -> None:
-    """One recording through a new monitor, with a new flight recorder; counted in full even if it ends early."""
-    from tauext import _core
-    from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
-    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, Tally, replay
+    """The loop on one recording, with a new monitor and flight recorder; counted in full even if it ends early.
+
+    Raises:
+        ConfigError: the MCAP file cannot be written.
+    """
+    from tauext.cli.monitor_output import CHUNK_S, ReplayOutput, output_thread
+    from tauext.monitor.flight_files import FlightSource
+    from tauext.monitor.loop import Loop, LoopSettings
+    from tauext.monitor.mcap_sink import McapSink
+    from tauext.monitor.record_sink import FlightSink
     from tauext.monitor.source import settings_of
-    from tauext.monitor.touch_place import PlaceFinder
     from tauext.monitor.turns import Turns
+    from tauext.sources.replay import ReplaySource
 
     turns = Turns(settings_of(bundle), bundle)
     q, _ = turns.rows(recording.t_ns, recording.q)
     if q is not recording.q:
         recording = replace(recording, q=q)
-    unused = [] if settings.phases is None else settings.phases.after_the_end(recording.duration_s, recording.name)
-    for text in (*turns.notes(), *unused):
-        output.note(text)
-    monitor = _core.Monitor(bundle, settings.own_rate)
-    tally, flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
-    recorder = writer = None
-    chunk_s = CHUNK_S if settings.speed is None else PACED_CHUNK_S * settings.speed
+    block_s = chunk_s = BLOCK_S if settings.speed is None else CHUNK_S * settings.speed
+    flights = recorder = mcap = None
     if (kept := settings.flights) is not None:
         recorder = kept.recorder(bundle)
-        source = FlightSource.of(bundle, recording)
-        writer = FlightWriter(recorder, partial(write_flight, folder=kept.folder, source=source))
-        chunk_s = min(chunk_s, max(kept.after_s, PACED_CHUNK_S))
-
-    def print_flights() -> None:
-        for news in writer.news() if writer is not None else ():
-            flights.add(news)
-            output.flight(news)
-
-    pace, places = Pace(settings.speed), PlaceFinder(bundle, settings.wrench)
-    after_s = settings.acknowledge_after_s
-    try:
-        with writer or nullcontext(), logged(bundle, recording, settings, output) as log:
-            for chunk in replay(
-                monitor, recording, pace, recorder, after_s, chunk_s, settings.loads, places, settings.phases
-            ):
-                tally.add(chunk, monitor)
-                if log is not None:
-                    rows = slice(chunk.first_row, chunk.first_row + len(chunk.t_ns))
-                    samples = (recording.q[rows], recording.dq[rows], recording.tau[rows])
-                    log.add(chunk.t_ns, *samples, chunk.estimates, chunk.changes)
-                if writer is not None:
-                    writer.catch_up()
-                output.chunk(chunk, tally)
-                print_flights()
-    finally:
-        print_flights()
-        if recorder is not None:
-            flights.missed += recorder.missed
-        total.merge(tally)
-        all_flights.merge(flights)
-        output.end(tally, flights, complete=tally.samples == recording.samples)
-
-
-@contextmanager
-def logged(bundle: Bundle, recording: Recording, settings: RunSettings, output: Output) -> Iterator[McapLog | None]:
-    """The MCAP file of a replay, closed also after an interruption; None without one."""
-    if settings.mcap is None:
-        yield None
-        return
-    from tauext.monitor.mcap_log import McapLog
-
-    log = McapLog(settings.mcap, bundle, recording.name, settings.wrench)
-    if log.without:
-        output.note(f"{settings.mcap.name}: {log.without}")
-    try:
-        yield log
-    finally:
-        log.close()
-        output.note(f"{settings.mcap}: {log.samples:,} samples")
+        flights = FlightSink(kept.folder, bundle, recorder, FlightSource.of(bundle, recording))
+        block_s = min(block_s, max(kept.after_s, CHUNK_S))
+    if settings.mcap is not None:
+        mcap = McapSink(settings.mcap, bundle, recording.name, settings.wrench)
+        mcap.worker.patient = True
+    in_loop = LoopSettings(
+        settings.own_rate, NEVER_S, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
+    )
+    source, sinks = ReplaySource(recording, settings.speed, is_made=True), [one for one in (flights, mcap) if one]
+    loop = Loop(bundle, source, sinks, None, None, recorder, in_loop, phases=settings.phases, loads=settings.loads)
+    with output_thread(lambda: loop.stop("an output that cannot be written"), patient=True) as worker:
+        shown = ReplayOutput(output, worker, loop, flights, chunk_s)
+        loop.sinks.append(shown)
+        loop.note = shown.note
+        if mcap is not None:
+            mcap.note = shown.note
+        for text in turns.notes():
+            shown.note(text)
+        try:
+            loop.run()
+        finally:
+            shown.print_news()
+            if mcap is not None:
+                shown.note(f"{mcap.path}: {mcap.samples:,} samples")
+            if recorder is not None:
+                shown.flights.missed += recorder.missed
+            total.merge(shown.tally)
+            all_flights.merge(shown.flights)
+            is_complete = shown.tally.samples == recording.samples
+            worker.put(partial(output.end, shown.tally, shown.flights, is_complete))
+    if mcap is not None and mcap.error:
+        raise ConfigError(f"{mcap.lost} of {recording.samples} samples of the MCAP file are lost: {mcap.error}")

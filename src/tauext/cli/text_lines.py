@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tauext._core import Bundle
 from tauext.bundle.estimates import COLLISION, HEALTHS
 from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
-from tauext.monitor.changes import (
-    AlarmChange,
-    HealthChange,
-    HiddenCollision,
-)
-from tauext.monitor.events import change_words, health_words
+from tauext.monitor.changes import Change, HealthChange, HiddenCollision
 from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored, percent
@@ -66,6 +62,8 @@ class TextLines(PrintContext):
         self._flights, self._acknowledges = flights, acknowledges
         self._start_ns: int | None = None
         self._monitored = Monitored()
+        self._counted: dict[str, Callable[[Any], None]] = {"health": self._health, "hidden": self._hide}
+        """What prints the first changes of an event, and counts the others."""
 
     def print_line(self, line: str) -> None:
         print(in_plain_letters(line), flush=True)
@@ -102,15 +100,12 @@ class TextLines(PrintContext):
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         for change in sorted(chunk.changes, key=lambda event: event.t_ns):
-            if isinstance(change, HiddenCollision):
-                self._hide(change)
-            elif isinstance(change, HealthChange):
-                self._health(change)
-            else:
-                if isinstance(change, AlarmChange):
-                    self._latch(change)
-                for words in change_words(change, self._joints, self._units):
-                    self._event(change.t_ns, words)
+            if change.event in self._counted:
+                self._counted[change.event](change)
+                continue
+            self._latch(change)
+            for words in change.words(self._joints, self._units):
+                self._event(change.t_ns, words)
 
     def flight(self, news: FlightNews) -> None:
         self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
@@ -189,14 +184,14 @@ class TextLines(PrintContext):
         kind = change.health, change.causes, change.joint
         times = self._healths.get(kind, (0, change))[0]
         if not times:
-            self._event(change.t_ns, health_words(change, self._joints))
+            self._event(change.t_ns, *change.words(self._joints))
         self._healths[kind] = times + 1, change
 
     def _print_rest(self) -> None:
         """How often health failed, and what an alarm hid that stands at the end."""
         for times, last in self._healths.values():
             if times > 1 and HEALTHS[last.health] in ("stale", "fault"):
-                words = health_words(replace(last, was=last.health), self._joints)
+                (words,) = replace(last, was=last.health).words(self._joints)
                 self.print_line(f"  {words}: {times:,} times, the last at {self._time_s(last.t_ns):.3f} s")
         if self._latched_s is None or self._acknowledges:
             return
@@ -218,10 +213,10 @@ class TextLines(PrintContext):
             collision.t_ns, f"another collision, {joint}: hidden by the alarm of {self._latched_s:.3f} s{until}{last}"
         )
 
-    def _latch(self, change: AlarmChange) -> None:
-        if change.alarm == COLLISION:
+    def _latch(self, change: Change) -> None:
+        if change.raised is not None and change.raised[0] == COLLISION:
             self._latched_s, self._behind = self._time_s(change.t_ns), 0
-        elif change.was == COLLISION:
+        elif change.ends_alarm:
             self._latched_s = None
 
 

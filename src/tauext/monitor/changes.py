@@ -1,15 +1,34 @@
-"""Changes from one sample to the next: health, alarm, drift at its bound; independent of the chunks."""
+"""Changes of state from one sample to the next, with their words and their facts as plain JSON."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from tauext._core import DeclaredContact, Load, LoadFound
-from tauext.bundle.estimates import COLLISION, CONTACT, DECLARED, FIRST_KIND, NONE, OK, WARMING_UP, unexplained
+from tauext._core import DeclaredContact, Load, LoadFound, TouchPlace, cause_names
+from tauext.bundle.estimates import (
+    ALARMS,
+    COLLISION,
+    CONTACT,
+    DECLARED,
+    FAULT,
+    FIRST_KIND,
+    HEALTHS,
+    NONE,
+    OK,
+    TOUCHES,
+    WARMING_UP,
+    number,
+    unexplained,
+)
+from tauext.bundle.units import short
+from tauext.monitor.loads import load_facts, load_words
+from tauext.monitor.phases import bounds_words
 
 
 def with_article(kind: str) -> str:
@@ -25,16 +44,95 @@ BEYOND = DECLARED.index("beyond")
 """From this state on a declared contact is not as declared."""
 DECLARED_NUMBERS = ("declared_size", "declared_sigma", "declared_moment_nm", "declared_travel_m")
 """Of the estimates, in the order of DeclaredChange."""
+INFO, WARN, ERROR = 20, 30, 40
+"""Urgency of a change: levels of rcl_interfaces/Log."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """An event at one sample, made by replay and live loop and printed as text, JSON and in the panel."""
+    """A change of state at one sample.
+
+    Terminal, JSON lines, page, flights, MCAP files, ROS 2 and reactions use these members, whatever the kind.
+    """
 
     row: int
     """Row of the sample, counted from the recording's first."""
     t_ns: int
     """Stamp of the sample, [ns]."""
+    event: ClassVar[str]
+    """Name of the kind."""
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """A line of text or more.
+
+        Args:
+            units: units of the estimates, one a joint.
+        """
+        raise NotImplementedError
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        """Content as plain JSON, beside event, row and time."""
+        raise NotImplementedError
+
+    @property
+    def urgency(self) -> int:
+        return INFO
+
+    @property
+    def trigger(self) -> Trigger | None:
+        """What it means for reactions."""
+        return None
+
+    @property
+    def ends_alarm(self) -> bool:
+        """Whether an alarm that stood before this sample has ended."""
+        return False
+
+    @property
+    def is_acknowledgement(self) -> bool:
+        return False
+
+    @property
+    def learned(self) -> dict[str, Any]:
+        """What becomes known of an alarm: fields of its Episode."""
+        return {}
+
+    @property
+    def raised(self) -> tuple[int, int] | None:
+        """Level and joint of an alarm that rose, to its first or to a higher level."""
+        return None
+
+    @property
+    def declared(self) -> tuple[int, DeclaredContact] | None:
+        """Number and bounds of a declared contact that the change is about."""
+        return None
+
+    @property
+    def touched(self) -> TouchPlace | None:
+        """Place of a touch that becomes known."""
+        return None
+
+
+class Trigger(NamedTuple):
+    """An event for reactions."""
+
+    kind: Literal["collision", "contact", "fault"]
+    joint: int
+    """The joint that raised the alarm, or that the fault concerns; -1: none."""
+    number: int = 0
+    """Number of the alarm; 0: a fault."""
+    is_news: bool = True
+    """Whether the alarm is new; False: only its kind of touch or place is."""
+    of_place: bool = False
+
+
+def trigger_of(alarm: int, *rest: Any) -> Trigger | None:
+    """The trigger of an alarm of this level, with its further fields; None: no joint has raised it."""
+    return Trigger("collision" if alarm == COLLISION else "contact", *rest) if alarm and rest[0] >= 0 else None
+
+
+def _name(joint: int, joints: tuple[str, ...]) -> str | None:
+    return joints[joint] if joint >= 0 else None
 
 
 @dataclass(frozen=True)
@@ -47,6 +145,27 @@ class HealthChange(Change):
     """Bits of the causes; tauext._core.cause_names returns their names."""
     joint: int
     """First joint that a cause concerns, -1 for none."""
+    event = "health"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """`fault: not finite, joint2 (was ok)`."""
+        causes = ", ".join(cause_names(self.causes))
+        where = f", {joints[self.joint]}" if self.joint >= 0 else ""
+        why = f": {causes}{where}" if causes else ""
+        was = f" (was {HEALTHS[self.was]})" if self.was != self.health else ""
+        return [f"{HEALTHS[self.health]}{why}{was}"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        facts = {"health": HEALTHS[self.health], "was": HEALTHS[self.was], "causes": cause_names(self.causes)}
+        return {**facts, "joint": _name(self.joint, joints)}
+
+    @property
+    def urgency(self) -> int:
+        return INFO if self.health == OK else ERROR if self.health == FAULT else WARN
+
+    @property
+    def trigger(self) -> Trigger | None:
+        return Trigger("fault", self.joint) if self.health == FAULT and self.was != FAULT else None
 
 
 @dataclass(frozen=True)
@@ -68,14 +187,76 @@ class AlarmChange(Change):
     """Standard error of tau_ext_nm; NaN without an error scale."""
     number: int = 0
     """Number of the alarm."""
+    event = "alarm"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), collision limit 4.62 Nm`."""
+        if self.acknowledged:
+            return [f"{ALARMS[self.was]} acknowledged"]
+        if self.joint < 0:
+            return [f"no {ALARMS[self.was]} any more" if self.alarm == 0 else ALARMS[self.alarm]]
+        level, unit = ALARMS[self.alarm], short(units[self.joint])
+        region = " near stiction" if self.near_stiction else ""
+        error = f" (standard error {self.sigma_nm:.2f} {unit})" if math.isfinite(self.sigma_nm) else ""
+        return [
+            f"{level.upper()} {joints[self.joint]}: |tau_ext| {abs(self.tau_ext_nm):.2f} {unit}{error}, "
+            f"{level} limit{region} {self.limit_nm:.2f} {unit}"
+        ]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        joint = _name(self.joint, joints)
+        return {
+            "number": self.number,
+            "alarm": ALARMS[self.alarm],
+            "was": ALARMS[self.was],
+            "joint": joint,
+            "tau_ext_nm": number(self.tau_ext_nm),
+            "sigma_nm": number(self.sigma_nm),
+            "limit_nm": number(self.limit_nm),
+            "near_stiction": self.near_stiction if joint else None,
+            "acknowledged": self.acknowledged,
+        }
+
+    @property
+    def urgency(self) -> int:
+        return INFO if self.alarm <= self.was else ERROR if self.alarm == COLLISION else WARN
+
+    @property
+    def trigger(self) -> Trigger | None:
+        return trigger_of(self.alarm, self.joint, self.number)
+
+    @property
+    def ends_alarm(self) -> bool:
+        return NONE in (self.alarm, self.was)
+
+    @property
+    def is_acknowledgement(self) -> bool:
+        return self.acknowledged
+
+    @property
+    def learned(self) -> dict[str, Any]:
+        names = ("number", "alarm", "joint", "tau_ext_nm", "limit_nm") if self.raised else ()
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def raised(self) -> tuple[int, int] | None:
+        return (self.alarm, self.joint) if self.alarm != NONE and self.joint >= 0 else None
 
 
 @dataclass(frozen=True)
 class HiddenCollision(Change):
-    """A collision that raised no alarm: a collision alarm was already latched."""
+    """A collision that raised no alarm: a collision alarm was already latched. It is in words and counts only."""
 
     joint: int
     """The joint furthest over its limit."""
+    event = "hidden"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        return [f"collision at {joints[self.joint]} behind the alarm that stands"]
+
+    @property
+    def urgency(self) -> int:
+        return WARN
 
 
 @dataclass(frozen=True)
@@ -93,6 +274,25 @@ class TouchChange(Change):
     """Time since the alarm rose to this level, [s]."""
     number: int = 0
     """Number of the alarm."""
+    event = "touch"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """`the collision is a clamp, 164 ms after the alarm`."""
+        kind = TOUCHES[self.touch]
+        was = f" (was taken for {TOUCHES[self.was]})" if TOUCHES[self.was] not in ("none", "unknown") else ""
+        return [f"the {ALARMS[self.alarm]} is {with_article(kind)}, {self.since_s * 1e3:.0f} ms after the alarm{was}"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        kinds = {"touch": TOUCHES[self.touch], "was": TOUCHES[self.was], "alarm": ALARMS[self.alarm]}
+        return {"number": self.number, **kinds, "joint": _name(self.joint, joints), "since_s": self.since_s}
+
+    @property
+    def trigger(self) -> Trigger | None:
+        return trigger_of(self.alarm, self.joint, self.number, False)
+
+    @property
+    def learned(self) -> dict[str, Any]:
+        return {"number": self.number, "touch": self.touch}
 
 
 @dataclass(frozen=True)
@@ -100,6 +300,17 @@ class DriftChange(Change):
     """The drift of a joint reached its bound for the first time since the monitor was made: retrain."""
 
     joint: int
+    event = "drift"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        return [f"recalibrate: joint {joints[self.joint]}'s drift is at its bound"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        return {"joint": _name(self.joint, joints), "advice": "recalibrate"}
+
+    @property
+    def urgency(self) -> int:
+        return WARN
 
 
 @dataclass(frozen=True)
@@ -118,6 +329,45 @@ class DeclaredChange(Change):
     phase: str = ""
     """Name of the phase that declared it; empty: unknown."""
     bounds: DeclaredContact | None = None
+    event = "declared"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """`sanding: 34 N at tool0, of at most 30 N`; `sanding: contact at tool0 of at most 30 N`."""
+        return [f"{self.phase}: " * bool(self.phase) + self._state_words()]
+
+    def _state_words(self) -> str:
+        bounds = self.bounds
+        if bounds is None or self.state == 0:
+            return "no declared contact any more"
+        if self.state < BEYOND:
+            return f"contact {bounds_words(bounds)}"
+        if DECLARED[self.state] == "moved":
+            return (
+                f"{bounds.frame} moved {abs(self.travel_m) * 1e3:.0f} mm along the contact's axis, of at most "
+                f"{bounds.at_most_travel_m * 1e3:.0f} mm; nothing is explained until the force has gone"
+            )
+        error = f"{float(format(self.sigma, '.1g')):g}"
+        if bounds.joint:
+            return f"{self.size:.3g} ± {error} at joint {bounds.joint}, of at most {bounds.at_most_nm:g}"
+        moment = f" and {self.moment_nm:.2g} N m" if bounds.at_most_nm else ""
+        most = f"{bounds.at_most_n:g} N" + (f" and {bounds.at_most_nm:g} N m" if bounds.at_most_nm else "")
+        return f"{self.size:.0f} ± {error} N{moment} at {bounds.frame}, of at most {most}"
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        facts: dict[str, Any] = {"phase": self.phase or None, "state": DECLARED[self.state]}
+        if (bounds := self.bounds) is not None:
+            facts |= {"frame": bounds.frame or None, "joint": bounds.joint or None}
+            facts |= {"at_most_n": bounds.at_most_n, "at_most_nm": bounds.at_most_nm}
+        sizes = {"size": self.size, "size_error": self.sigma, "moment_nm": self.moment_nm, "travel_m": self.travel_m}
+        return facts | {key: number(value) for key, value in sizes.items()}
+
+    @property
+    def urgency(self) -> int:
+        return WARN if self.state >= BEYOND else INFO
+
+    @property
+    def declared(self) -> tuple[int, DeclaredContact] | None:
+        return None if self.bounds is None else (self.contact, self.bounds)
 
 
 @dataclass(frozen=True)
@@ -131,6 +381,18 @@ class LoadChange(Change):
     """Time from which the load applies; None: from this sample on."""
     left_out: tuple[str, ...] = ()
     """Joints without an estimate in N m: their limits are higher while the load is set."""
+    event = "load"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        since = f" since {(self.t_ns - self.since_ns) * 1e-9:.3f} s" if self.since_ns is not None else ""
+        words = f"carries {load_words(self.load)}{since}" + (f", by {self.by}" if self.by else "")
+        if not self.left_out or self.load.mass == 0:
+            return [words]
+        return [f"{words}; limits of {', '.join(self.left_out)}, not in Nm, are higher by its largest torque there"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        facts = {"by": self.by, "since_ns": self.since_ns, "left_out": list(self.left_out)}
+        return {**load_facts(self.load), **facts}
 
 
 @dataclass(frozen=True)
@@ -141,6 +403,16 @@ class FoundLoad(Change):
     """Total mass of the load; 0: none."""
     error_kg: float
     """Standard error of the change."""
+    event = "load"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        if self.mass_kg == 0:
+            return ["the expected load was put down: carries nothing"]
+        error_kg = max(self.error_kg, 0.005)
+        return [f"the expected load was picked up: carries {self.mass_kg:.2f} ± {error_kg:.2f} kg"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        return {"mass_kg": self.mass_kg, "mass_error_kg": self.error_kg, "by": "expected"}
 
 
 @dataclass(frozen=True)
@@ -156,6 +428,32 @@ class WeighChange(Change):
     """The load already set, which the result excludes."""
     found: LoadFound | None = None
     """The result so far; None at the start."""
+    event = "weigh"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """The result of weighing in sentences."""
+        from tauext.monitor.weighing import load_sentences
+
+        if self.found is None:
+            beside = f" besides {load_words(self.beside)}" if self.beside.mass > 0 else ""
+            return [f"weighing the payload{beside}, by {self.by}"]
+        sentences = load_sentences(self.found, self.frame, "N m")
+        if self.beside.mass > 0 and self.found.verdict == "load":
+            sentences.append(f"with the {self.beside.mass:.4g} kg that are set: {load_words(self.found.load)}")
+        return sentences
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        """The result of weighing, and the load to set."""
+        from tauext.monitor.weighing import load_facts as facts_of_found
+
+        facts: dict[str, Any] = {"what": self.what, "by": self.by, "frame": self.frame, "found": None, "load": None}
+        if self.found is not None:
+            load = {**load_facts(self.found.load), "error_share": self.found.load.error_share}
+            facts |= {"found": facts_of_found(self.found), "load": load}
+        return facts
+
+
+# --- All changes in the estimates.
 
 
 def shifted(last: int, values: np.ndarray) -> np.ndarray:
@@ -171,9 +469,11 @@ def number_at(estimates: Mapping[str, np.ndarray], row: int) -> int:
 
 
 class ChangeFinder:
-    """Finds every change in the estimates, chunk after chunk; the first sample follows a new monitor."""
+    """Finds every change in the estimates, block after block; the first sample follows a new monitor."""
 
-    def __init__(self) -> None:
+    def __init__(self, contacts: Mapping[int, tuple[str, DeclaredContact]] = MappingProxyType({})) -> None:
+        """contacts: name of the phase and bounds of each declared contact, by its number."""
+        self._contacts = contacts
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
         self._saturated: set[int] = set()
         self._found_ns, self._reported_kg, self._reported_error_kg = 0, np.nan, np.nan
@@ -255,7 +555,8 @@ class ChangeFinder:
             if not returns and (beyond or ends or contact != self._declared_contact):
                 size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
                 of = self._declared_contact if ends else contact
-                found.append(DeclaredChange(first_row + k, int(t_ns[k]), now, of, size, sigma, moment_nm, travel_m))
+                numbers, named = (size, sigma, moment_nm, travel_m), self._contacts.get(of, ("", None))
+                found.append(DeclaredChange(first_row + k, int(t_ns[k]), now, of, *numbers, *named))
             self._declared, self._declared_contact = now, contact
         return found
 

@@ -6,15 +6,18 @@ all were known, for `contact_release_s` of the bundle. A contact ends then; so d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
-from tauext.bundle.estimates import NONE
-from tauext.monitor.changes import AlarmChange, Change, TouchChange
-from tauext.monitor.touch_place import PlaceChange
+from tauext.bundle.estimates import ALARMS, COLLISION, FIRST_KIND, TOUCHES, number, rounded
+from tauext.bundle.units import short
+from tauext.monitor.changes import Change, with_article
+from tauext.monitor.touch_place import PlaceChange, newtons, run_of
 
 LASTS_NS = 5_000_000_000
 """A touch that lasts is reported again after this time, [ns]: a process may be killed before its end."""
@@ -50,10 +53,69 @@ class Episode:
     is_touched: bool = True
     """Whether its touch lasts."""
     ended: bool = False
+    row: int = 0
+    """Number of the sample at which the newest of this became known."""
+
+    @property
+    def placed(self) -> PlaceChange | None:
+        """The place, if a single force on a link explains the touch."""
+        return self.place if self.place is not None and self.place.explains else None
+
+    @property
+    def torque_nm(self) -> float:
+        """Torque of the alarm's joint, at the moment of the place where one is known."""
+        place = self.placed
+        return place.tau_ext_nm[self.joint] if place is not None and place.tau_ext_nm else self.tau_ext_nm
+
+    def sentence(self, joints: tuple[str, ...]) -> str:
+        """`Touched at joint6, about 84 N`; without a place the joint whose torque is too large."""
+        if (place := self.placed) is None:
+            return f"Touched at {joints[self.joint]} or beyond it"
+        return f"Touched at {links_at(place, joints)}, about {float(format(newtons(place.best), '.2g')):g} N"
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str]) -> str:
+        """`COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
+        unit = short(units[self.joint]) if units else "Nm"
+        kind = f", {with_article(TOUCHES[self.touch])}" if self.touch >= FIRST_KIND else ""
+        place = "" if self.placed is None else f" on {self.placed.on(joints)}"
+        level = ALARMS[self.alarm].upper() if self.alarm == COLLISION else ALARMS[self.alarm].capitalize()
+        torque = self.torque_nm
+        sizes = [f"{abs(torque):.3g} {unit} at {joints[self.joint]}"] if math.isfinite(torque) else []
+        sizes += [f"limit {self.limit_nm:.3g} {unit}"] if math.isfinite(self.limit_nm) else []
+        return f"{level}{kind}{place}: {', '.join(sizes) or joints[self.joint]}"
+
+    def facts(self, joints: tuple[str, ...], units: Sequence[str]) -> dict[str, Any]:
+        """What is known, as plain JSON. Of an alarm that stands since an earlier process, what is new."""
+        facts: dict[str, Any] = {"id": self.number, "ended": self.ended}
+        if self.t_ns is not None:
+            held = {"held_ns": self.touch_t_ns, "over": rounded(self.over)}
+            facts |= {"bundle": self.bundle, "t_ns": self.t_ns, **held, "touch": None, "links": [], "newtons": None}
+        if self.touch >= FIRST_KIND:
+            facts["touch"] = TOUCHES[self.touch]
+        if math.isfinite(self.limit_nm):  # else it has risen under an earlier process
+            facts |= {"level": ALARMS[self.alarm], "joint": joints[self.joint], "limit_nm": number(self.limit_nm)}
+            facts |= {"tau_ext_nm": number(self.torque_nm), "sentence": self.sentence(joints)}
+            facts["details"] = self.words(joints, units)
+        if (place := self.placed) is not None:
+            best = {name: list(getattr(place.best, name)) for name in ("point", "force")}
+            facts |= {
+                "at": links_at(place, joints),
+                "links": [[joints[link], round(share, 3)] for link, share in place.links],
+                "newtons": number(newtons(place.best)),
+                "on": place.on(joints),
+                "place": {"link": place.best.link, **best, "q": rounded(self.q)},
+            }
+        return facts
+
+
+def links_at(place: PlaceChange, joints: tuple[str, ...]) -> str:
+    """`joint2 or joint3`: the joints that carry the links of the stated run."""
+    first, last, _ = run_of(place.links)
+    return " or ".join(joints[first : last + 1])
 
 
 class EpisodeFinder:
-    """Follows the alarm that stands, sample after sample."""
+    """Follows the alarm that stands, block after block; the result does not depend on the blocks."""
 
     def __init__(self, bundle: str = ""):
         self.bundle = bundle
@@ -67,65 +129,108 @@ class EpisodeFinder:
         self.standing = Episode(number, alarm, joint, self.bundle)
 
     def find(
-        self, t_ns: int, estimates: Mapping[str, np.ndarray], changes: Sequence[Change], q: np.ndarray | None = None
+        self,
+        first_row: int,
+        t_ns: np.ndarray,
+        estimates: Mapping[str, np.ndarray],
+        changes: Sequence[Change],
+        q: np.ndarray | None = None,
     ) -> tuple[Episode, ...]:
-        """Alarms of which something is new at this sample, usually none.
+        """Alarms of which something is new at these samples, usually none, in order.
 
         Args:
-            estimates: one row of Monitor.run.
-            changes: at this sample.
-            q: positions, (joints,), [rad]; None: the sample is missing.
+            first_row: number of samples before these.
+            t_ns: (rows,), [ns].
+            estimates: their rows of Monitor.run.
+            changes: at these samples, by rising row.
+            q: positions, (rows, joints), [rad]; None: the sample is missing.
         """
         if self.standing is None and not changes:
             return ()
+        by_row = {row - first_row: list(group) for row, group in groupby(changes, key=lambda change: change.row)}
+        found: list[Episode] = []
+        begin = 0
+        for k in self._turning_points(t_ns, estimates, by_row):
+            self._follow(t_ns, estimates, slice(begin, k), q is not None)
+            news = self._apply(by_row.get(k, ()), int(t_ns[k]), None if q is None else q[k])
+            self._judge(k, t_ns, estimates, news, q is not None)
+            found += [replace(one, row=first_row + k) for one in news.values()]
+            begin = k + 1
+        return tuple(found)
+
+    def _turning_points(
+        self, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], by_row: Mapping[int, list[Change]]
+    ) -> list[int]:
+        """Rows at which something may be new, and the last one."""
+        rows = {0, len(t_ns) - 1, *by_row}
+        if len(t_ns) > 1:
+            ends, is_set_back = np.diff(estimates["touch_over"].astype(int)) != 0, np.diff(t_ns) < 0
+            rows |= set((1 + np.flatnonzero(ends | is_set_back)).tolist())
+            if self.standing is not None:
+                lasts = estimates["touch_t_ns"] > self.standing.touch_t_ns + LASTS_NS
+                rows |= {int(lasts.argmax())}
+        return sorted(rows)
+
+    def _apply(self, changes: Sequence[Change], t_ns: int, q: np.ndarray | None) -> dict[int, Episode]:
+        """Changes at one sample; alarms of which they bring news, by number."""
         news: dict[int, Episode] = {}
         for change in changes:
-            if isinstance(change, AlarmChange):
-                if self.standing is not None and NONE in (change.alarm, change.was):
-                    news[self.standing.number] = replace(self._so_far(), is_touched=False, ended=True)
-                    self.standing = None
-                if change.alarm != NONE and change.joint >= 0:
-                    self._rise(t_ns, change, news)
-            elif isinstance(change, TouchChange):
-                self._learn(change.number, news, touch=change.touch)
-            elif isinstance(change, PlaceChange):
-                self._learn(change.number, news, place=change, q=() if q is None else tuple(q.tolist()))
-        if (one := self.standing) is not None:
-            if estimates["held_alarm"][0]:
-                share = 1 - estimates["margin_nm"][0] / estimates["limit_nm"][0]
-                self._over = np.fmax(self._over, share) if len(self._over) else share
-            self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][0]))
-            is_touched = not estimates["touch_over"][0]
-            so_far = self._so_far()
-            lasts = is_touched and so_far.touch_t_ns > one.touch_t_ns + LASTS_NS
-            was_set_back = q is not None and t_ns < self._last_ns and so_far != one  # what follows is of another clock
-            self._last_ns = self._last_ns if q is None else t_ns
-            if one.number in news or lasts or was_set_back or (one.is_touched and not is_touched):
-                self.standing = news[one.number] = replace(so_far, is_touched=is_touched)
-            elif is_touched and not one.is_touched:  # again; its end is news
-                self.standing = replace(one, is_touched=True)
-        return tuple(news.values())
+            if self.standing is not None and change.ends_alarm:
+                news[self.standing.number] = replace(self._so_far(), is_touched=False, ended=True)
+                self.standing = None
+            if learned := change.learned:
+                self._learn(t_ns, learned, news, q, change.raised)
+        return news
 
-    def _rise(self, t_ns: int, change: AlarmChange, news: dict[int, Episode]) -> None:
-        """To the first or to a higher level."""
-        if self.standing is None:
+    def _follow(self, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], rows: slice, came: bool) -> None:
+        """Largest torques and the end of the touch at these samples."""
+        if self.standing is None or rows.start == rows.stop:
+            return
+        held = estimates["held_alarm"][rows] != 0
+        if held.any():
+            margin, limit = estimates["margin_nm"][rows][held], estimates["limit_nm"][rows][held]
+            share = np.fmax.reduce(1 - margin / limit, axis=0)
+            self._over = np.fmax(self._over, share) if len(self._over) else share
+        self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][rows].max()))
+        if came:
+            self._last_ns = int(t_ns[rows.stop - 1])
+
+    def _judge(
+        self, k: int, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], news: dict[int, Episode], came: bool
+    ) -> None:
+        """Whether there is news of the alarm that stands at one sample."""
+        if (one := self.standing) is None:
+            return
+        last_ns, is_touched = self._last_ns, not estimates["touch_over"][k]
+        self._follow(t_ns, estimates, slice(k, k + 1), came)
+        so_far = self._so_far()
+        lasts = is_touched and so_far.touch_t_ns > one.touch_t_ns + LASTS_NS
+        was_set_back = came and t_ns[k] < last_ns and so_far != one  # what follows is of another clock
+        if one.number in news or lasts or was_set_back or (one.is_touched and not is_touched):
+            self.standing = news[one.number] = replace(so_far, is_touched=is_touched)
+        elif is_touched and not one.is_touched:  # again; its end is news
+            self.standing = replace(one, is_touched=True)
+
+    def _learn(
+        self,
+        t_ns: int,
+        learned: dict[str, Any],
+        news: dict[int, Episode],
+        q: np.ndarray | None,
+        raised: tuple[int, int] | None,
+    ) -> None:
+        """Set what becomes known of an alarm that rises, stands or has just ended."""
+        number = learned["number"]
+        if raised is not None and self.standing is None:
             self._over, self._touch_t_ns, self._last_ns = np.zeros(0), t_ns, t_ns
-            self.standing = Episode(change.number, change.alarm, change.joint, self.bundle, t_ns, t_ns)
-        self._learn(
-            self.standing.number,
-            news,
-            alarm=change.alarm,
-            joint=change.joint,
-            tau_ext_nm=change.tau_ext_nm,
-            limit_nm=change.limit_nm,
-        )
-
-    def _learn(self, number: int, news: dict[int, Episode], **values: Any) -> None:
-        """Set what became known of an alarm that stands or has just ended."""
-        if self.standing is not None and self.standing.number == number:
-            self.standing = news[number] = replace(self.standing, **values)
+            self.standing = Episode(number, *raised, self.bundle, t_ns, t_ns)
+        if "place" in learned:
+            learned["q"] = () if q is None else tuple(q.tolist())
+        if self.standing is not None and (raised is not None or self.standing.number == number):
+            learned["number"] = self.standing.number
+            self.standing = news[self.standing.number] = replace(self.standing, **learned)
         elif number in news:
-            news[number] = replace(news[number], **values)
+            news[number] = replace(news[number], **learned)
 
     def _so_far(self) -> Episode:
         """The alarm that stands with its touch up to here. A clock that was set back adds nothing."""

@@ -21,7 +21,7 @@ from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.data.servo import servo_facts
 from tauext.errors import TauextError
-from tauext.monitor.source import SourceSettings, settings_of
+from tauext.monitor.source import Block, SourceSettings, settings_of
 from tauext.monitor.touch_place import PlaceFinder
 
 # --- Before any bundle.
@@ -54,18 +54,17 @@ class NoMonitor:
         self._missing = _core.no_estimate(n, _core.Health.stale)
         self._wrong_size = _core.no_estimate(n, _core.Health.fault)
 
-    def run(self, *signals: object) -> dict[str, np.ndarray]:
-        """One row, which all calls share."""
-        return self._waiting
+    def run(self, t_ns: np.ndarray, *signals: object) -> dict[str, np.ndarray]:
+        """A row a sample; all calls share it."""
+        if len(t_ns) == 1:
+            return self._waiting
+        return {name: np.broadcast_to(row, (len(t_ns), *row.shape[1:])) for name, row in self._waiting.items()}
 
     def run_missing(self, now_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
         return self._missing
 
     def run_wrong_size(self, t_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
         return self._wrong_size
-
-    def set_temperature(self, celsius: np.ndarray) -> None:
-        pass
 
     acknowledge = resume = stop_weighing = lambda self: None
 
@@ -119,18 +118,18 @@ class Ring:
         self._marks: deque[tuple[int, bytes, int]] = deque(maxlen=round(RING_S / MARK_S) + 1)
         self._acts: deque[tuple[int, Callable[[_core.Monitor], None]]] = deque(maxlen=1000)
 
-    def add(
-        self, t_ns: int, q: np.ndarray, dq: np.ndarray, tau: np.ndarray, temperature: np.ndarray | None, held: int
-    ) -> None:
-        k = self.count % self.rows
-        self._t_ns[k], self._came[k], self._held[k] = t_ns, True, held
-        self._q[k], self._dq[k], self._tau[k] = q, dq, tau
-        if temperature is not None:
-            self._temperature[k], self._warm = temperature, True
+    def add(self, block: Block, held: np.ndarray) -> None:
+        """held: levels exceeded at these samples."""
+        k, count = self.count % self.rows, len(block)
+        at = slice(k, k + count) if k + count <= self.rows else np.arange(k, k + count) % self.rows
+        self._t_ns[at], self._came[at], self._held[at] = block.t_ns, True, held
+        self._q[at], self._dq[at], self._tau[at] = block.q, block.dq, block.tau
+        if block.temperature is not None:
+            self._temperature[at], self._warm = block.temperature, True
         elif self._warm:
-            self._temperature[k] = np.nan
+            self._temperature[at] = np.nan
         self._silent = 0
-        self.count += 1
+        self.count += count
 
     def miss(self, t_ns: int) -> None:
         """A sample did not come. A long silence does not fill the ring."""
@@ -145,9 +144,9 @@ class Ring:
         """What the monitor of a bundle with this model_digest carries before the next sample."""
         self._marks.append((self.count, carried, model))
 
-    def act(self, done: Callable[[_core.Monitor], None]) -> None:
-        """What was done to the monitor before the next sample, to be repeated at this row."""
-        self._acts.append((self.count, done))
+    def act(self, done: Callable[[_core.Monitor], None], ahead: int = 0) -> None:
+        """What was done to the monitor before the next sample, or before one `ahead` of it, to be repeated there."""
+        self._acts.append((self.count + ahead, done))
 
     @property
     def carried(self) -> bytes:
@@ -175,7 +174,7 @@ class Ring:
         warm = self._temperature[at] if self._warm else None
         signals = self._q[at], self._dq[at], self._tau[at]
         piece = Piece(self._t_ns[at], *signals, warm, self._came[at], self._held[at])
-        return piece if self.count - row < self.rows else None
+        return piece if self.count - row < self.rows - self._slack // 2 else None  # a block may be half in
 
 
 # --- A new bundle's monitor on its way into the loop.
@@ -222,9 +221,9 @@ def put_load(monitor: _core.Monitor, load: _core.Load, since_ns: int | None) -> 
     monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
 
 
-def holds_back(load_phase: int) -> bool:
+def holds_back(load_phase: np.ndarray) -> np.ndarray:
     """Whether an alarm may be held back for an expected load. Afterwards the load is only weighed more accurately."""
-    return load_phase not in (_core.LoadPhase.none.value, _core.LoadPhase.weighing.value)
+    return (load_phase != _core.LoadPhase.none.value) & (load_phase != _core.LoadPhase.weighing.value)
 
 
 class Successor:
@@ -313,7 +312,7 @@ class Successor:
         if left > CATCH_UP_ROWS and not self.has_time:
             return "the replay is late"
         self.follow(left)
-        if old.weighing or holds_back(old.last.load_phase.value):
+        if old.weighing or holds_back(np.array(old.last.load_phase.value)):
             return "a load is expected or being weighed"
         if reason := self.why_not_yet():
             return reason

@@ -13,11 +13,10 @@ from tauext._core import LoadFound, PlaceModel
 from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK, unexplained
 from tauext.bundle.units import short
 from tauext.errors import RecordingError
-from tauext.monitor.changes import TouchChange
-from tauext.monitor.events import touch_words
+from tauext.monitor.changes import Change, TouchChange
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
-from tauext.monitor.touch_place import PlaceChange, place_words, strongest_place
+from tauext.monitor.touch_place import PlaceChange, strongest_place
 from tauext.monitor.weighing import WeighedMotion, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.
@@ -161,8 +160,7 @@ def kind_of_touch(flight: Flight) -> str:
         since -= 1
     since_s = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-9
     alarm = max(int(flight["event"].alarm.value), CONTACT)
-    words = touch_words(TouchChange(since, int(flight["t_ns"][since]), int(touch[-1]), 0, alarm, -1, since_s))
-    return f"{words[0].upper()}{words[1:]}."
+    return sentence(TouchChange(since, int(flight["t_ns"][since]), int(touch[-1]), 0, alarm, -1, since_s), ())
 
 
 def place_of_touch(flight: Flight, source: FlightSource) -> str:
@@ -174,9 +172,11 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], unexplained(flight)[row:]
     found = strongest_place(PlaceModel(source.bundle), q, dq, tau_ext, *signals)
     change = PlaceChange.of(found, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
-    if change is None:
-        return ""
-    words = place_words(change, source.joints)
+    return "" if change is None else sentence(change, source.joints)
+
+
+def sentence(change: Change, joints: tuple[str, ...]) -> str:
+    (words,) = change.words(joints)
     return f"{words[0].upper()}{words[1:]}."
 
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, Estimates, lacking, number
+from tauext.bundle.estimates import ALARMS, COLLISION, FAULT, Estimates, estimate_facts, lacking, number
 from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
-from tauext.monitor.events import estimate_facts
 
 Flight = dict[str, Any]
 """Result of FlightRecorder.take."""

@@ -29,6 +29,16 @@ class Latencies:
         place = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
         self._bins[min(place, len(self._bins) - 1)] += 1
 
+    def add_all(self, ns: np.ndarray) -> None:
+        """Count some times, at least one, [ns]."""
+        if len(ns) == 1:
+            return self.add(int(ns[0]))
+        self.count += len(ns)
+        self.max_ns = max(self.max_ns, int(ns.max()))
+        places = (np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(int)
+        for place, count in zip(*np.unique(np.minimum(places, len(self._bins) - 1), return_counts=True), strict=True):
+            self._bins[place] += int(count)
+
     def quantile_us(self, share: float) -> float:
         """The quantile of this share, [µs]; NaN without any time."""
         if self.count == 0:

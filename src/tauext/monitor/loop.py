@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +20,7 @@ from tauext import _core
 from tauext.bundle.estimates import COLLISION, OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.monitor.changes import LoadChange, WeighChange
+from tauext.monitor.changes import WeighChange
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.exchange import (
     FIRST_QUIET_S,
@@ -38,8 +38,8 @@ from tauext.monitor.exchange import (
     why_not_exchange,
 )
 from tauext.monitor.latency import Latencies, ask_for_real_time
-from tauext.monitor.loads import Expected
-from tauext.monitor.monitored_time import Monitored, MonitoredTime
+from tauext.monitor.loads import Expected, TimedLoad
+from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
 from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
@@ -54,33 +54,39 @@ from tauext.monitor.sink import (
     Verdict,
 )
 from tauext.monitor.source import (
+    Block,
     Commanded,
     CountedTime,
     Recorded,
-    Sample,
     ServoStage,
     Source,
     SourceSettings,
+    blocks_of,
     settings_of,
 )
 from tauext.monitor.touch_place import PlaceFinder
 from tauext.monitor.turns import Turns
 
-# --- Verdicts of a live loop in the form of a replay, for output and statistics.
+# --- Verdicts as chunks, for output and statistics.
 
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     """Combine successive verdicts, at least one; the speed of a missing sample is NaN."""
-    estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in verdicts[0].estimates}
-    unknown = np.full(estimates["tau_ext"].shape[1], np.nan)
-    dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
+    first = verdicts[0]
+    if len(verdicts) == 1 and first.block is not None:
+        return Chunk(first.row, first.t_ns, first.block.dq, dict(first.estimates), list(first.changes), first.core_s)
+    estimates = {key: np.concatenate([one.estimates[key] for one in verdicts]) for key in first.estimates}
+    unknown = np.full((1, estimates["tau_ext"].shape[1]), np.nan)
+    dq = np.concatenate([unknown if one.block is None else one.block.dq for one in verdicts])
     changes = [change for one in verdicts for change in one.changes]
-    return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
+    core_s = sum(one.core_s for one in verdicts)
+    return Chunk(first.row, np.concatenate([one.t_ns for one in verdicts]), dq, estimates, changes, core_s)
 
 
-# --- The live loop. Sinks and reactions never delay the monitor.
+# --- The loop. Sinks and reactions of a live arm never delay the monitor.
 
 
+BLOCK_S = 0.1
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
 SWITCH_S = 0.0005
@@ -106,6 +112,9 @@ class LoopSettings:
     """Real-time priority of these threads and processes."""
     wrench: str | None = None
     """Frame at which the force of a touch is also estimated; None: none."""
+    block_s: float = BLOCK_S
+    """Longest time of the samples that are judged at once, [s]: requests are executed between two blocks. 0: a sample
+    at a time."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +145,7 @@ class Loop:
         settings: LoopSettings = LoopSettings(),
         arm: SourceSettings | None = None,
         phases: Phases | None = None,
+        loads: Sequence[TimedLoad] = (),
     ):
         """Raises ConfigError where the parts do not fit each other.
 
@@ -144,6 +154,7 @@ class Loop:
             recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
             arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
             phases: contacts that the task means. Not where the bundle can be exchanged: training would learn from them.
+            loads: of the arm in a recording, with the times from which on it carries them.
         """
         if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
             raise ConfigError(reason)
@@ -169,9 +180,12 @@ class Loop:
         self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
         """Called in the loop's thread with every exchange of the bundle."""
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._reacts = reactions is not None
         self._turns = Turns(self._arm, bundle)
         servo = self._arm.servo
-        self._servo = ServoStage(servo) if servo is not None and servo.on else None
+        self._recorded, self._loads = source if isinstance(source, Recorded) else None, loads
+        is_made = self._recorded is not None and self._recorded.is_made
+        self._servo = ServoStage(servo) if servo is not None and servo.on and not is_made else None
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
         self._settings = settings
@@ -181,7 +195,6 @@ class Loop:
         if reason := self._why_refused(self.monitor, places):
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places, phases)
-        self._is_recorded = isinstance(source, Recorded)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
         self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
@@ -196,9 +209,13 @@ class Loop:
         """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
         self._answered = 0
         """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
-        self._last: Sample | None = None
+        self._last_t_ns: int | None = None
+        """Stamp of the last sample, [ns]; None: none came yet."""
+        self._received_ns = 0
+        """Its reception, by time.monotonic_ns()."""
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
+        self._most_rows = max(1, round(settings.block_s / period_s))
         self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
@@ -387,8 +404,8 @@ class Loop:
     def _start_phases(self, monitor: _core.Monitor) -> None:
         """Declare what is always on; the times of a recording begin with its first sample."""
         phases = self._changes.phases
-        if isinstance(self._source, Recorded):
-            recording = self._source.recording
+        if self._recorded is not None:
+            recording = self._recorded.recording
             notes = phases.after_the_end(recording.duration_s, recording.name)
         else:
             phases.start(monitor)
@@ -406,13 +423,14 @@ class Loop:
             if self._stopped:
                 return
             now = time.monotonic()
-            sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
-            if sample is not None:
-                self._sample(sample)
-                due = sample.received_ns * 1e-9 + self._missing_after_s
+            taken = self.samples
+            for block, is_sized in self._take(max(0.0, min(due - now, second + 1 - now, IDLE_S))):
+                self._block(block, is_sized)
+            if self.samples > taken:
+                due = self._received_ns * 1e-9 + self._missing_after_s
             else:
                 now = time.monotonic()
-                if now >= due and self._last is not None and not self._source.ended:
+                if now >= due and self._last_t_ns is not None and not self._source.ended:
                     due = now + self._missed(now)
             now = time.monotonic()
             if now >= second + 1:
@@ -428,66 +446,111 @@ class Loop:
         except TauextError as error:
             self.note(str(error))
 
-    def _sample(self, sample: Sample) -> None:
-        is_sized = sample.fits(len(self.joints))
-        if not is_sized:  # a fault of this sample; sinks and the next bundle get NaN
-            sample = sample.without_values(len(self.joints))
-        else:
-            sample = self._turns.made(sample)
+    def _take(self, timeout_s: float) -> Iterable[tuple[Block, bool]]:
+        """The next sample, and after a late one those that have come since, as blocks_of() returns them; empty: none
+        came within this time."""
+        if self._recorded is not None:
+            block = self._recorded.next_block(timeout_s, self._most_rows)
+            return [] if block is None else [(block, True)]
+        first = self._source.next_sample(timeout_s)
+        if first is None:
+            return []
+        samples = [first]
+        if time.monotonic_ns() - first.received_ns > self._arm.period_ns:
+            while len(samples) < self._most_rows and (one := self._source.next_sample(0.0)) is not None:
+                samples.append(one)
+        return blocks_of(samples, len(self.joints))
+
+    def _block(self, block: Block, is_sized: bool) -> None:
+        """Judge successive samples, as many at once as nothing must be done between.
+
+        Args:
+            is_sized: whether they have one value for each joint; else they are faults, and sinks and the next bundle
+                get NaN.
+        """
+        if is_sized:
+            block = self._turns.made(block)
             if self._servo is not None:
-                sample = self._servo.made(sample)
-        self._time.step(sample.t_ns)
-        self._acknowledge_when_due()
-        if sample.temperature is not None:
-            self.monitor.set_temperature(sample.temperature)
-        estimates = self._run_monitor(sample) if is_sized else self.monitor.run_wrong_size(sample.t_ns, self._recorder)
-        self._last = sample
+                block = self._servo.made(block)
+        times_ns = self._time.steps(block.t_ns)
+        if self._recorded is not None and not self.samples:
+            self._changes.schedule(int(block.t_ns[0]), self._loads)
+        begin = 0
+        while begin < len(block):
+            self._acknowledge_when_due(int(times_ns[begin]))
+            end = begin + self._rows_at_once(block.t_ns[begin:], times_ns[begin:], is_sized)
+            self._judge(block[begin:end], times_ns[begin:end], is_sized)
+            begin = end
+
+    def _rows_at_once(self, t_ns: np.ndarray, times_ns: np.ndarray, is_sized: bool) -> int:
+        """Number of these samples, at least one, before any of which nothing is to be done; do what is due before them.
+
+        An answered alarm is acknowledged with the first sample after its touch.
+        """
+        next_ns = self._changes.act_when_due(self.samples, int(t_ns[0]))
+        rows = 1 if self._answered or not is_sized else len(times_ns)
+        after_s = self._settings.acknowledge_after_s
+        if rows > 1 and after_s is not None:
+            due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
+            rows = max(1, min(rows, int(np.searchsorted(times_ns, due_ns))))
+        if rows > 1 and next_ns is not None:
+            rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= next_ns)[:1]).tolist()])
+        return rows
+
+    def _judge(self, block: Block, times_ns: np.ndarray, is_sized: bool) -> None:
+        """Run the monitor on these samples, and publish what it finds.
+
+        Args:
+            times_ns: their counted times.
+        """
+        began_ns = time.monotonic_ns()
+        if is_sized:
+            signals = (block.t_ns, block.q, block.dq, block.tau)
+            estimates = self.monitor.run(*signals, self._recorder, block.temperature)
+        else:
+            estimates = self.monitor.run_wrong_size(int(block.t_ns[0]), self._recorder)
+        core_s = (time.monotonic_ns() - began_ns) * 1e-9
+        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
         if self._ring is not None:
-            self._remember(self._ring, sample, estimates)
-        self._publish(sample.t_ns, sample, estimates)
-        self.samples += 1
+            self._remember(self._ring, block, estimates)
+        self._publish(block.t_ns, block, times_ns, estimates, core_s)
+        self.samples += len(block)
         now_ns = time.monotonic_ns()
-        ns = now_ns - sample.received_ns
-        self.tick.add(ns)
-        self._second.add(ns)
-        self._watched.add(now_ns, estimates["health"][0] == OK, int(estimates["causes"][0]), ns)
-
-    def _run_monitor(self, sample: Sample) -> dict[str, np.ndarray]:
-        if self._is_recorded:
-            if not self.samples:
-                self._changes.schedule(sample.t_ns)
-            self._changes.declare_due(sample.t_ns)
-        signals = (sample.q[None], sample.dq[None], sample.tau[None])
-        return self.monitor.run(np.array([sample.t_ns]), *signals, self._recorder)
+        ages_ns = now_ns - block.received_ns
+        self.tick.add_all(ages_ns)
+        self._second.add_all(ages_ns)
+        valid = np.count_nonzero((estimates["health"] == OK) & (ages_ns <= LATE_S * 1e9))
+        self._watched.add(now_ns, valid / len(block), int(np.bitwise_or.reduce(estimates["causes"])))
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
-        assert self._last is not None  # silence counts from a sample
+        assert self._last_t_ns is not None  # silence counts from a sample
         self.missing += 1
-        silent_s = now - self._last.received_ns * 1e-9
-        t_ns = self._last.t_ns + round(silent_s * 1e9)
-        self._time.step(t_ns)
-        self._acknowledge_when_due()
+        silent_s = now - self._received_ns * 1e-9
+        t_ns = self._last_t_ns + round(silent_s * 1e9)
+        time_ns = self._time.step(t_ns)
+        self._acknowledge_when_due(time_ns)
         if self._ring is not None:
             self._ring.miss(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
-        self._publish(t_ns, None, estimates)
-        self._watched.add(time.monotonic_ns(), False, int(estimates["causes"][0]))
+        self._publish(np.array([t_ns]), None, np.array([time_ns]), estimates)
+        self._watched.miss(time.monotonic_ns(), int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
-    def _remember(self, ring: Ring, sample: Sample, estimates: dict[str, np.ndarray]) -> None:
-        """For the next bundle: this sample, what it did to the load, and what is carried once a second."""
-        if estimates["load_kg"][0] != self._load_kg:
-            self._load_kg = float(estimates["load_kg"][0])
-            load, since_ns = self.monitor.load, int(estimates["load_found_ns"][0])
-            ring.act(partial(put_load, load=load, since_ns=since_ns or None))
-        held = max(int(estimates["held_alarm"][0]), int(holds_back(int(estimates["load_phase"][0]))))
-        ring.add(sample.t_ns, sample.q, sample.dq, sample.tau, sample.temperature, held)
+    def _remember(self, ring: Ring, block: Block, estimates: dict[str, np.ndarray]) -> None:
+        """For the next bundle: these samples, what they did to the load, and what is carried once a second."""
+        kg, t_ns = estimates["load_kg"], int(block.t_ns[-1])
+        if kg[-1] != self._load_kg or (kg != kg[0]).any():
+            k = int(np.flatnonzero(np.append(self._load_kg, kg[:-1]) != kg)[-1])
+            self._load_kg, since_ns = float(kg[-1]), int(estimates["load_found_ns"][-1])
+            ring.act(partial(put_load, load=self.monitor.load, since_ns=since_ns or None), ahead=k)
+        held = np.maximum(estimates["held_alarm"], holds_back(estimates["load_phase"]))
+        ring.add(block, held)
         if isinstance(self.monitor, _core.Monitor):
-            if self._mark_ns is None or not 0 <= sample.t_ns - self._mark_ns < MARK_S * 1e9:
-                self._mark_ns = sample.t_ns
+            if self._mark_ns is None or not 0 <= t_ns - self._mark_ns < MARK_S * 1e9:
+                self._mark_ns = t_ns
                 ring.mark(self.monitor.carried(), self._model)
 
     # Exchange of the bundle.
@@ -548,27 +611,32 @@ class Loop:
         self._episodes.bundle = successor.bundle.name
         self._sinks_follow()
         took_us = (time.monotonic_ns() - started) * 1e-3
-        last_ns, replayed = (self._last.t_ns if self._last else None), successor.row - first
-        facts = (self.samples, last_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
+        replayed = successor.row - first
+        facts = (self.samples, self._last_t_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
         self.exchanged(Exchanged(successor.bundle.name, old, *facts))
         return ""
 
-    def _publish(self, t_ns: int, sample: Sample | None, estimates: dict[str, np.ndarray]) -> None:
+    def _publish(
+        self,
+        t_ns: np.ndarray,
+        block: Block | None,
+        times_ns: np.ndarray,
+        estimates: dict[str, np.ndarray],
+        core_s: float = 0.0,
+    ) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
-        q, dq = (None, None) if sample is None else (sample.q[None], sample.dq[None])
-        changes = self._changes.find(self.samples, np.array([t_ns]), estimates, q, dq)
-        if not self.samples:  # loads set before the first sample apply from there on
-            early = LoadChange | WeighChange
-            changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
-        news = self._episodes.find(t_ns, estimates, changes, None if sample is None else sample.q)
+        q, dq = (None, None) if block is None else (block.q, block.dq)
+        changes = self._changes.find(self.samples, t_ns, estimates, q, dq)
+        news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
         if any(one.ended for one in news):
             self._due_ns = None
-        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes), self._episodes.standing, news)
-        for event in self._events.find(verdict):
-            self._reactions.put(event)
+        verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news, core_s)
+        if self._reacts:
+            for event in self._events.find(verdict):
+                self._reactions.put(event)
         after_s = self._settings.acknowledge_after_s
-        if estimates["alarm"][0] == COLLISION and after_s is not None and self._due_ns is None:
-            self._due_ns = self._time.now_ns + round(after_s * 1e9)
+        if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
+            self._due_ns = int(times_ns[(estimates["alarm"] == COLLISION).argmax()]) + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
@@ -631,8 +699,7 @@ class Loop:
             self._carry(new.load, None, f"profile {name}")
         if new.expect is not None:
             self._expect(new.expect, f"profile {name}")
-        last_ns = self._last.t_ns if self._last else None
-        self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+        self.switched(ProfileSwitch(self._last_t_ns, by, old.name if old else "", name))
 
     @property
     def _real(self) -> _core.Monitor:
@@ -668,7 +735,7 @@ class Loop:
 
     @property
     def _last_ns(self) -> int:
-        return self._last.t_ns if self._last else 0
+        return self._last_t_ns or 0
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
@@ -699,13 +766,14 @@ class Loop:
             self.note(f"the time stamps jumped: {what} ended, if it had not before; ask for it again")
         self._timed.clear()
 
-    def _acknowledge_when_due(self) -> None:
+    def _acknowledge_when_due(self, now_ns: int) -> None:
+        """now_ns: counted time of the next sample."""
         if self._answered and self._answered != self._standing:  # it has ended by itself
             self._answered, self._due_ns = 0, None
         after_s = self._settings.acknowledge_after_s
         if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
-            self._due_ns = self._time.now_ns + round(after_s * 1e9)
-        is_due = self._due_ns is not None and self._time.now_ns >= self._due_ns
+            self._due_ns = now_ns + round(after_s * 1e9)
+        is_due = self._due_ns is not None and now_ns >= self._due_ns
         if is_due or (self._answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 

@@ -17,24 +17,14 @@ from typing import Any, Literal
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, DECLARED, FAULT, HEALTHS, NONE, OK, lacking
+from tauext.bundle.estimates import ALARMS, DECLARED, HEALTHS, lacking
 from tauext.data.mcap_writer import McapWriter
 from tauext.data.ros_messages import LAST_NS, Template, cdr, definition, stamp
 from tauext.errors import ConfigError
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION
-from tauext.monitor.changes import (
-    BEYOND,
-    AlarmChange,
-    Change,
-    DeclaredChange,
-    DriftChange,
-    HealthChange,
-    HiddenCollision,
-)
-from tauext.monitor.events import change_words, health_words
+from tauext.monitor.changes import Change
 from tauext.monitor.replay import StatusClock
-from tauext.monitor.touch_place import PlaceChange
 from tauext.robot.viewer_urdf import viewer_urdf
 
 DRAWN_HZ = 30.0
@@ -49,7 +39,6 @@ ARROW_NUMBERS = 8
 LEAST_M = 1e-4
 """Shortest arrow: viewers refuse a length of 0."""
 NO_FORCE = np.full(3, np.nan)
-INFO, WARN, ERROR = 20, 30, 40  # levels of rcl_interfaces/Log
 TOUCH = "touch"
 """Frame at the place of the newest touch, its axes parallel to the base's."""
 
@@ -303,31 +292,27 @@ class McapLog:
     def _event(self, change: Change) -> None:
         """Words of the event, and the force of a touch."""
         t_ns = change.t_ns
-        for words in event_lines(change, self._joints, self._units):
-            self._put(
-                self._events,
-                LOG,
-                t_ns,
-                {"stamp": stamp(t_ns), "level": level_of(change), "name": "tauext", "msg": words},
-            )
+        for words in change.words(self._joints, self._units):
+            log = {"stamp": stamp(t_ns), "level": change.urgency, "name": "tauext", "msg": words}
+            self._put(self._events, LOG, t_ns, log)
         if self._arm is None or self._arm.refused:
             return
-        if isinstance(change, DeclaredChange) and (bounds := change.bounds) is not None:
-            known = self._contacts.get(change.contact)
+        if change.declared is not None:
+            which, bounds = change.declared
+            known = self._contacts.get(which)
             if known is None or known.contact != bounds:  # numbers are used again
-                self._contacts[change.contact] = self._arm.force_of(bounds)
-        if isinstance(change, PlaceChange):
-            self._put(self._tf, TF, t_ns, {"transforms": [self._arm.touched_at(t_ns, change.best.point)]})
-            wrench = [*change.best.force, 0.0, 0.0, 0.0]
-            self._put(self._touch, WRENCH, t_ns, wrench_fields(stamp(t_ns), TOUCH, wrench))
+                self._contacts[which] = self._arm.force_of(bounds)
+        if (place := change.touched) is not None:
+            self._put(self._tf, TF, t_ns, {"transforms": [self._arm.touched_at(t_ns, place.point)]})
+            self._put(self._touch, WRENCH, t_ns, wrench_fields(stamp(t_ns), TOUCH, [*place.force, 0.0, 0.0, 0.0]))
 
     def _touches(self, t_ns: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
         """Force of the touch that stands at these samples, (rows, 3); NaN without one."""
         held = np.full((len(t_ns), 3), self._touched)
         for change in changes:
-            if isinstance(change, PlaceChange):
-                self._touched = np.array(change.best.force)
-            elif isinstance(change, AlarmChange) and change.alarm == NONE:
+            if (place := change.touched) is not None:
+                self._touched = np.array(place.force)
+            elif change.ends_alarm and change.raised is None:
                 self._touched = NO_FORCE
             else:
                 continue
@@ -346,27 +331,6 @@ ENCAPSULATION = np.array([0, 1, 0, 0, 0], np.uint8)
 
 def _numbers(words: Sequence[str]) -> str:
     return ", ".join(f"{number} {word}" for number, word in enumerate(words))
-
-
-def event_lines(change: Change, joints: tuple[str, ...], units: Sequence[str]) -> list[str]:
-    """Words of a change, as the text output has them."""
-    if isinstance(change, HealthChange):
-        return [health_words(change, joints)]
-    if isinstance(change, HiddenCollision):
-        return [f"collision at {joints[change.joint]} behind the alarm that stands"]
-    return change_words(change, joints, units)
-
-
-def level_of(change: Change) -> int:
-    """Level of rcl_interfaces/Log."""
-    if isinstance(change, AlarmChange):
-        rose = change.alarm > change.was
-        return INFO if not rose else ERROR if change.alarm == COLLISION else WARN
-    if isinstance(change, HealthChange):
-        return INFO if change.health == OK else ERROR if change.health == FAULT else WARN
-    if isinstance(change, DeclaredChange):
-        return WARN if change.state >= BEYOND else INFO
-    return WARN if isinstance(change, DriftChange | HiddenCollision) else INFO
 
 
 # --- The arm: its links and frames, and the force at one frame.

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.mcap_log import COLUMNS, McapLog, expect_log
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
@@ -31,26 +31,27 @@ class McapSink:
         self.path, self.lost, self.error = path, 0, ""
         """lost: samples that are not in the file; error: why."""
         self._made = (path, bundle, source, frame)
+        self._log: McapLog | None = None
         self._most = max(1, round(BATCH_S * 1e9 / bundle.observer.sample_period_ns))
         self._verdicts: list[Verdict] = []
-        self._reported = 0
-        self._waiting: queue.SimpleQueue[list[Verdict] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="mcap", daemon=True)
+        self._rows = self._reported = 0
+        self.worker = BackgroundWorker("mcap", MOST_WAITING)
 
     @property
     def samples(self) -> int:
         """Samples in the file."""
-        return self._log.samples
+        return 0 if self._log is None else self._log.samples
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._log = McapLog(*self._made)
         if self._log.without:
             self.note(f"{self.path.name}: {self._log.without}")
-        self._thread.start()
+        self.worker.start()
 
     def verdict(self, verdict: Verdict) -> None:
         self._verdicts.append(verdict)
-        if len(self._verdicts) >= self._most:
+        self._rows += len(verdict.t_ns)
+        if self._rows >= self._most:
             self._hand_over()
 
     def every_second(self, report: LoopReport) -> None:
@@ -62,36 +63,34 @@ class McapSink:
     def close(self) -> None:
         """Write what is left, and wait for the disk."""
         self._hand_over(last=True)
-        self._waiting.put(None)
-        self._thread.join()
-
-    def _hand_over(self, last: bool = False) -> None:
-        verdicts, self._verdicts = self._verdicts, []
-        if self._waiting.qsize() >= MOST_WAITING and not last:
-            self._lose(verdicts, "the disk was too slow")
-        elif verdicts:
-            self._waiting.put(verdicts)
-
-    def _work(self) -> None:
-        while (verdicts := self._waiting.get()) is not None:
-            try:
-                self._add(verdicts)
-            except Exception as error:  # continue with the next batch
-                self._lose(verdicts, str(error))
+        self.worker.end()
         try:
-            self._log.close()
+            if self._log is not None:
+                self._log.close()
         except ConfigError as error:
             self.error = self.error or str(error)
 
+    def _hand_over(self, last: bool = False) -> None:
+        verdicts, self._verdicts, self._rows = self._verdicts, [], 0
+        if verdicts and not self.worker.put(partial(self._write, verdicts), must=last):
+            self._lose(verdicts, "the disk was too slow")
+
+    def _write(self, verdicts: list[Verdict]) -> None:
+        try:
+            self._add(verdicts)
+        except Exception as error:  # continue with the next batch
+            self._lose(verdicts, str(error))
+
     def _add(self, verdicts: list[Verdict]) -> None:
-        came = [one for one in verdicts if one.sample is not None]
-        changes = [change for one in verdicts for change in one.changes]
-        samples = [one.sample for one in came if one.sample is not None]
-        t_ns = np.array([one.t_ns for one in came], np.int64)
-        q, dq, tau = (np.array([getattr(one, name) for one in samples]) for name in ("q", "dq", "tau"))
+        assert self._log is not None  # open() made it
+        came, changes = [one for one in verdicts if one.block is not None], [c for one in verdicts for c in one.changes]
+        t_ns, q, dq, tau = (
+            np.concatenate([getattr(one.block, name) for one in came]) if came else np.zeros(0, np.int64)
+            for name in ("t_ns", "q", "dq", "tau")
+        )
         estimates = {name: np.concatenate([one.estimates[name] for one in came]) for name in COLUMNS if came}
         self._log.add(t_ns, q, dq, tau, estimates, changes)
 
     def _lose(self, verdicts: list[Verdict], why: str) -> None:
-        self.lost += sum(one.sample is not None for one in verdicts)
+        self.lost += sum(len(one.block) for one in verdicts if one.block is not None)
         self.error = self.error or why

@@ -68,34 +68,48 @@ class _Window:
 
 
 class MonitoredTime:
-    """Counts in the loop's thread: a few integers a sample, a row a second."""
+    """Counts in the loop's thread: a few integers a block of samples, a row a second.
+
+    A sample that is judged at most LATE_S after it came, and after the estimate before, counts as monitored, although
+    it was missing for a while.
+    """
 
     def __init__(self, missing_after_s: float):
         """missing_after_s: time after which the loop counts a sample as missing."""
         self._longest_ns = round(max(LATE_S, missing_after_s) * 1e9)
         self._last_ns: int | None = None
+        self._is_silent = False
         self._good_ns = self._total_ns = self._causes = 0
         self._minute, self._hour = _Window(MINUTE_S), _Window(HOUR_S)
         self._all_good_ns = self._all_ns = 0
 
-    def add(self, now_ns: int, is_valid: bool, causes: int = 0, age_ns: int = 0) -> None:
-        """Count the time since the last call.
+    def add(self, now_ns: int, valid: float, causes: int = 0) -> None:
+        """Count the time since the last estimate.
 
         Args:
-            now_ns: when the estimate was there, by time.monotonic_ns().
-            is_valid: whether its health is ok; the count begins with the first valid one.
+            now_ns: when the estimates were there, by time.monotonic_ns().
+            valid: share of them whose health is ok and that came in time; the count begins with a whole one.
             causes: bits of the causes of a bad health.
-            age_ns: time from the reception of the sample to its estimate.
         """
+        self._is_silent = False
+        self._count(now_ns, valid, causes)
+
+    def miss(self, now_ns: int, causes: int) -> None:
+        """Count a silence once it is longer than a late sample may take; before that, the next estimate decides."""
+        if self._last_ns is not None and (self._is_silent or now_ns - self._last_ns > self._longest_ns):
+            self._is_silent = True
+            self._count(now_ns, 0.0, causes)
+
+    def _count(self, now_ns: int, valid: float, causes: int) -> None:
         last_ns = self._last_ns
         if last_ns is None:
-            self._last_ns = now_ns if is_valid else None
+            self._last_ns = now_ns if valid == 1 else None
             return
         self._last_ns, wait_ns = now_ns, now_ns - last_ns
         self._total_ns += wait_ns
-        if is_valid and wait_ns <= self._longest_ns and age_ns <= LATE_S * 1e9:
-            self._good_ns += wait_ns
-        else:
+        if wait_ns <= self._longest_ns:
+            self._good_ns += round(valid * wait_ns)
+        if valid < 1 or wait_ns > self._longest_ns:
             self._causes |= causes
 
     def second(self) -> Monitored:

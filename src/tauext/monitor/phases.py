@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
@@ -14,7 +14,6 @@ from tauext._core import DeclaredContact, Monitor, WrenchAxes
 from tauext.config import Rule, within
 from tauext.errors import ConfigError
 from tauext.files.typed_table import TableName, read_table, table_of_line
-from tauext.monitor.changes import DeclaredChange
 
 AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
 Vector = tuple[float, float, float]
@@ -202,11 +201,6 @@ class Phases:
             for phase in self.by_name.values()
             if phase.during
         ]
-
-    def with_names(self, change: DeclaredChange) -> DeclaredChange:
-        """The change with the name and the bounds of its contact."""
-        name, bounds = self.declared.get(change.contact, ("", None))
-        return replace(change, phase=name, bounds=bounds)
 
 
 def bounds_words(contact: DeclaredContact) -> str:

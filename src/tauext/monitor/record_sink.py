@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +19,7 @@ from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
 from tauext.files.preflight import LEAST_ROOM, expect_folder
 from tauext.files.provenance import VERSION
+from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
@@ -89,51 +89,54 @@ class RecordSink:
         self._late_ns: int | None = None
         """Stamp of a sample older than the one before; the clock started again if the next one follows it."""
         self.count = RecordCount()
-        self.patient = False
-        """Whether the loop waits for the disk instead of losing samples: for a source faster than real time."""
-        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        """Segments to write; None at the end."""
-        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self.worker = BackgroundWorker("recording", MOST_WAITING)
+        """Writes segments."""
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
         self._begin()
-        self._thread.start()
+        self.worker.start()
 
     def verdict(self, verdict: Verdict) -> None:
-        sample, estimates, k = verdict.sample, verdict.estimates, self._row
-        if sample is None:
+        if (block := verdict.block) is None:
             return
         if not self._names:  # the other signals of the source, taken from its first sample
-            measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
-            self._warm = sample.temperature
-            if self._warm is not None and np.isfinite(self._warm).all():
-                measured.append("temperature")
+            measured = [name for name in RAW_SIGNALS if getattr(block, name) is not None]
+            if block.temperature is not None:
+                self._warm = block.temperature[0]
+                measured += ["temperature"] * bool(np.isfinite(self._warm).all())
             self._names = ("q", "dq", "tau", *measured)
             self._begin()
-        signals = [getattr(sample, name) for name in self._names]
+        estimates = verdict.estimates
+        touched, is_ok = (estimates["alarm"] != NONE) | (estimates["declared"] != 0), estimates["health"] == OK
+        contact = np.where(touched, 1, np.where(is_ok, 0, -1)).tolist()
+        for row, t_ns in enumerate(block.t_ns.tolist()):
+            signals = [None if (one := getattr(block, name)) is None else one[row] for name in self._names]
+            self._add(t_ns, signals, contact[row])
+
+    def _add(self, t_ns: int, signals: list[Any], contact: int) -> None:
+        """Keep one sample, if it is usable. signals: None: not measured."""
+        k = self._row
         if self._names[-1] == "temperature" and signals[-1] is not None:  # measured seldom: the last value holds
             signals[-1] = self._warm = np.array(np.where(np.isfinite(signals[-1]), signals[-1], self._warm))
         if any(values is None for values in signals) or not all(np.isfinite(values).all() for values in signals):
             self.count.unfit += 1
             return
-        if k and sample.t_ns <= self._t_ns[k - 1]:
-            if self._late_ns is None or sample.t_ns <= self._late_ns:
-                self._late_ns = sample.t_ns
+        if k and t_ns <= self._t_ns[k - 1]:
+            if self._late_ns is None or t_ns <= self._late_ns:
+                self._late_ns = t_ns
                 self.count.unfit += 1
                 return
             self._hand_over()
             self._clock_restarted()
             k = 0
         self._late_ns = None
-        if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
+        if k == self._rows or (k and t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
             self._hand_over()
             k = 0
-        self._t_ns[k] = sample.t_ns
+        self._t_ns[k], self._contact[k] = t_ns, contact
         for values, kept in zip(signals, self._signals, strict=True):
             kept[k] = values
-        alarm, healthy = estimates["alarm"][0] != NONE or estimates["declared"][0] != 0, estimates["health"][0] == OK
-        self._contact[k] = 1 if alarm else 0 if healthy else -1
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
@@ -149,8 +152,7 @@ class RecordSink:
     def close(self) -> None:
         """Write the remaining samples and wait for the disk."""
         self._hand_over(last=True)
-        self._waiting.put(None)
-        self._thread.join()
+        self.worker.end()
 
     def _clock_restarted(self) -> None:
         """Called in the loop's thread before the first sample of the new clock."""
@@ -162,22 +164,15 @@ class RecordSink:
 
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
-        while self.patient and self._waiting.qsize() >= MOST_WAITING and self._thread.is_alive():
-            time.sleep(1e-3)
+        signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
+        segment = {"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals
         if k < 2:
             self.count.unfit += k
-        elif self._waiting.qsize() >= MOST_WAITING and not last:
+        elif not self.worker.put(partial(self._write, segment), must=last):
             self.count.lost += k
             self.count.error = self.count.error or "the disk was too slow"
-        else:
-            signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
-            self._waiting.put({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
         if not last:
             self._begin()
-
-    def _work(self) -> None:
-        while (work := self._waiting.get()) is not None:
-            self._write(work)
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         while True:
@@ -237,11 +232,20 @@ FAULT_EVERY_S = 60.0
 class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
-    def __init__(self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str):
-        """folder: exists. bundle: None: none monitors yet, and flights are lost. source: its name, for file names."""
-        super().__init__(recorder, self._write_here, fault_every_s=FAULT_EVERY_S)
-        self._folder, self._bundle, self._name = folder, bundle, file_name(source)
-        self._source: FlightSource | None = None
+    def __init__(
+        self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str | FlightSource
+    ):
+        """
+        Args:
+            folder: exists.
+            bundle: None: none monitors yet, and flights are lost.
+            source: name of a live source, for file names; or a recording, whose replay waits for the disk.
+        """
+        self._of_recording = isinstance(source, FlightSource)
+        super().__init__(recorder, self._write_here, fault_every_s=0.0 if self._of_recording else FAULT_EVERY_S)
+        self._folder, self._bundle = folder, bundle
+        self._name = file_name(source) if isinstance(source, str) else ""
+        self._source = source if isinstance(source, FlightSource) else None
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
@@ -249,12 +253,20 @@ class FlightSink(FlightWriter):
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
         """The next flights are this bundle's."""
-        self._bundle, self._source = bundle, None
+        if not self._of_recording:
+            self._bundle, self._source = bundle, None
 
     def verdict(self, verdict: Verdict) -> None:
+        if self._of_recording:
+            self.catch_up()
         if self._source is None and self._bundle is not None:
             made, without = self._bundle.observer, lacking(self._bundle)
-            of_arm = (self._joints, verdict.t_ns, 1e9 / made.sample_period_ns, cast(TorqueTiming, made.timing.name))
+            of_arm = (
+                self._joints,
+                int(verdict.t_ns[0]),
+                1e9 / made.sample_period_ns,
+                cast(TorqueTiming, made.timing.name),
+            )
             self._source = FlightSource(self._bundle, self._name, *of_arm, without, command="tauext monitor")
 
     def every_second(self, report: LoopReport) -> None:

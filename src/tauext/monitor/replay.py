@@ -1,80 +1,25 @@
-"""The monitor on a recording: chunks, pace, tally, single samples."""
+"""The stream of events of a monitor; chunks of its estimates for output, and their sums."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import ALARMS, COLLISION, HEALTHS, NONE
+from tauext.bundle.estimates import ALARMS, HEALTHS, NONE
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import AlarmChange, Change, ChangeFinder, DeclaredChange, HiddenCollision, LoadChange
+from tauext.monitor.changes import Change, ChangeFinder, LoadChange
 from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.phases import Phases
 from tauext.monitor.touch_place import PlaceFinder
 
-# --- Replay at wall-clock speed.
-
-
-class Pace:
-    """Delays samples to their times: the recording runs `speed` times as fast as it was recorded.
-
-    A late replay does not wait until it has caught up. Times that go backwards cause no wait.
-    """
-
-    def __init__(
-        self,
-        speed: float | None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ):
-        """speed: None for no delay. clock and sleep count in seconds."""
-        self.speed = speed
-        self._clock, self._sleep = clock, sleep
-        self._began: tuple[float, int] | None = None
-
-    def wait_until(self, t_ns: int) -> None:
-        """Wait until the time of this stamp; the first call starts the clock and does not wait."""
-        left_s = self.left_s(t_ns)
-        if left_s > 0:
-            self._sleep(left_s)
-
-    def left_s(self, t_ns: int) -> float:
-        """Wall time until this stamp, [s]; 0 or negative if it has passed. The first call starts the clock."""
-        if self.speed is None:
-            return 0.0
-        if self._began is None:
-            self._began = (self._clock(), t_ns)
-        clock_s, first_ns = self._began
-        return clock_s + (t_ns - first_ns) * 1e-9 / self.speed - self._clock()
-
-
-# --- Samples through the core's monitor in chunks: no Python runs between two samples of a chunk.
-
-
-CHUNK_S = 1.0
-PACED_CHUNK_S = 0.02
-"""Wall time of a chunk of a paced replay, short enough for viewers."""
-
-
-class Samples(Protocol):
-    """Samples to replay: a Recording, or an object with its fields that may contain NaN or times that go backwards."""
-
-    @property
-    def t_ns(self) -> np.ndarray: ...  # (samples,) int64, [ns]
-    @property
-    def q(self) -> np.ndarray: ...  # (samples, joints) float64, [rad]
-    @property
-    def dq(self) -> np.ndarray: ...  # [rad/s]
-    @property
-    def tau(self) -> np.ndarray: ...  # [N m]
+# --- Chunks of samples and estimates, for output.
 
 
 @dataclass(frozen=True)
@@ -98,6 +43,9 @@ class Chunk:
         return int(np.nanargmax(share)) if np.isfinite(share).any() else len(share) - 1
 
 
+# --- The stream of events.
+
+
 class EventStream:
     """A monitor and the changes in its estimates: the stream of events of a replay or the live loop."""
 
@@ -108,27 +56,34 @@ class EventStream:
             phases: whose contacts are declared to the monitor.
         """
         self.monitor, self.phases = monitor, phases or Phases()
-        self._finder, self._places = ChangeFinder(), places
+        self._finder, self._places = ChangeFinder(self.phases.declared), places
         self._next_places: PlaceFinder | None = None
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._noted: list[Change] = []
-        self._scheduled: list[tuple[str, _core.DeclaredContact, int, float]] = []
+        self._scheduled: list[tuple[int, Callable[[int, int], None]]] = []
 
-    def schedule(self, first_ns: int) -> None:
-        """Declare the contacts of the phases at their times in a recording whose first stamp this is."""
-        self._scheduled = self.phases.scheduled(first_ns)
+    def schedule(self, first_ns: int, loads: Sequence[TimedLoad]) -> None:
+        """Set loads, and declare the contacts of the phases, at their times in a recording with this first stamp."""
+        acts: list[tuple[int, Callable[[int, int], None]]] = [
+            (from_ns, partial(self._declare, name, contact, seconds))
+            for name, contact, from_ns, seconds in self.phases.scheduled(first_ns)
+        ]
+        acts += [(first_ns + round(one.from_s * 1e9), partial(self.carry, one.load)) for one in loads]
+        self._scheduled = sorted(acts, key=lambda act: act[0])
 
-    def declare_due(self, t_ns: int) -> int | None:
-        """Declare the scheduled contacts that begin by this stamp; returns the next one's begin, [ns]; None: none.
+    def act_when_due(self, row: int, t_ns: int) -> int | None:
+        """Do what is scheduled before the sample of this row; returns the time of the next act, [ns]; None: none.
 
         Raises:
-            CoreError: the monitor refuses a contact.
+            CoreError: the monitor refuses a contact or a load.
         """
-        while self._scheduled and t_ns >= self._scheduled[0][2]:
-            assert isinstance(self.monitor, _core.Monitor)  # a NoMonitor takes no contacts
-            name, contact, _, seconds = self._scheduled.pop(0)
-            self.phases.declare(self.monitor, name, contact, seconds)
-        return self._scheduled[0][2] if self._scheduled else None
+        while self._scheduled and t_ns >= self._scheduled[0][0]:
+            self._scheduled.pop(0)[1](row, t_ns)
+        return self._scheduled[0][0] if self._scheduled else None
+
+    def _declare(self, name: str, contact: _core.DeclaredContact, seconds: float, row: int, t_ns: int) -> None:
+        assert isinstance(self.monitor, _core.Monitor)  # a NoMonitor takes no contacts
+        self.phases.declare(self.monitor, name, contact, seconds)
 
     def exchange(self, monitor: AnyMonitor, places: PlaceFinder) -> None:
         """Another bundle's monitor makes the estimates from here on. An alarm that stands keeps its places."""
@@ -174,94 +129,15 @@ class EventStream:
         dq: np.ndarray | None = None,
     ) -> list[Change]:
         """Noted changes, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
-        changes, self._noted = self._noted, []
-        changes += [
-            self.phases.with_names(one) if isinstance(one, DeclaredChange) else one
-            for one in self._finder.find(row, t_ns, estimates)
-        ]
+        noted, self._noted = self._noted, []
+        # An acknowledgement, and what was set before the first sample, applies from here on.
+        changes = [replace(one, t_ns=int(t_ns[0])) if one.is_acknowledgement or row == 0 else one for one in noted]
+        changes += self._finder.find(row, t_ns, estimates)
         if self._next_places is not None and estimates["alarm"][0] == NONE:
             self._places, self._next_places = self._next_places, None
         if self._places is not None and q is not None and dq is not None:
             changes += self._places.find(row, t_ns, q, dq, estimates)
-        return changes
-
-
-def replay(
-    monitor: _core.Monitor,
-    samples: Samples,
-    pace: Pace | None = None,
-    recorder: _core.FlightRecorder | None = None,
-    acknowledge_after_s: float | None = None,
-    chunk_s: float = CHUNK_S,
-    loads: Sequence[TimedLoad] = (),
-    places: PlaceFinder | None = None,
-    phases: Phases | None = None,
-) -> Iterator[Chunk]:
-    """Send every sample in order, as a control loop would; chunks come at the time of their last sample.
-
-    Estimates and events do not depend on chunk_s or pace. A gap is detected by the stamp of the sample that follows it,
-    as in a loop that does not report missing samples.
-
-    Args:
-        monitor: newly made or reset.
-        pace: None for no delay.
-        recorder: receives every sample. Take its flight after every chunk, and keep chunk_s below the time kept after
-            an event, or flights may be missed.
-        acknowledge_after_s: time after which a collision alarm is acknowledged, before the next sample, > 0; None:
-            never.
-        chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
-        loads: loads of the arm with their start times, in the order of these times.
-        places: estimates the touched link and place; None: not estimated.
-        phases: contacts that are declared, at their times in the recording.
-
-    Raises:
-        CoreError: the bundle refuses the load or a contact.
-    """
-    pace = pace or Pace(None)
-    events = EventStream(monitor, places, phases)
-    t_ns, temperature = samples.t_ns, getattr(samples, "temperature", None)
-    if len(t_ns):
-        pace.wait_until(int(t_ns[0]))
-    most = max(1, round(chunk_s * 1e9 / monitor.sample_period_ns))
-    wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
-    due_ns, begin = None, 0
-    waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
-    if len(t_ns):
-        events.schedule(int(t_ns[0]))
-    while begin < len(t_ns):
-        declared_ns = events.declare_due(int(t_ns[begin]))
-        if due_ns is not None and t_ns[begin] >= due_ns:
-            events.end_alarm(monitor.acknowledge, begin, int(t_ns[begin]))
-            due_ns = None
-        while waiting and t_ns[begin] >= waiting[0][0]:
-            events.carry(waiting.pop(0)[1], begin, int(t_ns[begin]))
-        next_ns = (due_ns, declared_ns, *(load[0] for load in waiting[:1]))
-        ends = [end for end in next_ns if end is not None]
-        rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
-        pace.wait_until(int(t_ns[rows.stop - 1]))
-        started = time.perf_counter()
-        warm = None if temperature is None else temperature[rows]
-        estimates = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
-        core_s = time.perf_counter() - started
-        changes = events.find(begin, t_ns[rows], estimates, samples.q[rows], samples.dq[rows])
-        yield Chunk(begin, t_ns[rows], samples.dq[rows], estimates, changes, core_s)
-        if wait_ns is not None:
-            due_ns = monitor.last.alarm_t_ns + wait_ns if estimates["alarm"][-1] == COLLISION else None
-        begin = rows.stop
-
-
-def chunk_rows(t_ns: np.ndarray, wait_ns: int | None, due_ns: int | None) -> int:
-    """Number of these samples for one call, at least 1.
-
-    The call ends before the sample of a due acknowledgement, and no alarm raised in it may be due within it.
-    """
-    rows = len(t_ns)
-    if wait_ns is not None:
-        since_first = np.maximum.accumulate(t_ns) - np.minimum.accumulate(t_ns)
-        rows = min([rows, *np.flatnonzero(since_first >= wait_ns)[:1].tolist()])
-    if due_ns is not None:
-        rows = min([rows, *np.flatnonzero(t_ns >= due_ns)[:1].tolist()])
-    return max(rows, 1)
+        return sorted(changes, key=lambda change: change.row)
 
 
 # --- Sums of a replay: counts, shares and worst margins.
@@ -303,11 +179,10 @@ class Tally:
             came: whether each row belongs to a received sample, which counts; empty: all.
         """
         for change in chunk.changes:
-            self.hidden += isinstance(change, HiddenCollision)
-            if isinstance(change, AlarmChange):
-                self.acknowledged += change.acknowledged
-                if change.joint >= 0:
-                    self.alarms[change.alarm, change.joint] += 1
+            self.hidden += change.event == "hidden"
+            self.acknowledged += change.is_acknowledgement
+            if change.raised is not None:
+                self.alarms[change.raised] += 1
         if came and not any(came):
             return
         if not all(came):

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from tauext._core import Bundle, Load, LoadFound, Monitor
-from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
-from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
+from tauext.bundle.estimates import NONE, OK, sample_facts
+from tauext.monitor.changes import Change, Trigger
 from tauext.monitor.episode import Episode
-from tauext.monitor.events import sample_facts
 from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.phases import Announced
-from tauext.monitor.source import Sample, SourceCounts
-from tauext.monitor.touch_place import PlaceChange, newtons, place_facts
+from tauext.monitor.source import Block, SourceCounts
+from tauext.monitor.touch_place import newtons
 
 # --- Receivers of every sample and event: publishers, outputs, recordings.
 
@@ -29,20 +28,23 @@ EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The monitor's result for one sample or, with sample None, for one that did not come."""
+    """The monitor's result for the samples that had come, at least one, or, with block None, for one that had not."""
 
     row: int
     """Number of samples before it."""
-    t_ns: int
-    """Time by the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
-    sample: Sample | None
+    t_ns: np.ndarray
+    """Times by the source's clock, (rows,) [ns]; for a missing sample the last stamp plus the time since then."""
+    block: Block | None
     estimates: Mapping[str, np.ndarray]
-    """One row of Monitor.run: tau_ext (1, joints) [N m], health (1,), ..."""
+    """Result of Monitor.run, a row a sample: tau_ext (rows, joints) [N m], health (rows,), ..."""
     changes: tuple[Change, ...]
+    """Changes at these samples, by rising row."""
     episode: Episode | None = None
-    """The alarm that stands at this sample, as of the newest news; None: none stands."""
+    """The alarm that stands at the last sample, as of the newest news; None: none stands."""
     news: tuple[Episode, ...] = ()
-    """Alarms of which something is new at this sample, or that have ended."""
+    """Alarms of which something is new at these samples, or that have ended, in order."""
+    core_s: float = 0.0
+    """Time spent in the core, [s]."""
 
     @property
     def alarm_number(self) -> int:
@@ -115,6 +117,8 @@ class LoopReport:
 class Sink(Protocol):
     """Receives every verdict, in the loop's thread and in order: it must return at once; slow work belongs in a thread.
 
+    A verdict has one sample, or all that had come if the loop was late.
+
     A sink that raises is reported once and not called again; the loop continues.
     """
 
@@ -123,7 +127,7 @@ class Sink(Protocol):
         ...
 
     def verdict(self, verdict: Verdict) -> None:
-        """Called after every sample and for every missing one."""
+        """Called after the samples that had come, and for every missing one."""
         ...
 
     def every_second(self, report: LoopReport) -> None:
@@ -142,7 +146,7 @@ class Follows(Protocol):
     def follow(self, bundle: Bundle, monitor: Monitor) -> None:
         """Called in the loop's thread between two samples, before the first verdict of each monitor.
 
-        Within verdict() the monitor holds the sample of that verdict.
+        Within verdict() the monitor holds the last sample of that verdict.
         """
         ...
 
@@ -262,41 +266,50 @@ class EventFinder:
         self._unsettled = False
 
     def find(self, verdict: Verdict) -> list[ReactionEvent]:
-        """Events of this verdict, usually none. At one sample a fault precedes an alarm."""
-        if not verdict.changes and not self._unsettled:
-            return []
-        events = []
+        """Events of this verdict by rising row, usually none. At one sample a fault precedes an alarm."""
+        events: list[ReactionEvent] = []
+        begin = 0
         for change in verdict.changes:
-            if isinstance(change, HealthChange):
-                if change.health == FAULT and change.was != FAULT:
-                    events.append(self._event("fault", change.joint, verdict))
-            elif isinstance(change, AlarmChange | TouchChange | PlaceChange) and change.alarm and change.joint >= 0:
-                kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
-                episode = next((one for one in verdict.news if one.number == change.number), None)
-                event = self._event(kind, change.joint, verdict, episode)
-                news, of_place = isinstance(change, AlarmChange), isinstance(change, PlaceChange)
-                events.append(replace(event, news=news, of_place=of_place))
-        if events:
-            self._unsettled = True
-        elif self._unsettled and verdict.estimates["health"][0] == OK and verdict.estimates["alarm"][0] == NONE:
-            self._unsettled = False
-            events.append(self._event("cleared", -1, verdict))
-        return events
+            if (trigger := change.trigger) is None:
+                continue
+            row = change.row - verdict.row
+            events += self._cleared(verdict, begin, row)
+            events.append(self._event(trigger, verdict, row))
+            self._unsettled, begin = True, row + 1
+        return events + self._cleared(verdict, begin, len(verdict.t_ns))
 
-    def _event(self, kind: EventKind, joint: int, verdict: Verdict, episode: Episode | None = None) -> ReactionEvent:
-        """episode: of a collision or contact."""
-        received_ns = time.monotonic_ns() if verdict.sample is None else verdict.sample.received_ns
+    def _cleared(self, verdict: Verdict, begin: int, end: int) -> list[ReactionEvent]:
+        """The end of all that was reported, if it is at one of these rows."""
+        if not self._unsettled or begin >= end:
+            return []
+        rows = slice(begin, end)
+        is_clear = (verdict.estimates["health"][rows] == OK) & (verdict.estimates["alarm"][rows] == NONE)
+        if not is_clear.any():
+            return []
+        self._unsettled = False
+        return [self._event(None, verdict, begin + int(is_clear.argmax()))]
+
+    def _event(self, trigger: Trigger | None, verdict: Verdict, row: int) -> ReactionEvent:
+        """trigger: None: all is cleared."""
+        kind, joint, of_alarm, is_news, of_place = trigger or ("cleared", -1, 0, True, False)
+        is_fault, news = kind not in ("collision", "contact"), verdict.news
+        found = [] if is_fault else [one for one in news if (one.number, one.row) == (of_alarm, verdict.row + row)]
+        episode = found[0] if found else None
+        received_ns = time.monotonic_ns() if verdict.block is None else int(verdict.block.received_ns[row])
         place, number = (None, 0) if episode is None else (episode.place, episode.number)
-        facts = self._facts | {"joints": list(self._joints), "row": verdict.row} | sample_facts(verdict.estimates, 0)
-        facts |= {"number": number or None, "place": place and place_facts(place, self._joints)}
+        facts = self._facts | {"joints": list(self._joints), "row": verdict.row + row}
+        facts |= sample_facts(verdict.estimates, row)
+        facts |= {"number": number or None, "place": place and place.place_facts(self._joints)}
         return ReactionEvent(
             kind,
             self._joints[joint] if joint >= 0 else None,
-            verdict.t_ns,
+            int(verdict.t_ns[row]),
             received_ns,
             facts,
             touch=facts["touch"] if episode else None,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),
             number=number,
+            news=is_news,
+            of_place=of_place,
         )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import groupby
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -42,16 +44,69 @@ class Sample:
     voltage: np.ndarray | None = None
     """Supply voltage, [V]."""
 
-    def fits(self, joints: int) -> bool:
-        """Whether every signal has one value for each joint."""
-        rest = (self.temperature, self.q_des, self.current, self.duty, self.voltage)
-        signals = (self.q, self.dq, self.tau, *(one for one in rest if one is not None))
-        return all(np.shape(one) == (joints,) for one in signals)
+    @property
+    def shapes(self) -> tuple[tuple[int, ...] | None, ...]:
+        """Shape of each signal; None: not measured by the source."""
+        return tuple(None if (one := getattr(self, name)) is None else np.shape(one) for name in SIGNALS)
 
-    def without_values(self, joints: int) -> Sample:
-        """NaN for each joint, with the same times."""
-        unknown = np.full(joints, np.nan)
-        return Sample(self.t_ns, unknown, unknown, unknown, self.received_ns)
+
+SIGNALS = ("q", "dq", "tau", "temperature", "q_des", "current", "duty", "voltage")
+"""Signals of a sample; a source measures the first three."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Successive samples with the same signals, at least one; a row each. See Sample for the units."""
+
+    t_ns: np.ndarray
+    """(rows,) int64, [ns]."""
+    q: np.ndarray
+    """(rows, joints), as the other signals."""
+    dq: np.ndarray
+    tau: np.ndarray
+    received_ns: np.ndarray
+    """(rows,) int64, [ns]."""
+    temperature: np.ndarray | None = None
+    q_des: np.ndarray | None = None
+    current: np.ndarray | None = None
+    duty: np.ndarray | None = None
+    voltage: np.ndarray | None = None
+
+    @staticmethod
+    def of(samples: Sequence[Sample]) -> Block:
+        """Make a block of samples with the same shapes."""
+
+        def rows(name: str, kind: type = np.float64) -> np.ndarray:
+            if len(samples) == 1:
+                return np.asarray(getattr(samples[0], name), kind)[None]
+            return np.array([getattr(one, name) for one in samples], kind)
+
+        measured = [name for name in SIGNALS if getattr(samples[0], name) is not None]
+        times = {name: rows(name, np.int64) for name in ("t_ns", "received_ns")}
+        return Block(**times, **{name: rows(name) for name in measured})
+
+    def sample(self, row: int) -> Sample:
+        of_row: dict[str, Any] = {name: None if (one := getattr(self, name)) is None else one[row] for name in SIGNALS}
+        return Sample(int(self.t_ns[row]), received_ns=int(self.received_ns[row]), **of_row)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, rows: slice) -> Block:
+        if rows == slice(0, len(self)):
+            return self
+        parts: list[Any] = [None if (one := getattr(self, name.name)) is None else one[rows] for name in fields(self)]
+        return Block(*parts)
+
+
+def blocks_of(samples: Sequence[Sample], joints: int) -> Iterator[tuple[Block, bool]]:
+    """Blocks of successive samples, and whether every signal has one value for each joint: else all values are NaN."""
+    for shapes, group in groupby(samples, key=lambda one: one.shapes):
+        if set(shapes) <= {None, (joints,)}:
+            yield Block.of(tuple(group)), True
+        else:
+            unknown = np.full(joints, np.nan)
+            yield Block.of([Sample(one.t_ns, unknown, unknown, unknown, one.received_ns) for one in group]), False
 
 
 class CountedTime:
@@ -75,6 +130,16 @@ class CountedTime:
             self.now_ns += step_ns if 0 < step_ns <= self._longest_ns else self._period_ns
         self._last_ns = t_ns
         return self.now_ns
+
+    def steps(self, t_ns: np.ndarray) -> np.ndarray:
+        """Count samples, at least one; returns the time of each, (samples,) [ns]."""
+        times_ns = np.array([self.step(int(t_ns[0]))])
+        if len(t_ns) > 1:
+            steps_ns = np.diff(t_ns)
+            steps_ns[(steps_ns <= 0) | (steps_ns > self._longest_ns)] = self._period_ns
+            times_ns = np.append(times_ns, self.now_ns + np.cumsum(steps_ns))
+            self.now_ns, self._last_ns = int(times_ns[-1]), int(t_ns[-1])
+        return times_ns
 
 
 @dataclass
@@ -164,9 +229,15 @@ class Commanded(Protocol):
 
 @runtime_checkable
 class Recorded(Protocol):
-    """A source whose samples are those of a recording, with their stamps."""
+    """A source whose samples are those of a recording, with their stamps. The loop takes them as blocks."""
 
     recording: Recording
+    is_made: bool
+    """Whether velocity and torque of a servo arm are those of the recording, not computed again from its signals."""
+
+    def next_block(self, timeout_s: float, most_rows: int) -> Block | None:
+        """Return the next samples whose time has come; None if there are none within timeout_s, or after the last."""
+        ...
 
 
 class Source(Protocol):
@@ -231,7 +302,7 @@ class StopChecked(Protocol):
 
 
 class ServoStage:
-    """Computes dq and tau of each sample, as import did for the bundle's training recordings.
+    """Computes dq and tau of samples, as import did for the bundle's training recordings.
 
     A missing signal makes them NaN, which the monitor reports as a fault.
     """
@@ -239,9 +310,10 @@ class ServoStage:
     def __init__(self, settings: _core.ServoSettings):
         self._input = _core.ServoInput(settings)
 
-    def made(self, sample: Sample) -> Sample:
-        """Return the sample with dq [rad/s] and tau in the bundle's input unit."""
-        kept = (sample.dq, sample.tau, sample.q_des, sample.current, sample.duty, sample.voltage)
-        signals = (None if values is None else np.ascontiguousarray(values, dtype=np.float64) for values in kept)
-        dq, tau = self._input.step(sample.t_ns, np.ascontiguousarray(sample.q, dtype=np.float64), *signals)
-        return replace(sample, dq=dq, tau=tau)
+    def made(self, block: Block) -> Block:
+        """Return the samples with dq [rad/s] and tau in the bundle's input unit."""
+        signals = [block.q, block.dq, block.tau, block.q_des, block.current, block.duty, block.voltage]
+        rows = zip(block.t_ns.tolist(), *([None] * len(block) if one is None else one for one in signals), strict=True)
+        made = [self._input.step(*row) for row in rows]
+        dq, tau = (np.array(values) for values in zip(*made, strict=True))
+        return replace(block, dq=dq, tau=tau)

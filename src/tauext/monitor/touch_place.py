@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchModel
-from tauext.bundle.estimates import unexplained
+from tauext.bundle.estimates import ALARMS, unexplained
 from tauext.errors import ConfigError
-from tauext.monitor.changes import Change, number_at
+from tauext.monitor.changes import Change, Trigger, number_at, trigger_of
 
 # --- Force of an alarm's touch at a frame named by the user.
 
@@ -46,6 +47,23 @@ class FrameForce:
     def off_n(self) -> float:
         """Bound of the force's error, [N]."""
         return SURE * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
+
+    def words(self) -> str:
+        """Describe a force by the nearest of the base's axes: `23 N at tool0 (up to 4 N wrong), 12° from -z`."""
+        if self.consistent < INCONSISTENT:
+            return f"no force at {self.frame} explains it"
+        axis = int(np.argmax(np.abs(self.force_n)))
+        along = abs(self.force_n[axis]) / max(self.size_n, 1e-9)
+        degrees = np.degrees(np.arccos(min(along, 1.0)))
+        sign = "-" if self.force_n[axis] < 0 else "+"
+        if self.blind:
+            ways = f"{self.blind} direction{'s' * (self.blind != 1)}"
+            without = f" without {', '.join(self.left_out)}" if self.left_out else ""
+            along_ways = " and ".join(f"({', '.join(f'{x:.1f}' for x in way)})" for way in self.blind_directions)
+            doubt = f"and {ways} that this pose cannot show{without}{': ' if along_ways else ''}{along_ways}"
+        else:
+            doubt = f"up to {max(self.off_n, 1):.0f} N wrong"
+        return f"{self.size_n:.0f} N at {self.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
 
 
 class ForceAtFrame:
@@ -87,24 +105,6 @@ class ForceAtFrame:
             left_out=tuple(self._model.left_out),
             consistent=float(wrench["consistent"][0]),
         )
-
-
-def frame_force_words(force: FrameForce) -> str:
-    """Describe a force by the nearest of the base's axes: `23 N at tool0 (up to 4 N wrong), 12° from -z`."""
-    if force.consistent < INCONSISTENT:
-        return f"no force at {force.frame} explains it"
-    axis = int(np.argmax(np.abs(force.force_n)))
-    along = abs(force.force_n[axis]) / max(force.size_n, 1e-9)
-    degrees = np.degrees(np.arccos(min(along, 1.0)))
-    sign = "-" if force.force_n[axis] < 0 else "+"
-    if force.blind:
-        ways = f"{force.blind} direction{'s' * (force.blind != 1)}"
-        without = f" without {', '.join(force.left_out)}" if force.left_out else ""
-        along_ways = " and ".join(f"({', '.join(f'{x:.1f}' for x in way)})" for way in force.blind_directions)
-        doubt = f"and {ways} that this pose cannot show{without}{': ' if along_ways else ''}{along_ways}"
-    else:
-        doubt = f"up to {max(force.off_n, 1):.0f} N wrong"
-    return f"{force.size_n:.0f} N at {force.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
 
 
 # --- Link and place of an alarm's touch, reported while the alarm is active.
@@ -164,10 +164,72 @@ class PlaceChange(Change):
         places, consistent = tuple(found.places), found.consistent
         return cls(row, t_ns, alarm, joint, since_s, links, places, found.best, consistent, force)
 
+    event = "place"
+
     @property
     def guessed(self) -> bool:
         """Whether the shape of a link that may be touched is guessed."""
         return any(place.guessed for place in self.places)
+
+    @property
+    def explains(self) -> bool:
+        """Whether a single force on a link explains the touch."""
+        return self.consistent >= INCONSISTENT
+
+    def on(self, joints: tuple[str, ...]) -> str:
+        """`the link of elbow (93%)`."""
+        return links_words(self.links, joints, self.guessed)
+
+    def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
+        """`the touch is on the link of elbow (93%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
+        at_frame = "" if self.force is None else f"; {self.force.words()}"
+        if not self.explains:
+            return [f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"]
+        where = ", ".join(f"{value:.2f}" for value in self.best.point)
+        sure = "" if run_of(self.links)[2] >= STATED else "most likely "
+        spread_cm = max(self.best.spread_m * 100, 1)
+        force = f"{newtons(self.best):.0f} N within {spread_cm:.0f} cm of ({where}) m"
+        return [f"the touch is {sure}on {self.on(joints)}: {force}{at_frame}"]
+
+    def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        joint = joints[self.joint] if self.joint >= 0 else None
+        return {
+            "number": self.number,
+            "alarm": ALARMS[self.alarm],
+            "joint": joint,
+            "since_s": self.since_s,
+        } | self.place_facts(joints)
+
+    def place_facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        """Links by their joints' names, and places in the base's frame."""
+        facts: dict[str, Any] = {} if self.force is None else {"at_frame": asdict(self.force)}
+        return facts | {
+            "links": [{"joint": joints[link], "probability": share} for link, share in self.links],
+            "places": [
+                {
+                    "joint": joints[place.link],
+                    "probability": place.probability,
+                    "point_m": list(place.point),
+                    "force_n": list(place.force),
+                    "spread_m": place.spread_m,
+                }
+                for place in self.places
+            ],
+            "consistent": self.consistent,
+            "shapes_guessed": self.guessed,
+        }
+
+    @property
+    def trigger(self) -> Trigger | None:
+        return trigger_of(self.alarm, self.joint, self.number, False, True)
+
+    @property
+    def learned(self) -> dict[str, Any]:
+        return {"number": self.number, "place": self}
+
+    @property
+    def touched(self) -> TouchPlace | None:
+        return self.best
 
 
 def strength(tau_ext: np.ndarray, sigma_nm: np.ndarray) -> np.ndarray:
@@ -326,37 +388,3 @@ def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...], gue
         name = f"links of {joints[first]} {'to' if last > first + 1 else 'and'} {joints[last]}"
         others = [f"{joints[links[0][0]]} {links[0][1]:.0%}"]
     return f"the {name} ({'; '.join([f'{probability:.0%}', *others, *['shapes guessed'] * guessed])})"
-
-
-def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
-    """Describe a place: `the touch is on the link of elbow (93%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
-    at_frame = "" if change.force is None else f"; {frame_force_words(change.force)}"
-    if change.consistent < INCONSISTENT:
-        return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
-    place = change.best
-    where = ", ".join(f"{value:.2f}" for value in place.point)
-    sure = "" if run_of(change.links)[2] >= STATED else "most likely "
-    return (
-        f"the touch is {sure}on {links_words(change.links, joints, change.guessed)}: {newtons(place):.0f} N within "
-        f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m{at_frame}"
-    )
-
-
-def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
-    """Convert to plain JSON: links by their joints' names, places in the base's frame."""
-    facts: dict = {} if change.force is None else {"at_frame": asdict(change.force)}
-    return facts | {
-        "links": [{"joint": joints[link], "probability": share} for link, share in change.links],
-        "places": [
-            {
-                "joint": joints[place.link],
-                "probability": place.probability,
-                "point_m": list(place.point),
-                "force_n": list(place.force),
-                "spread_m": place.spread_m,
-            }
-            for place in change.places
-        ],
-        "consistent": change.consistent,
-        "shapes_guessed": change.guessed,
-    }

@@ -1,4 +1,4 @@
-"""Positions of a stream without jumps of whole turns, sample by sample."""
+"""Positions of a stream without jumps of whole turns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data.recording import NEAR_TURN, TURN, runs_of
-from tauext.monitor.source import Sample, SourceSettings
+from tauext.monitor.source import Block, SourceSettings
 
 FASTEST_RAD_S = 20.0
 """No joint of an arm moves faster; what it may move between two samples is the tolerance of a jump."""
@@ -60,15 +60,10 @@ class Turns:
         notes, self._notes = self._notes, []
         return notes
 
-    def made(self, sample: Sample) -> Sample:
-        """The sample with continuous positions, and its goals in the same turn."""
-        if sample.q.shape != self._last.shape:  # the monitor reports it
-            return sample
-        self._see(sample.t_ns, sample.q)
-        if not self._any_used:
-            return sample
-        q = sample.q - TURN * self._turns
-        return replace(sample, q=q, q_des=None if sample.q_des is None else self._goals(sample.q_des, q))
+    def made(self, block: Block) -> Block:
+        """The samples with continuous positions, and their goals in the same turns."""
+        q, q_des = self.rows(block.t_ns, block.q, block.q_des)
+        return block if q is block.q else replace(block, q=q, q_des=q_des)
 
     def rows(
         self, t_ns: np.ndarray, q: np.ndarray, q_des: np.ndarray | None = None
@@ -81,9 +76,11 @@ class Turns:
         given, goals = q, q_des
         if not len(given):
             return q, q_des
-        steps = np.abs(np.diff(given, axis=0, prepend=self._last[None]))
-        begins = sorted({0, *np.flatnonzero(~(steps < math.pi).all(axis=1)).tolist()})
-        for begin, end in pairwise([*begins, len(given)]):
+        begins = {0}
+        if len(given) > 1:
+            steps = np.abs(np.diff(given, axis=0))
+            begins |= set((1 + np.flatnonzero(~(steps < math.pi).all(axis=1))).tolist())
+        for begin, end in pairwise([*sorted(begins), len(given)]):
             self._see(int(t_ns[begin]), given[begin])
             if end > begin + 1:  # rows in which nothing jumps
                 self._last[:], self._last_ns = given[end - 1], int(t_ns[end - 1])

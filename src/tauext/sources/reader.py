@@ -16,8 +16,8 @@ from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSetti
 # --- Bounded queue between the receiving thread and the loop. The newest samples win; dropped ones are counted.
 
 
-CAPACITY = 64
-"""Samples; a loop this far behind has a gap in any case."""
+CAPACITY = 1000
+"""Samples: a second at 1 kHz, from which a late loop catches up in a few milliseconds."""
 
 
 class SampleQueue:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 from tauext.files.toml_file import flag, number, one_of, read_table, read_toml, tables, text
+from tauext_lerobot.calibration import MotorCalibration, load_lerobot_calibration
 
 MOST_ID = 252
 BAUD = 1_000_000

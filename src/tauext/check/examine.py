@@ -8,7 +8,7 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from tauext import _core
+from tauext import _core, plugins
 from tauext.check.arrangement import (
     exchanged_efforts,
     fit_load,
@@ -21,17 +21,6 @@ from tauext.check.arrangement import (
 from tauext.check.causes import causes_only, other_robot_findings
 from tauext.check.clock import clock_findings, degree_findings, time_findings, wrap_findings
 from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
-from tauext.check.drive import (
-    Effort,
-    Rest,
-    efforts_of,
-    is_drive,
-    play_findings,
-    rests_of,
-    servo_findings,
-    with_sign,
-    without_scale,
-)
 from tauext.check.effort import (
     SEARCH_S,
     delay_findings,
@@ -50,7 +39,7 @@ from tauext.check.effort import (
     torque_lags,
     unit_findings,
 )
-from tauext.check.finding import SEVERITIES, Finding
+from tauext.check.finding import SEVERITIES, Facts, Finding, Found, Plots, run_added
 from tauext.check.joint_fit import LEAST_ROWS, FitRows, JointFit, fit_joint, rows_of, torque_rows
 from tauext.check.motion import DEGREES, Stretch, VelocityFit, pose_findings, stretches, velocity_findings
 from tauext.check.odd_motion import odd_motions, odd_rates
@@ -68,7 +57,6 @@ from tauext.check.sensors import (
     without_spikes,
 )
 from tauext.data.dataset import ROBOT_FILES, load_dataset
-from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
 from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque, torque_unit
@@ -81,14 +69,10 @@ from tauext.robot.write import is_placeholder
 # --- Measured quantities of every joint.
 
 
-Facts = dict[str, float | str]
-"""Measured quantities of one joint, by names with units."""
-
-
 def facts_of(
     recordings: Sequence[Recording],
-    efforts: Sequence[Effort],
-    plays: Sequence[Play],
+    added: Sequence[Found],
+    measured: bool,
     velocities: Sequence[VelocityFit | None],
     rows: FitRows | None,
     fits: Sequence[JointFit],
@@ -98,20 +82,21 @@ def facts_of(
 
     Args:
         recordings: as recorded.
-        efforts: kind of each joint's tau.
+        added: results of the checks of packages.
+        measured: whether tau is measured, and no drive signal.
         rows: rows of the fits; None: no fits.
     """
     facts: list[Facts] = []
     noise = noise_nm(recordings)
-    for j, effort in enumerate(efforts):
+    for j in range(len(recordings[0].joints)):
         fact: Facts = {
             "range_rad": max(float(np.ptp(r.q[:, j])) for r in recordings),
             "speed_rad_s": max(float(np.abs(r.dq[:, j]).max()) for r in recordings),
             "torque_nm": max(float(np.abs(r.tau[:, j]).max()) for r in recordings),
             "torque_noise_nm": float(noise[j]),
-            "torque_is": effort.kind,
         }
-        fact |= _servo_facts(effort) | _play_facts(plays[j])
+        for one in added:
+            fact |= one.facts[j] if one.facts else {}
         position_rad, velocity_rad_s = steps_of(recordings, j)
         steps = {"torque_step_nm": torque_step_nm(recordings, j)}
         steps |= {"position_step_rad": position_rad, "velocity_step_rad_s": velocity_rad_s}
@@ -122,34 +107,12 @@ def facts_of(
         if fits and rows is not None:
             fit = fits[j]
             fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm}
-            if not any(map(is_drive, efforts)):
+            if measured:
                 fact["torque_delay_ms"] = lags[j][0] * 1e3
             if fit.gravity_factor[0]:
                 fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
         facts.append(fact)
     return facts
-
-
-def _servo_facts(effort: Effort) -> Facts:
-    fact: Facts = {}
-    if effort.made_from is not None:
-        fact["torque_made_from"] = effort.made_from
-    if effort.law is not None and effort.kind != "torque":
-        square = effort.kind == "supply current"
-        fact["effort_per_rad2" if square else "effort_per_rad"] = effort.law.gain
-        fact["effort_exponent"] = effort.law.exponent
-    if effort.full:
-        fact["effort_full"] = effort.full
-    return fact
-
-
-def _play_facts(play: Play) -> Facts:
-    fact: Facts = {"turns": play.turns}
-    if play.width_rad > 0:
-        fact |= {"backlash_rad": play.width_rad, "backlash_error_rad": play.error_rad}
-    if play.lost_rad > 0:
-        fact["lost_motion_rad"] = play.lost_rad
-    return fact
 
 
 # --- Order of the checks: signals, then motion, then torque against model. Faults are corrected for later checks.
@@ -167,6 +130,8 @@ STEPS = (
 )
 """Names of the steps, reported as progress."""
 
+OF_TORQUES = ("effort-scale", "effort-motor-side", "effort-limit", "payload-missing", "payload-absent")
+"""Codes of findings that apply only to a torque in N m."""
 OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
 """Faults of a torque that are warnings for a current."""
 
@@ -186,10 +151,8 @@ class Diagnosis:
     """The model, with corrected load or gravity; None: no model."""
     lag_s: float = 0.0
     """Delay of the torque, [s]."""
-    rests: list[Rest | None] = field(default_factory=list)
-    """For servo arms, the effort at rest of each joint."""
-    plays: list[Play] = field(default_factory=list)
-    """Play of each joint, estimated from its reversals."""
+    plots: list[Callable[[], Plots]] = field(default_factory=list)
+    """Of the checks of packages."""
     torque_unit: str = "Nm"
     """Unit of the recordings' tau: Nm or A."""
 
@@ -221,6 +184,8 @@ def examine(
     Raises:
         ConfigError: no recording, or recordings of different joints.
         RobotError: the robot file is missing."""
+    if missing := not_checked(recordings):
+        report.say(missing)
     with report.progress("check") as show:
         diagnosis = _examine(
             recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step)
@@ -246,9 +211,10 @@ def _examine(
     wraps, recordings = wrap_findings(recordings)
     recordings, odd = _alike(recordings, odd_rates(recordings))
     found += wraps + odd
-    recorded, efforts = recordings, efforts_of(recordings)
-    found += servo_findings(joints, efforts) + coarse_findings(recordings)
-    recordings, unsigned = with_sign(recordings, efforts)
+    recorded, (added, recordings) = recordings, run_added(recordings, corrected=False)
+    unsigned = any(one.unsigned for one in added)
+    measured = not any(one.drive for one in added) and not any(map(makes_torque, recordings))
+    found += [finding for one in added for finding in one.findings] + coarse_findings(recordings)
     spikes, recordings = _spikes(recordings, file)
     found += timed + spikes
     motion = stretches(recordings)
@@ -281,22 +247,26 @@ def _examine(
         pass  # no further check applies to a torque without a sign
     elif rows is not None:
         torque_found, rows, fits, lags, tree, lag_s = _torque(
-            rows, motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
+            rows, motion, tree, joints, recordings, found, measured, begin
         )
-        torque_found = without_scale(torque_found, joints, efforts)
-        if rows is not None and rows.has_model and file is not None and not any(map(is_drive, efforts)):
+        torque_found = without_scale(torque_found, added)
+        if rows is not None and rows.has_model and file is not None and measured:
             torque_found += other_robot_findings(rows, joints, fits, torque_found, file.position_limits_rad)
         unknown = in_amperes(recordings)
         found += _of_currents(torque_found, unknown) if unknown or from_amperes(recordings) else torque_found
     elif tree is not None:
         found += pose_findings(recordings, tree, joints)
-    plays = [play_of(recordings, j) for j in range(len(joints))]
-    found += play_findings(joints, plays)
-    found = causes_only(found)
-    facts = facts_of(recorded, efforts, plays, velocities, rows, fits, lags)
-    return Diagnosis(
-        joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays, torque_unit(recorded)
-    )
+    last, _ = run_added(recordings, corrected=True)
+    found = causes_only([*found, *(finding for one in last for finding in one.findings)])
+    facts = facts_of(recorded, [*added, *last], measured, velocities, rows, fits, lags)
+    plots = [one.plots for one in (*added, *last) if one.plots is not None]
+    return Diagnosis(joints, found, facts, rows, fits, tree, lag_s, plots, torque_unit(recorded))
+
+
+def not_checked(recordings: Sequence[Recording]) -> str | None:
+    """Sentence that names the package that checks what servos report; None: it is installed, or there are no servos."""
+    how = plugins.how_to_add("servo-torque") if any(r.provenance.get("servo") for r in recordings) else None
+    return how and f"the signals of the servos are not checked: {how}"
 
 
 def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -420,6 +390,12 @@ def _torque(
     if not spoils_contacts(signal_findings) and not any(f.severity == "fault" for f in found):
         found += unlabelled_findings(recordings, tree, lag_s)
     return found, rows, fits, lags, tree, lag_s
+
+
+def without_scale(found: Sequence[Finding], added: Sequence[Found]) -> list[Finding]:
+    """Remove findings that compare efforts with N m where a check found that the effort is no torque."""
+    other = {joint for one in added for joint in one.no_torque}
+    return [f for f in found if not (f.code in OF_TORQUES and (f.joint in other or (f.joint is None and other)))]
 
 
 def _of_currents(found: Sequence[Finding], unknown: bool) -> list[Finding]:
@@ -624,9 +600,8 @@ def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> l
     found, (corrected,) = time_findings([recording])
     wraps, (corrected,) = wrap_findings([corrected])
     found += wraps
-    efforts = efforts_of([corrected])
-    found += [f for f in servo_findings(corrected.joints, efforts) if f.severity == "fault"]
-    (corrected,), _ = with_sign([corrected], efforts)
+    added, (corrected,) = run_added([corrected], corrected=False)
+    found += [f for one in added for f in one.findings if f.severity == "fault"]
     normal = normal_ranges([corrected])
     spikes = spikes_of(corrected, normal, torque_limits_nm)
     found += spike_findings(corrected, spikes, normal)

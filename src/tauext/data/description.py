@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
+from tauext import plugins
 from tauext.data.recording import TORQUE_TIMINGS, TorqueTiming
-from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
+from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
 from tauext.files.toml_file import (
     REQUIRED,
@@ -26,6 +27,9 @@ from tauext.files.toml_file import (
     tables,
     text,
 )
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
@@ -395,21 +399,13 @@ class Arm:
         return tuple(dict.fromkeys(topic for topic in named if topic))
 
     @cached_property
-    def motors(self) -> tuple[MotorCalibration, ...]:
-        """Calibrations of the joints' motors; the recording's names may end in `.pos`.
+    def radians_of_normalised(self) -> Callable[[np.ndarray, bool], np.ndarray]:
+        """Converts LeRobot's normalised positions or, if sent, goals (samples, joints) to angles [rad].
 
         Raises:
-            ConfigError: no such file, no LeRobot calibration file, or a joint is missing in it.
+            ConfigError: the package for LeRobot is not installed, or the calibration file does not fit.
         """
-        path = self.path.parent / self.robot.calibration
-        listed = load_lerobot_calibration(path)
-        for name in self.names:
-            if name.removesuffix(".pos") not in listed:
-                raise ConfigError(
-                    f"{path}: it has no motor '{name.removesuffix('.pos')}', which {self.path} names; "
-                    f"it has {', '.join(listed)}"
-                )
-        return tuple(listed[name.removesuffix(".pos")] for name in self.names)
+        return plugins.part("lerobot-calibration")(self)
 
     def _check_signal(self, name: str, signal: SignalTable) -> None:
         table = f"signals.{name}"

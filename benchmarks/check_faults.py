@@ -1,24 +1,19 @@
 """Faults that `tauext check` finds: injected faults, faults named, false findings on good data.
 
-    python benchmarks/check_faults.py OUT [--backlash]        # half an hour on one core
+    python benchmarks/check_faults.py OUT                     # half an hour on one core
     python benchmarks/check_faults.py OUT --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
 Every way of tests/check_cases.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
 there). Other arms and drives (`SETTINGS` there) are good data. Of each recording in --data, real ones, whatever is
-found is listed. --backlash: servos of tests/made_servos.py, two bodies over a gap with friction, gravity, a position
-controller and 4096 counts a turn, at 50 Hz; tau is the drive's torque, or made of goal and position as an import does.
-OUT/check.md gets the tables.
+found is listed. OUT/check.md gets the tables.
 """
 
 import argparse
 import re
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -38,15 +33,11 @@ from check_cases import (
 from common import arguments, head, table_row, write_tables
 from made_arms import Part, six_axis, urdf
 from made_recordings import made_motion
-from made_servos import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
 from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.rig import arm_xml
 
-from tauext import _core
 from tauext.check.examine import Diagnosis, examine
-from tauext.data.drive_signal import Play, play_of
-from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.robot.read import load_tree
 
@@ -68,7 +59,6 @@ def main() -> None:
     parser.add_argument("--urdf", type=Path, nargs="*", default=[], help="arms whose recordings are broken, too")
     parser.add_argument("--data", type=Path, nargs="*", default=[], help="real recordings, each checked alone")
     parser.add_argument("--robot", type=Path, help="of the real recordings")
-    parser.add_argument("--backlash", action="store_true", help="estimate the backlash of simulated servos, too")
     options = parser.parse_args()
     lines = head("arm | faults reported | other findings | findings on good data | not reported")
     with tempfile.TemporaryDirectory() as name:
@@ -82,8 +72,6 @@ def main() -> None:
         print(f"\n{path.stem}")
         for f in examine([load_recording(path)], options.robot).findings:
             print(f"- {f.severity} `{f.code}` {f.joint or ''}: {f.evidence}")
-    if options.backlash:
-        lines += ["", *backlash_tables()]
     write_tables(options.out, lines, name="check")
 
 
@@ -160,64 +148,6 @@ def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
     else:
         urdf_file(path, {"six": six_axis, "scara": scara, "parallel": parallel}[arm]())
     return Case(made_motion(load_tree(path), minutes, RATE_HZ, seed), path, minutes, RATE_HZ)
-
-
-# --- Backlash of simulated servos.
-
-
-DEGREE = np.pi / 180
-SERVO_HZ = 50.0
-PLAYS = (0.0, 0.3, 0.5, 0.8, 1.0, 1.3, 1.5)
-SERVOS = {
-    "friction alone": Servo(),
-    "gravity equal to friction": Servo(gravity_nm=0.1),
-    "motor friction equal to link friction": Servo(motor_friction_nm=0.1),
-    "a third of the friction behind the backlash": Servo(link_friction_nm=0.03),
-    "gravity ten times friction": Servo(gravity_nm=1.0),
-    "encoder behind the backlash": Servo(encoder="link"),
-    "elastic friction over 1.1 degrees": Servo(bend_rad=0.01),
-}
-
-
-def backlash_tables() -> list[str]:
-    """Estimated width ± standard error in degrees; in parentheses the travel after which half of the friction acts."""
-    servos = [replace(servo, play_rad=play * DEGREE) for servo in SERVOS.values() for play in PLAYS]
-    driven = [drive(servos, 120.0, SERVO_HZ, seed) for seed in range(3)]
-    lines: list[str] = []
-    for what, made in (("the drive", False), ("goal and position", True)):
-        lines += ["", *head(" | ".join([f"torque from {what}", *(f"{play:g}°" for play in PLAYS)]))]
-        for k, (name, servo) in enumerate(SERVOS.items()):
-            recordings = [recording(part(one, k), servo, made) for one in driven]
-            lines.append(table_row(name, *(width(play_of(recordings, j)) for j in range(len(PLAYS)))))
-    return lines
-
-
-def part(driven: Driven, k: int) -> Driven:
-    """Of the case k alone."""
-    columns = slice(k * len(PLAYS), (k + 1) * len(PLAYS))
-    names = ("goal", "q", "dq", "duty", "torque")
-    return replace(driven, **{name: np.ascontiguousarray(getattr(driven, name)[:, columns]) for name in names})
-
-
-def recording(driven: Driven, servo: Servo, made: bool) -> Recording:
-    if not made:
-        return recorded(driven, driven.torque)
-    constants = _core.ServoConstants(
-        volts=1.0, ohm=1.0, back_emf_v_s=1 / NO_LOAD_RAD_S, nm_per_ampere=STALL_NM, most_duty=1.0, count_rad=COUNT_RAD,
-        duty_per_rad=servo.duty_per_rad,
-    )  # fmt: skip
-    settings = _core.ServoSettings(
-        _core.TorqueFrom.goal, [constants] * len(PLAYS), velocity_steps=10, sample_period_ns=round(1e9 / SERVO_HZ)
-    )
-    t_ns = np.round(driven.t_s * 1e9).astype(np.int64)
-    _, tau = _core.ServoInput(settings).recording(t_ns, driven.q, q_des=driven.goal)
-    return recorded(driven, tau)
-
-
-def width(play: Play) -> str:
-    if play.width_rad > 0:
-        return f"{play.width_rad / DEGREE:.2f} ± {play.error_rad / DEGREE:.2f}"
-    return f"({play.lost_rad / DEGREE:.2f})" if play.lost_rad > 0 else "–"
 
 
 if __name__ == "__main__":

@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 from common import ROOT, arguments, loop_arguments
 from seven_axis import bundle, motion
-from tauext.monitor.cell_file import Reaction
 
 from tauext import _core
+from tauext.monitor.cell_file import Reaction
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions

@@ -465,7 +465,7 @@ def faults(small: Small, data: Path, recipe: str, out: Path) -> list[str]:
 
 def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     """Refit, calibrate, weigh and correct the constants on the bundle's own dataset."""
-    from tauext.check.finding import CODES
+    from tauext.check.finding import codes
     from tauext.cli.load import load
     from tauext.train.calibrate import recalibrate
     from tauext.train.refit import refit_bundle
@@ -475,7 +475,7 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
 
     def refitted() -> str:
         out = bundle.with_name(f"{recipe}-refit.tauext")
-        refit_bundle(bundle, data, out, threads=1, accept=tuple(CODES))
+        refit_bundle(bundle, data, out, threads=1, accept=tuple(codes()))
         return unhealthy(out, dataset.training())
 
     def calibrated(new_scale: bool) -> Callable[[], str]:
@@ -484,7 +484,7 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
             own = replace(
                 dataset, split=replace(dataset.split, train=(), validation=(), calibration=dataset.split.train)
             )
-            recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=tuple(CODES))
+            recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=tuple(codes()))
             return unhealthy(out, dataset.training())
 
         return work

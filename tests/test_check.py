@@ -112,15 +112,11 @@ def test_fault_of_the_rig_is_named(rig: Case, name: str):
 
 CAUSES = ("position-wraps", "robot-file-other", "rows-dropped")
 OF_LIMITS = ("limit-fine", "limit-wide", "promise-worse")
-OF_SERVOS = {
-    "backlash", "current-signed", "effort-duty", "load-sign-bit", "supply-current", "unsigned-torque"
-}  # fmt: skip
 
 
 def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
-    # an unusable file here, causes in test_check_causes.py, limits of a training in
-    # test_few_data.py, what servos report in test_check_servo.py
-    elsewhere = {"model-unusable", *CAUSES, *OF_LIMITS} | OF_SERVOS
+    # an unusable file here, causes in test_check_causes.py, limits of a training in test_few_data.py
+    elsewhere = {"model-unusable", *CAUSES, *OF_LIMITS}
     assert set(CODES) - {fault.code for fault in FAULTS} == elsewhere
 
 

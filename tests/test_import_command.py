@@ -16,7 +16,6 @@ from tauext.cli import main
 from tauext.data.dataset import load_split
 from tauext.data.description import parse_arm
 from tauext.data.free_motion import free_stretches
-from tauext.data.importers.open_raw import open_raw
 from tauext.data.importing import RawFacts, plan
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RobotError
@@ -393,20 +392,6 @@ def test_new_writes_a_description_that_imports_once_its_open_entries_are_filled_
     assert main(["import", "--source", str(workplace / "three.bag"), "--arm", str(new), "--out", out]) == 0
     capsys.readouterr()
     assert main(["import", "--source", out]) == 2 and "--arm is missing" in capsys.readouterr().err
-
-
-def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
-    assert run(capsys, workplace, extra=["--format", "lerobot"])[0] == 0
-    sources = open_raw(workplace / "out")
-    assert [source.name for source in sources] == ["out-episode-000", "out-episode-001", "out-episode-002"]
-    (block,) = sources[1].blocks()
-    t_ns, q, _, tau = motion(3000, joints=2)
-    np.testing.assert_array_equal(block.t_ns, t_ns)
-    columns = dict(zip(block.names, block.columns.T, strict=True))
-    np.testing.assert_array_equal(columns["observation.state[elbow]"], q[:, 0])
-    np.testing.assert_array_equal(columns["observation.effort[shoulder]"], tau[:, 1])
-    info = json.loads((workplace / "out/meta/info.json").read_text())
-    assert info["codebase_version"] == "v3.0" and info["fps"] == 100 and info["total_frames"] == 9000
 
 
 def test_plans_follow_the_number_of_sources():

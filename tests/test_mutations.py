@@ -17,7 +17,7 @@ from mutations.good import ALL_KINDS, GoodSet
 from mutations.judging import FITTING, Seen, Worth, fits, verdict_after, verdict_before
 from mutations.tables import markdown
 
-from tauext.check.finding import CODES
+from tauext.check.finding import codes
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
@@ -215,7 +215,7 @@ def test_the_list_is_drawn_by_its_seed_and_every_case_can_be_named(good):
     assert all(set(case.files) <= {"one", "two"} for case in cases)
     for case in cases:
         assert not fits(case.change.what, case.change.signals, "resolution")
-    assert {code for codes in FITTING.values() for code in codes} <= set(CODES)
+    assert {code for listed in FITTING.values() for code in listed} <= set(codes())
 
 
 def seen(code, joint="b", severity="fault"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import shutil
 import signal
@@ -11,18 +12,25 @@ import sys
 import threading
 import tomllib
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from made_bundles import watching_bundle
 
 from tauext import plugins
+from tauext.check import finding
+from tauext.check.examine import examine
 from tauext.cli import in_plain_words, main
+from tauext.cli.progress import Terminal
 from tauext.config import TrainConfig
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
 from tauext.sources.open import open_source
-from tauext.train.stage import accepted_settings
+from tauext.train.stage import accepted_settings, compare_signals
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "04_plugin"
@@ -126,6 +134,76 @@ def test_the_recipe_of_the_example_stands_beside_ours(site):
     assert "broken: plug-in broken (broken, no_such:ROW): cannot be loaded: ModuleNotFoundError" in words
     code, _, err = tauext(site, "train", "--data", "data", "--out", "arm.tauext", "--recipe", "broken")
     assert code == 2 and "plug-in broken (broken, no_such:ROW): cannot be loaded" in err
+
+
+ARM = """\
+[robot]
+joints = ["shoulder", "elbow"]
+[signals]
+q.columns = "q"
+dq.columns = "dq"
+tau.columns = "tau"
+"""
+
+
+def test_the_format_of_the_example_is_imported_and_its_check_finds_the_clipped_velocity(site):
+    example = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert {*example} == {*plugins.GROUPS} - {plugins.PARTS}
+    t = np.arange(3000) / 100
+    w = np.array([1.7, 1.1])
+    q = 0.9 * np.sin(np.outer(t, w))
+    dq = np.clip(0.9 * w * np.cos(np.outer(t, w)), -1, 1)
+    row = np.dtype([("t_us", "<i8"), ("q", "<f4", 2), ("dq", "<f4", 2), ("tau", "<f4", 2)])
+    rows = np.array(list(zip((t * 1e6).round().astype(int), q, dq, np.tanh(dq / 0.02), strict=True)), row)
+    (site / "run.mylog").write_bytes(b"MYLOG1\n" + rows.tobytes())
+    (site / "arm.toml").write_text(ARM)
+    code, out, err = tauext(site, "import", "--source", "run.mylog", "--arm", "arm.toml", "--out", "data")
+    assert code == 0 and "run: 29.99 s, 100 Hz, 2 joints, 3000 samples" in out, err
+    assert "warning: my-arm-clipped (shoulder): its largest velocity is 1 rad/s" in err
+    code, out, err = tauext(site, "check", "--data", "data", "--json")
+    (clipped,) = [one for one in json.loads(out)["findings"] if one["code"] == "my-arm-clipped"]
+    assert clipped["severity"] == "warning" and clipped["joint"] == "shoulder", err
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """tauext without any package."""
+    monkeypatch.setattr(plugins, "entry_points", lambda group: ())
+    finding.added.cache_clear()
+    yield
+    finding.added.cache_clear()
+
+
+def test_a_folder_or_a_format_whose_package_is_not_installed_names_it(alone, tmp_path, capsys):
+    how = "'lerobot' is a plug-in: pip install ./packages/lerobot in the source folder of tauext\n"
+    (tmp_path / "ds/meta").mkdir(parents=True)
+    (tmp_path / "ds/meta/info.json").write_text("{}")
+    (tmp_path / "arm.toml").write_text(ARM)
+    words = ["import", "--source", str(tmp_path / "ds"), "--arm", str(tmp_path / "arm.toml"), "--out"]
+    assert main([*words, str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err == f"tauext: error: {tmp_path / 'ds'}: {how}"
+    assert main([*words, str(tmp_path / "out"), "--format", "lerobot"]) == 2
+    assert capsys.readouterr().err == f"tauext: error: --format = lerobot: {how}"
+
+
+def test_without_its_package_what_servos_report_is_not_checked_and_a_line_says_so(alone, capsys):
+    q, dq, tau = np.random.default_rng(0).normal(size=(3, 300, 2))
+    servo = {"servo": {"torque_from": "duty", "velocity_steps": 10}}
+    stamps = np.arange(300) * 20_000_000
+    run = Recording("run", ("a", "b"), stamps, q, dq, tau, 50.0, "held", "made", "", provenance=servo)
+    diagnosis = examine([run], report=Terminal())
+    assert not {"torque_is", "turns", "torque_delay_ms"} & {name for fact in diagnosis.facts for name in fact}
+    assert "backlash" not in finding.codes() and "unsigned-torque" not in finding.codes()
+    how = "'servo-torque' is a plug-in: pip install ./packages/lerobot in the source folder of tauext"
+    assert f"the signals of the servos are not checked: {how}" in " ".join(capsys.readouterr().err.split())
+    training = SimpleNamespace(training=[run], notes=[])
+    compare_signals(training, None, None)
+    (note,) = training.notes
+    assert note.startswith("The servos' recorded signals are not compared: 'servo-signals' is a plug-in: pip install")
+    training = SimpleNamespace(training=[replace(run, provenance={})], notes=[])
+    examine(training.training, report=Terminal())
+    compare_signals(training, None, None)
+    assert "plug-in" not in capsys.readouterr().err and not training.notes
 
 
 def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):

@@ -8,6 +8,10 @@ A package adds a robot, a command or a recipe in its pyproject.toml:
     mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
     [project.entry-points."tauext.recipes"]
     myrecipe = "my_package:RECIPE"   # a tauext.recipes.Recipe of this name
+    [project.entry-points."tauext.importers"]
+    myformat = "my_package:IMPORTER"  # a tauext.data.importers.raw.Importer
+    [project.entry-points."tauext.checks"]
+    mycheck = "my_package:CHECK"      # a tauext.check.finding.Check
 
 Parts of tauext's own commands that need a library for drawing, or that few users need, are entry points of the group
 tauext.parts: functions by name.
@@ -26,21 +30,31 @@ from typing import Any, TypeVar
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS, RECIPES, PARTS = "tauext.sources", "tauext.commands", "tauext.recipes", "tauext.parts"
+SOURCES, COMMANDS, IMPORTERS, CHECKS, RECIPES, PARTS = GROUPS = (
+    "tauext.sources",
+    "tauext.commands",
+    "tauext.importers",
+    "tauext.checks",
+    "tauext.recipes",
+    "tauext.parts",
+)
 """Groups of entry points."""
 OF_FLEET = ("fleet", "like", "prior-content")
 OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force", "network")
-OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
+OF_LEROBOT = ("lerobot", "lerobot-calibration", "label", "guard", "feetech", "dynamixel", "damiao")
+OF_SERVOS = ("servo-torque", "servo-signals", "backlash")
 FOLDERS = (
     {"commission": "lab commission", "ros2": "ros2"}
     | dict.fromkeys(OF_FLEET, "lab fleet")
     | dict.fromkeys((*OF_LAB, "torch"), "lab")
-    | dict.fromkeys(OF_LEROBOT, "lerobot")
+    | dict.fromkeys(OF_LEROBOT + OF_SERVOS, "lerobot")
 )
-"""Folders of packages/ to install, by the name that the last one adds. No registry has these yet:
-their names there may be those of strangers."""
+"""Folders of packages/ to install, by the entry point that the last one adds. No registry has these yet: their names
+there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
+IMPORTED = {"meta/info.json": "lerobot"}
+"""Importers of packages by the files that mark the folders they read."""
 
 
 def installed(group: str, taken: Collection[str] = ()) -> dict[str, EntryPoint]:
@@ -64,6 +78,15 @@ def named(name: str, own: Mapping[str, Added], group: str, kind: type[Added]) ->
     return None if entry is None else load(entry, kind)
 
 
+def every(group: str, kind: type[Added], taken: Collection[str] = ()) -> dict[str, Added]:
+    """All plug-ins of the group by name, without the names that are taken.
+
+    Raises:
+        ConfigError: one of them cannot be loaded.
+    """
+    return {name: load(entry, kind) for name, entry in installed(group, taken).items()}
+
+
 def part(name: str) -> Callable[..., Any]:
     """The function of this name in the group tauext.parts.
 
@@ -77,9 +100,8 @@ def part(name: str) -> Callable[..., Any]:
 
 
 def how_to_add(name: str) -> str | None:
-    """Which package adds this name of any group; None: it is there, or no package of this repository adds it."""
-    there = {one for group in (SOURCES, COMMANDS, RECIPES, PARTS) for one in installed(group)}
-    folders = "" if name in there else FOLDERS.get(name, "")
+    """Which package adds the entry point of this name; None: it is there, or no package of this repository adds it."""
+    folders = "" if any(name in installed(group) for group in GROUPS) else FOLDERS.get(name, "")
     named = " ".join(f"./packages/{folder}" for folder in folders.split())
     return f"'{name}' is a plug-in: pip install {named} in the source folder of tauext" if named else None
 

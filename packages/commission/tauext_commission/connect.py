@@ -17,7 +17,7 @@ import numpy as np
 from tauext._core import ServoConstants
 from tauext.check.effort import HIGH, LOW, SEARCH_S
 from tauext.check.examine import Diagnosis, examine
-from tauext.check.finding import CODES, Finding
+from tauext.check.finding import Finding, codes
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import ROBOT_FILES
 from tauext.data.description import Arm, load_arm, parse_arm
@@ -45,7 +45,7 @@ class Remark:
     """One line about the stream, for a person; a plain dict of it is an entry of findings.json."""
 
     code: str
-    """Key of check.finding.CODES, or of TOPICS."""
+    """Key of check.finding.codes(), or of TOPICS."""
     severity: Literal["fault", "warning", "note", "good"]
     """fault: what is learned from this stream is wrong. good: checked, and as it should be."""
     joint: str | None
@@ -135,7 +135,7 @@ def as_live(finding: Finding) -> Remark:
 
 
 def _words(finding: Finding) -> str:
-    return f"{CODES[finding.code]}: {finding.evidence}"
+    return f"{codes()[finding.code]}: {finding.evidence}"
 
 
 def _still(diagnosis: Diagnosis, low: Collection[str | None]) -> list[Remark]:

@@ -10,7 +10,7 @@ from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
 from test_small_datasets import expect_sound, number
 
-from tauext.check.finding import CODES
+from tauext.check.finding import codes
 
 
 def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
@@ -20,13 +20,15 @@ def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
     prior = folder / "type.prior.json"
 
     def made() -> str:
-        make_fleet_prior(fleet_arms([str(arm) for arm in arms[:3]]), prior, small.config("prior"), tuple(CODES))
+        make_fleet_prior(fleet_arms([str(arm) for arm in arms[:3]]), prior, small.config("prior"), tuple(codes()))
         return ""
 
     yield ended(small, "fleet prior", made)
     if prior.is_file():
         out = folder / "like.tauext"
-        yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), load_like(prior)))
+        yield ended(
+            small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(codes()), load_like(prior))
+        )
 
 
 ARMS = ["one joint", "one upright joint", "crossed", "wrong masses", "parallel", "weightless links"]

@@ -14,10 +14,10 @@ from tauext.bundle.estimates import COLLISION, CONTACT, OK
 from tauext.data.assemble import Columns, find_columns, in_si
 from tauext.data.description import NEEDS, Arm, ContactTable, TimeTable
 from tauext.data.importers.raw import RawRecording, RawSignals
-from tauext.data.lerobot_folder import frame_stamps
 from tauext.errors import BundleError, ConfigError, RecordingError
 from tauext.monitor.source import settings_of
 from tauext.monitor.turns import Turns
+from tauext_lerobot.lerobot_folder import frame_stamps
 
 # --- Labels of the frames of a LeRobot dataset.
 

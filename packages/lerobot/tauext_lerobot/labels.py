@@ -19,7 +19,6 @@ import pyarrow.parquet as pq
 from tauext import _core
 from tauext.data.description import Arm
 from tauext.data.importers.raw import RawSignals
-from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, raw_episode, readable
 from tauext.data.recording import runs_of
 from tauext.data.servo import velocity_and_torque
 from tauext.errors import ConfigError, RecordingError, TauextError
@@ -28,6 +27,7 @@ from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.progress import Reporter
 from tauext_lerobot.frames import UNKNOWN, Labels, ServoFrames, bare_name, element_names, expect_rate, labels_of
+from tauext_lerobot.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, raw_episode, readable
 
 # --- Labels in the features of a LeRobot dataset: elements of its state, or separate features.
 

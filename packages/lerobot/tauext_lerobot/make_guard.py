@@ -20,9 +20,9 @@ from tauext.progress import SILENT
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.data.lerobot_folder import LerobotFolder
     from tauext.data.recording import Recording
     from tauext_lerobot.guard import GuardSettings
+    from tauext_lerobot.lerobot_folder import LerobotFolder
 
 LEAST_MINUTES = 5.0
 LEAST_MOTION_DEG = 2 * math.pi
@@ -73,8 +73,8 @@ def guard(
     from tauext.config import TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.data.importing import import_dataset
-    from tauext.data.servo_types import load_lerobot_calibration
     from tauext.train.stage import train_bundle
+    from tauext_lerobot.calibration import load_lerobot_calibration
     from tauext_lerobot.guard import ARM, BUNDLE, CALIBRATION, SETTINGS
 
     require(at_most_nm is None or 0 < at_most_nm < 1e6, "at_most_nm", at_most_nm, "> 0")
@@ -162,7 +162,7 @@ def described(sources: Sequence[Path], normalised: bool) -> str:
     Raises:
         ConfigError: a source is no LeRobot dataset, or its state and action share no joint.
     """
-    from tauext.data.lerobot_folder import INFO, open_folder
+    from tauext_lerobot.lerobot_folder import INFO, open_folder
 
     for path in sources:
         if not (path / INFO).is_file():
@@ -205,7 +205,7 @@ def element_names(folder: LerobotFolder, feature: str) -> list[str]:
 
 def torque_source(folder: LerobotFolder, state: Sequence[str], measured: Sequence[str]) -> str:
     """The value of [servo] torque_from. A current of both signs is that of the windings."""
-    from tauext.data.lerobot_folder import episode_rows, frames_of
+    from tauext_lerobot.lerobot_folder import episode_rows, frames_of
 
     if "current" not in measured:
         return "duty" if "duty" in measured else "goal"

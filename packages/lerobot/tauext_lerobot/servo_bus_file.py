@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tauext.config import within
-from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 from tauext.files.typed_table import TableName, read_table
 from tauext.monitor.cell_file import Cell
+from tauext_lerobot.calibration import MotorCalibration, load_lerobot_calibration
 
 BAUD = 1_000_000
 

@@ -13,6 +13,7 @@ import lerobot_arm as arms
 import numpy as np
 import pytest
 from tauext_lerobot import make_guard
+from tauext_lerobot.calibration import motors_of
 from tauext_lerobot.guard import (
     BLIND_S,
     HOLD_S,
@@ -273,7 +274,7 @@ def test_files_that_a_given_arm_toml_names_are_found_from_its_place_and_kept(mad
     assert main(f"guard {paths} --gripper none".split()) == 0
     (tmp_path / "motors.json").unlink()
     _, arm, settings = load_guard(tmp_path / "guard")
-    assert [motor.name for motor in arm.motors] == list(MOTORS) and settings.grip is None
+    assert [motor.name for motor in motors_of(arm)] == list(MOTORS) and settings.grip is None
 
 
 @pytest.mark.parametrize(

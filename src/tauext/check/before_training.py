@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -17,8 +18,8 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact
-from tauext.check.examine import Diagnosis, examine, quick_checks, unlabelled_contacts
-from tauext.check.finding import CODES, Finding, Severity
+from tauext.check.examine import Diagnosis, examine, not_checked, quick_checks, unlabelled_contacts
+from tauext.check.finding import Finding, Severity, added, codes
 from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
@@ -173,10 +174,12 @@ def folder() -> Path:
 
 @cache
 def checks_version() -> str:
-    """Digest of the code of the checks, on which findings depend."""
+    """Digest of the code of the checks, those of packages too, on which findings depend."""
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    files = [__file__, *(inspect.getfile(check.find) for check in added().values())]
+    for package in dict.fromkeys(Path(file).parent for file in files):
+        for source in sorted(package.glob("*.py")):
+            digest.update(source.name.encode() + b"\0" + source.read_bytes())
     return digest.hexdigest()
 
 
@@ -234,8 +237,8 @@ def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -
     """
     for text in accept:
         code, colon, joint = text.partition(":")
-        if code not in CODES and text != REJECTED:
-            known = ", ".join([*CODES, REJECTED])
+        if code not in codes() and text != REJECTED:
+            known = ", ".join([*codes(), REJECTED])
             raise ConfigError(f"accept = {text}: '{code}' is no code of a finding; codes are {known}")
         if colon and joints is not None and joint not in joints:
             raise ConfigError(f"accept = {text}: there is no joint '{joint}'; the joints are {', '.join(joints)}")
@@ -312,7 +315,7 @@ def finding_lines(findings: Sequence[Finding]) -> list[str]:
         named = [f"joint{'s' * (len(joints) > 1)} {', '.join(joints)}"] if joints else []
         named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, LISTED)}"] if recordings else []
         about = f" ({'; '.join(named)})" if named else ""
-        lines.append(f"  {code}{about}: {CODES[code]}")
+        lines.append(f"  {code}{about}: {codes()[code]}")
         for finding in same[:LISTED]:
             lines.append(f"      {f'{finding.joint}: ' if finding.joint else ''}{finding.evidence}")
         if len(same) > LISTED:
@@ -377,6 +380,8 @@ def check_training(
         finds_constants: whether training finds the factor of tau.
         threads: number of threads, 0: one a core. The findings do not depend on it.
     """
+    if missing := not_checked(recordings):
+        report.say(missing)
     settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
     workers = _workers(threads)
     with ThreadPoolExecutor(workers) as pool:

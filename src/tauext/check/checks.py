@@ -16,7 +16,6 @@ from tauext.check import (
     causes,
     clock,
     contacts,
-    drive,
     effort,
     motion,
     odd_motion,
@@ -25,12 +24,10 @@ from tauext.check import (
     sensors,
     torque_changes,
 )
-from tauext.check.drive import Effort, is_drive
-from tauext.check.finding import Finding
+from tauext.check.finding import Finding, Found, run_added
 from tauext.check.joint_fit import LEAST_ROWS, FitRows, JointFit, fit_joint, rows_of
 from tauext.check.motion import DEGREES, Stretch, VelocityFit, stretches
 from tauext.check.robot_file import RobotFile
-from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.servo import derives_velocity, in_amperes, makes_torque, torque_unit
 
@@ -57,15 +54,13 @@ class Examination:
     tree: _core.Tree | None = None
     recorded: Sequence[Recording] = ()
     """The recordings before corrections of their torque."""
-    efforts: list[Effort] = field(default_factory=list)
-    unsigned: bool = False
-    """Whether a torque has no sign, so that no other check of it applies."""
+    added: list[Found] = field(default_factory=list)
+    """Results of the checks of packages."""
     velocities: list[VelocityFit | None] = field(default_factory=list)
     lags: list[tuple[float, float, float]] = field(default_factory=list)
     """Lag of each joint's torque, see `effort.torque_lags`."""
     lag_s: float = 0.0
     """Delay of the torque, [s]."""
-    plays: list[Play] = field(default_factory=list)
 
     @cached_property
     def motion(self) -> list[Stretch]:
@@ -94,6 +89,11 @@ class Examination:
     def unit(self) -> str:
         """Unit of the torque."""
         return torque_unit(self.recordings)
+
+    @property
+    def unsigned(self) -> bool:
+        """Whether a torque has no sign, so that no other check of it applies."""
+        return any(one.unsigned for one in self.added)
 
     @property
     def has_fit(self) -> bool:
@@ -135,18 +135,18 @@ NEEDS: dict[str, Callable[[Examination], bool]] = {
     "fit": lambda x: x.has_fit,
     "no fit": lambda x: not x.has_fit,
     "half a minute": lambda x: x.moves_long,
-    "measured torque": lambda x: not any(map(is_drive, x.efforts)),
+    "measured torque": lambda x: not any(one.drive for one in x.added) and not any(map(makes_torque, x.recordings)),
 }
 """What a check may need. A torque that is not measured is a drive's signal: it reverses before the joint leaves
 stiction, and lags."""
 
 
 @dataclass(frozen=True)
-class Check:
-    """One check, of tauext or of another package."""
+class Row:
+    """A row of the table: one check of tauext, or the place of those that packages add (`finding.Check`)."""
 
-    codes: Collection[str]
-    """Codes of its findings; of another package: a mapping of codes to their meanings, as CODES is."""
+    codes: tuple[str, ...]
+    """Codes of its findings, keys of CODES."""
     step: str
     """One of STEPS."""
     find: Callable[[Examination], list[Finding]]
@@ -159,7 +159,7 @@ class Check:
     """Whether its fault may look like a contact, so that contacts are not searched for."""
 
 
-def run(checks: Iterable[Check], x: Examination, begin: Callable[[str], None]) -> list[Finding]:
+def run(checks: Iterable[Row], x: Examination, begin: Callable[[str], None]) -> list[Finding]:
     """Run the checks whose needs are met; `begin` is called with the step of each."""
     for check in checks:
         if all(NEEDS[need](x) for need in check.needs):
@@ -180,16 +180,18 @@ def _open_model(x: Examination) -> list[Finding]:
     return x.file.findings + robot_file.changed_findings(x.recordings, x.robot)
 
 
-def _signs_of_drives(x: Examination) -> list[Finding]:
-    x.recorded, x.efforts = x.recordings, drive.efforts_of(x.recordings)
-    recordings, unsigned = drive.with_sign(x.recordings, x.efforts)
-    x.unsigned = bool(unsigned)
+def _added(x: Examination) -> list[Finding]:
+    """Faults by the checks of packages on recorded values."""
+    x.recorded, (x.added, recordings) = x.recordings, run_added(x.recordings, corrected=False)
     x.correct(recordings=recordings)
-    return [finding for finding in drive.servo_findings(x.joints, x.efforts) if finding.severity == "fault"]
+    return [finding for one in x.added for finding in one.findings if finding.severity == "fault"]
 
 
-def _kinds_of_drives(x: Examination) -> list[Finding]:
-    return [finding for finding in drive.servo_findings(x.joints, x.efforts) if finding.severity != "fault"]
+def _added_last(x: Examination) -> list[Finding]:
+    """Findings by the checks of packages on corrected recordings."""
+    last, _ = run_added(x.recordings, corrected=True)
+    x.added += last
+    return [finding for one in last for finding in one.findings]
 
 
 def _spikes(x: Examination) -> list[Finding]:
@@ -292,11 +294,6 @@ def _contacts(x: Examination) -> list[Finding]:
     return [] if x.spoiled or faulty else contacts.unlabelled_findings(x.recordings, x.tree, x.lag_s)
 
 
-def _plays(x: Examination) -> list[Finding]:
-    x.plays = [play_of(x.recordings, j) for j in range(len(x.joints))]
-    return drive.play_findings(x.joints, x.plays)
-
-
 # --- The table.
 
 
@@ -313,52 +310,52 @@ SIGNALS, VELOCITIES, ORDER, PLACES, SIGNS, DELAYS, SCALES, CHANGES = STEPS = (
 """Names of the steps, reported as progress: signals, then motion, then torque against model."""
 
 CHECKS = [
-    Check(("joint-names", "model-unusable", "inertia-impossible", "robot-file-changed"), SIGNALS, _open_model,
+    Row(("joint-names", "model-unusable", "inertia-impossible", "robot-file-changed"), SIGNALS, _open_model,
           ("robot file",)),
-    Check(("contact-in-free-motion",), SIGNALS, lambda x: contacts.contact_findings(x.recordings, x.called_free)),
-    Check(("time-unit",), SIGNALS, lambda x: x.take("recordings", clock.time_findings(x.recordings)), quick=True),
-    Check(("position-wraps",), SIGNALS, lambda x: x.take("recordings", clock.wrap_findings(x.recordings)), quick=True),
-    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_rates(x.recordings))),
-    Check(("supply-current", "unsigned-torque", "load-sign-bit"), SIGNALS, _signs_of_drives, quick=True),
-    Check(("effort-duty", "current-signed"), SIGNALS, _kinds_of_drives),
-    Check(("resolution",), SIGNALS, lambda x: sensors.coarse_velocities(x.recordings)),
-    Check(("spike",), SIGNALS, _spikes, quick=True),
-    Check(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_motions(x.recordings, x.motion))),
-    Check(("rows-dropped",), SIGNALS, lambda x: clock.lost_findings(x.recordings), quick=True),
-    Check(("clock-gaps",), SIGNALS, lambda x: clock.gap_findings(x.recordings), quick=True),
-    Check(("clock-irregular",), SIGNALS, lambda x: clock.jitter_findings(x.recordings), quick=True, spoils=True),
-    Check(("repeated-rows",), SIGNALS, lambda x: clock.repeat_findings(x.recordings), quick=True, spoils=True),
-    Check(("saturated",), SIGNALS, lambda x: sensors.saturated_findings(x.recordings), spoils=True),
-    Check(("stuck",), SIGNALS, lambda x: sensors.stuck_findings(x.recordings), quick=True, spoils=True),
-    Check(("resolution",), SIGNALS, lambda x: sensors.coarse_torques(x.recordings), spoils=True),
-    Check(("resolution",), SIGNALS, lambda x: sensors.smoothed_findings(x.recordings), spoils=True),
-    Check(("degrees", "velocity-sign", "velocity-unit", "velocity-delay", "velocity-mismatch", "joint-order"),
+    Row(("contact-in-free-motion",), SIGNALS, lambda x: contacts.contact_findings(x.recordings, x.called_free)),
+    Row(("time-unit",), SIGNALS, lambda x: x.take("recordings", clock.time_findings(x.recordings)), quick=True),
+    Row(("position-wraps",), SIGNALS, lambda x: x.take("recordings", clock.wrap_findings(x.recordings)), quick=True),
+    Row(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_rates(x.recordings))),
+    Row((), SIGNALS, _added, quick=True),
+    Row((), SIGNALS, lambda x: [f for one in x.added for f in one.findings if f.severity != "fault"]),
+    Row(("resolution",), SIGNALS, lambda x: sensors.coarse_velocities(x.recordings)),
+    Row(("spike",), SIGNALS, _spikes, quick=True),
+    Row(("odd-recording",), SIGNALS, lambda x: x.leave_out(odd_motion.odd_motions(x.recordings, x.motion))),
+    Row(("rows-dropped",), SIGNALS, lambda x: clock.lost_findings(x.recordings), quick=True),
+    Row(("clock-gaps",), SIGNALS, lambda x: clock.gap_findings(x.recordings), quick=True),
+    Row(("clock-irregular",), SIGNALS, lambda x: clock.jitter_findings(x.recordings), quick=True, spoils=True),
+    Row(("repeated-rows",), SIGNALS, lambda x: clock.repeat_findings(x.recordings), quick=True, spoils=True),
+    Row(("saturated",), SIGNALS, lambda x: sensors.saturated_findings(x.recordings), spoils=True),
+    Row(("stuck",), SIGNALS, lambda x: sensors.stuck_findings(x.recordings), quick=True, spoils=True),
+    Row(("resolution",), SIGNALS, lambda x: sensors.coarse_torques(x.recordings), spoils=True),
+    Row(("resolution",), SIGNALS, lambda x: sensors.smoothed_findings(x.recordings), spoils=True),
+    Row(("degrees", "velocity-sign", "velocity-unit", "velocity-delay", "velocity-mismatch", "joint-order"),
           VELOCITIES, _velocities, ("motion",)),
-    Check(("degrees",), VELOCITIES, _degrees, quick=True),
-    Check(("odd-recording",), VELOCITIES, _odd_torques, ("motion", "sign")),
-    Check(("never-moves", "excitation-low", "too-short"), VELOCITIES,
+    Row(("degrees",), VELOCITIES, _degrees, quick=True),
+    Row(("odd-recording",), VELOCITIES, _odd_torques, ("motion", "sign")),
+    Row(("never-moves", "excitation-low", "too-short"), VELOCITIES,
           lambda x: effort.excitation_findings(x.recordings, x.motion)),
-    Check(("beyond-limit",), VELOCITIES, _limits, ("robot file",)),
-    Check(("effort-sign",), VELOCITIES, lambda x: motion.pose_findings(x.recordings, x.model, x.joints),
+    Row(("beyond-limit",), VELOCITIES, _limits, ("robot file",)),
+    Row(("effort-sign",), VELOCITIES, lambda x: motion.pose_findings(x.recordings, x.model, x.joints),
           ("model", "sign", "no fit")),
-    Check(("joint-order",), ORDER, _exchanged_efforts, ("fit", "half a minute")),
-    Check(("joint-order", "joint-axis", "position-offset"), PLACES,
+    Row(("joint-order",), ORDER, _exchanged_efforts, ("fit", "half a minute")),
+    Row(("joint-order", "joint-axis", "position-offset"), PLACES,
           lambda x: x.take("motion", arrangement.rearranged(x.motion, x.model, x.joints)),
           ("fit", "half a minute", "model")),
-    Check(("effort-sign",), SIGNS, _signs, ("fit",)),
-    Check(("torque-delay",), DELAYS, _delays, ("fit", "measured torque")),
-    Check(("gravity-direction",), SCALES,
+    Row(("effort-sign",), SIGNS, _signs, ("fit",)),
+    Row(("torque-delay",), DELAYS, _delays, ("fit", "measured torque")),
+    Row(("gravity-direction",), SCALES,
           lambda x: x.take("tree", arrangement.gravity_finding(x.motion, x.model, x.rows)), ("fit", "model")),
-    Check(("effort-scale", "effort-motor-side", "effort-compensated", "payload"), SCALES, _scales, ("fit", "model")),
-    Check(("effort-scale",), SCALES, _units, ("fit", "no model")),
-    Check(("torque-changes",), CHANGES,
+    Row(("effort-scale", "effort-motor-side", "effort-compensated", "payload"), SCALES, _scales, ("fit", "model")),
+    Row(("effort-scale",), SCALES, _units, ("fit", "no model")),
+    Row(("torque-changes",), CHANGES,
           lambda x: torque_changes.friction_findings(x.rows, x.joints, x.fits, x.recordings), ("fit",)),
-    Check(("torque-changes",), CHANGES, lambda x: torque_changes.growth_findings(x.rows, x.joints, x.fits, x.unit),
+    Row(("torque-changes",), CHANGES, lambda x: torque_changes.growth_findings(x.rows, x.joints, x.fits, x.unit),
           ("fit", "measured torque")),
-    Check(("torque-changes",), CHANGES, lambda x: torque_changes.step_findings(x.rows, x.joints, x.fits, x.unit),
+    Row(("torque-changes",), CHANGES, lambda x: torque_changes.step_findings(x.rows, x.joints, x.fits, x.unit),
           ("fit", "measured torque")),
-    Check(("contact-in-free-motion",), CHANGES, _contacts, ("fit", "model")),
-    Check(("robot-file-other",), CHANGES, _other_robot, ("fit", "model", "measured torque")),
-    Check(("backlash",), CHANGES, _plays),
+    Row(("contact-in-free-motion",), CHANGES, _contacts, ("fit", "model")),
+    Row(("robot-file-other",), CHANGES, _other_robot, ("fit", "model", "measured torque")),
+    Row((), CHANGES, _added_last),
 ]  # fmt: skip
 """All checks, in the order in which they run."""

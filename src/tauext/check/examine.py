@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePath
 
 import numpy as np
 
-from tauext import _core
+from tauext import _core, plugins
 from tauext.check.causes import causes_only
 from tauext.check.checks import CHECKS, STEPS, Examination, run
 from tauext.check.contacts import unlabelled_findings
-from tauext.check.drive import Effort, Rest, rests_of, without_scale
-from tauext.check.finding import SEVERITIES, Finding, Severity
+from tauext.check.finding import SEVERITIES, Facts, Finding, Found, Plots, Severity
 from tauext.check.joint_fit import FitRows, JointFit
 from tauext.check.sensors import noise_nm, normal_ranges, spikes_of, steps_of, torque_step_nm, without_spikes
 from tauext.data.dataset import ROBOT_FILES, load_dataset
-from tauext.data.drive_signal import Play
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
 from tauext.data.servo import from_amperes, in_amperes, torque_unit
@@ -28,10 +26,6 @@ from tauext.progress import SILENT, Reporter, aligned
 from tauext.robot.write import is_placeholder
 
 # --- The diagnosis: findings, and measured quantities of every joint.
-
-
-Facts = dict[str, float | str]
-"""Measured quantities of one joint, by names with units."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +43,8 @@ class Diagnosis:
     """The model, with corrected load or gravity; None: no model."""
     lag_s: float = 0.0
     """Delay of the torque, [s]."""
-    rests: list[Rest | None] = field(default_factory=list)
-    """For servo arms, the effort at rest of each joint."""
-    plays: list[Play] = field(default_factory=list)
-    """Play of each joint, estimated from its reversals."""
+    plots: list[Callable[[], Plots]] = field(default_factory=list)
+    """Of the checks of packages."""
     torque_unit: str = "Nm"
     """Unit of the recordings' tau: Nm or A."""
     spoiled: bool = False
@@ -87,18 +79,24 @@ def examine(
         ConfigError: no recording, or recordings of different joints.
         RobotError: the robot file is missing."""
     _expect_one_arm(recordings)
+    if missing := not_checked(recordings):
+        report.say(missing)
     x = Examination(recordings, robot, gravity, called_free)
     with report.progress("check") as show:
         found = run(CHECKS, x, lambda step: show(STEPS.index(step), len(STEPS), step))
         show(len(STEPS), len(STEPS), "steps")
-    found = without_scale(found, x.joints, x.efforts)
+    found = without_scale(found, x.added)
     if in_amperes(x.recordings) or from_amperes(x.recordings):
         found = _of_currents(found, in_amperes(x.recordings))
     rows, fits, tree = (x.rows, x.fits, x.tree) if x.has_fit else (None, [], x.tree)
-    rests, unit = rests_of(x.recorded, x.efforts), torque_unit(x.recorded)
-    return Diagnosis(
-        x.joints, causes_only(found), facts_of(x), rows, fits, tree, x.lag_s, rests, x.plays, unit, x.spoiled
-    )
+    plots, unit = [one.plots for one in x.added if one.plots is not None], torque_unit(x.recorded)
+    return Diagnosis(x.joints, causes_only(found), facts_of(x), rows, fits, tree, x.lag_s, plots, unit, x.spoiled)
+
+
+def not_checked(recordings: Sequence[Recording]) -> str | None:
+    """Sentence that names the package that checks what servos report; None: it is installed, or there are no servos."""
+    how = plugins.how_to_add("servo-torque") if any(r.provenance.get("servo") for r in recordings) else None
+    return how and f"the signals of the servos are not checked: {how}"
 
 
 def _expect_one_arm(recordings: Sequence[Recording]) -> None:
@@ -110,6 +108,12 @@ def _expect_one_arm(recordings: Sequence[Recording]) -> None:
                 f"recording '{r.name}' has the joints {', '.join(r.joints)}, '{recordings[0].name}' "
                 f"{', '.join(recordings[0].joints)}; recordings checked together must be of one arm"
             )
+
+
+def without_scale(found: Sequence[Finding], added: Sequence[Found]) -> list[Finding]:
+    """Remove findings that compare efforts with N m where a check found that the effort is no torque."""
+    codes, other = ("effort-scale", "effort-motor-side", "payload"), {joint for one in added for joint in one.no_torque}
+    return [f for f in found if not (f.code in codes and (f.joint in other or (f.joint is None and other)))]
 
 
 def _of_currents(found: Sequence[Finding], unknown: bool) -> list[Finding]:
@@ -138,15 +142,15 @@ def facts_of(x: Examination) -> list[Facts]:
     """Measured quantities of every joint, once the checks have run."""
     recorded, noise = x.recorded, noise_nm(x.recorded)
     facts: list[Facts] = []
-    for j, effort in enumerate(x.efforts):
+    for j in range(len(x.joints)):
         fact: Facts = {
             "range_rad": max(float(np.ptp(r.q[:, j])) for r in recorded),
             "speed_rad_s": max(float(np.abs(r.dq[:, j]).max()) for r in recorded),
             "torque_nm": max(float(np.abs(r.tau[:, j]).max()) for r in recorded),
             "torque_noise_nm": float(noise[j]),
-            "torque_is": effort.kind,
         }
-        fact |= _servo_facts(effort) | _play_facts(x.plays[j])
+        for one in x.added:
+            fact |= one.facts[j] if one.facts else {}
         position_rad, velocity_rad_s = steps_of(recorded, j)
         steps = {"torque_step_nm": torque_step_nm(recorded, j)}
         steps |= {"position_step_rad": position_rad, "velocity_step_rad_s": velocity_rad_s}
@@ -163,28 +167,6 @@ def facts_of(x: Examination) -> list[Facts]:
                 fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
         facts.append(fact)
     return facts
-
-
-def _servo_facts(effort: Effort) -> Facts:
-    fact: Facts = {}
-    if effort.made_from is not None:
-        fact["torque_made_from"] = effort.made_from
-    if effort.law is not None and effort.kind != "torque":
-        square = effort.kind == "supply current"
-        fact["effort_per_rad2" if square else "effort_per_rad"] = effort.law.gain
-        fact["effort_exponent"] = effort.law.exponent
-    if effort.full:
-        fact["effort_full"] = effort.full
-    return fact
-
-
-def _play_facts(play: Play) -> Facts:
-    fact: Facts = {"turns": play.turns}
-    if play.width_rad > 0:
-        fact |= {"backlash_rad": play.width_rad, "backlash_error_rad": play.error_rad}
-    if play.lost_rad > 0:
-        fact["lost_motion_rad"] = play.lost_rad
-    return fact
 
 
 # --- The diagnosis as text for a terminal and as plain data for a script.

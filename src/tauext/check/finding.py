@@ -1,9 +1,16 @@
-"""Findings of the checks, and their codes."""
+"""Findings, their codes, and the checks that packages add."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
+
+import numpy as np
+
+from tauext import plugins
+from tauext.data.recording import Recording
 
 Severity = Literal["fault", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "note")
@@ -11,15 +18,12 @@ NEGATE_EFFORT = "negate the effort at import (`sign = -1` in [signals.tau])"
 """Remedy of every `effort-sign`."""
 
 CODES = {
-    "backlash": "a joint has play between its motor and its load",
     "beyond-limit": "a position or torque exceeds the robot file's limit",
     "clock-gaps": "samples are missing",
     "clock-irregular": "the steps between samples differ",
     "contact-in-free-motion": "contacts in a recording declared free, labelled or found in the torque",
-    "current-signed": "a current declared as the supply's has a sign",
     "degrees": "positions, or positions and velocities, are in degrees",
     "effort-compensated": "gravity or the whole model is already subtracted from the torque",
-    "effort-duty": "the torque is the duty of a drive, or a load register",
     "effort-motor-side": "the torque is that of the motor, before the gear",
     "effort-scale": "the torque has another unit, or is the model's times a constant",
     "effort-sign": "the torque is positive where it pushes in the negative direction",
@@ -31,7 +35,6 @@ CODES = {
     "joint-order": "joints are in another order",
     "limit-fine": "the limit of a training is below the step of the torque",
     "limit-wide": "the limit of a training is a large share of the joint's torque",
-    "load-sign-bit": "the torque is a load register with its sign still in a bit",
     "model-unusable": "the robot file cannot be used",
     "never-moves": "no joint moves",
     "odd-recording": "a recording disagrees with the others in unit, sign, order, zero, scale or load",
@@ -47,18 +50,16 @@ CODES = {
     "saturated": "many samples have one extreme value",
     "spike": "a few samples lie far beyond their neighbours",
     "stuck": "a signal is constant while its joint moves",
-    "supply-current": "the torque is the current of a servo's supply, without a sign",
     "time-unit": "the time stamps are in another unit",
     "too-short": "the recordings are short",
     "torque-changes": "the torque changes with time: its zero, in steps, or its friction",
     "torque-delay": "the torque is late or early relative to the motion",
-    "unsigned-torque": "the torque has no sign",
     "velocity-delay": "the velocity is late relative to the position",
     "velocity-mismatch": "the velocity is not the derivative of the position",
     "velocity-sign": "the velocity has the opposite sign",
     "velocity-unit": "the velocity is the derivative of the position times a constant",
 }
-"""Codes of findings and their meaning; stable, scripts may rely on them."""
+"""Codes of the core's findings and their meaning; stable, scripts may rely on them."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Finding:
     """One fault, warning or note about data or robot file."""
 
     code: str
-    """Key of CODES."""
+    """Key of codes()."""
     severity: Severity
     """fault: a bundle trained on these data is wrong. warning: it may be wrong or inaccurate. note: information."""
     joint: str | None
@@ -79,4 +80,95 @@ class Finding:
     """Name of the recording concerned; None: all, or several."""
 
     def __post_init__(self) -> None:
-        assert self.code in CODES and self.severity in SEVERITIES
+        assert self.code in codes() and self.severity in SEVERITIES
+
+
+# --- Checks that packages add.
+
+
+Facts = dict[str, float | str]
+"""Measured quantities of one joint, by names with units."""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One joint's plot in the picture of the checks."""
+
+    line: tuple[np.ndarray, np.ndarray]
+    """Measured curve, x and y; the predicted one, if there are points."""
+    y_range: tuple[float, float]
+    points: tuple[np.ndarray, np.ndarray] | None = None
+    """Measured points, x and y."""
+    shaded: float | None = None
+    """x up to which the plot is shaded, from 0."""
+    mark: float | None = None
+    """x of an upright line."""
+
+
+@dataclass(frozen=True)
+class Plots:
+    """A column of plots in the picture of the checks."""
+
+    title: str
+    x_label: str
+    of_joints: Sequence[Plot | None]
+    notable: bool
+    """Whether the picture is drawn for these."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Findings of a check, and what the checks after it have to know."""
+
+    findings: Sequence[Finding] = ()
+    recordings: Sequence[Recording] | None = None
+    """The recordings, corrected for the checks that follow; None: unchanged."""
+    facts: Sequence[Facts] = ()
+    """Measured quantities of each joint; empty: none."""
+    unsigned: bool = False
+    """Whether a joint's tau has no known sign. Then the torque is not compared with anything."""
+    drive: bool = False
+    """Whether a joint's tau is a drive signal, which reverses before the joint leaves stiction and shows no delay."""
+    no_torque: frozenset[str] = frozenset()
+    """Joints whose tau is not in N m. Then it is not compared with the model's size."""
+    plots: Callable[[], Plots] | None = None
+    """Called if a picture is drawn."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check of recordings of one arm. Packages add theirs as entry points of the group tauext.checks."""
+
+    codes: Mapping[str, str]
+    """Codes of its findings and their meaning, as in CODES."""
+    find: Callable[[Sequence[Recording]], Found]
+    """A function that checks recordings of the same joints, at least one. Findings are cached until a file beside the
+    function's changes."""
+    corrected: bool = True
+    """Whether it runs last, on recordings that all other checks have corrected. False: it runs before the checks of
+    signals, on recorded values; also on each recording alone, of which faults count."""
+
+
+@cache
+def added() -> dict[str, Check]:
+    """The checks of packages by name.
+
+    Raises:
+        ConfigError: one cannot be loaded.
+    """
+    return plugins.every(plugins.CHECKS, Check)
+
+
+def codes() -> dict[str, str]:
+    """All codes of findings and their meaning, in alphabetical order."""
+    return dict(sorted((CODES | {code: text for one in added().values() for code, text in one.codes.items()}).items()))
+
+
+def run_added(recordings: Sequence[Recording], corrected: bool) -> tuple[list[Found], Sequence[Recording]]:
+    """Run the checks of packages that want corrected recordings, or the others; each corrects for the next."""
+    results = []
+    for check in added().values():
+        if check.corrected == corrected:
+            results.append(check.find(recordings))
+            recordings = recordings if results[-1].recordings is None else results[-1].recordings
+    return results, recordings

@@ -11,8 +11,8 @@ import numpy as np
 
 from tauext.check.finding import Finding, Severity
 from tauext.check.motion import MOVING_RAD_S, repeated_rows
+from tauext.check.quantisation import MOST_VALUES, position_step, step_of
 from tauext.config import ObserverConfig
-from tauext.data.drive_signal import MOST_VALUES, position_step, step_of
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import derives_velocity, makes_torque, torque_unit
 

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from tauext import plugins
 from tauext.cli.arguments import JsonArg, MeshesArg, print_replaced
@@ -30,7 +30,7 @@ def import_data(
     new: Path | None = None,
     robot: Path | None = None,
     meshes: MeshesArg = (),
-    format: Literal["tauext", "lerobot"] = "tauext",
+    format: str = "tauext",
 ) -> None:
     """Convert recordings of a real arm to rad, rad/s and Nm, and write a dataset folder for `tauext train`.
 
@@ -40,8 +40,8 @@ def import_data(
     printed; the dataset is written in any case, so that `tauext check` can draw it.
 
     Args:
-        source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
-            v3.0 and v2.1.
+        source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB; with
+            packages/lerobot also LeRobot v3.0 and v2.1.
         arm: description of robot and recordings, arm.toml.
         out: folder to write; it must be empty or missing.
         new: write a commented description to this file instead of importing, with the names found in the source and
@@ -50,8 +50,8 @@ def import_data(
         meshes: folders of the meshes that the URDF names: a package's, or one that holds packages. They are searched
             before the folders near the URDF, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, example_robot_data and
             robot_descriptions.
-        format: output format. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3 dataset, an episode a
-            recording.
+        format: output format. tauext: recordings, robot file, split.json. lerobot, of packages/lerobot: a LeRobot v3
+            dataset, an episode a recording.
     """
     if new is not None:
         if arm is not None or out is not None or meshes:

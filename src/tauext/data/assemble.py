@@ -160,7 +160,7 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
     """Convert to SI at the joint: sign · unit · (torque constant) · gear, plus a position's offset (rad if
     normalised)."""
     if signal.unit == NORMALISED:
-        values = _of_normalised(key, values, arm)
+        values = arm.radians_of_normalised(values, key == "q_des")
     factor = np.full(len(arm.robot.joints), SIGNALS[key].units[signal.unit])
     if signal.torque_constant and signal.torque_constant != "unknown":
         factor *= signal.torque_constant
@@ -171,19 +171,6 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
         factor = factor * signal.sign
     converted = values * factor
     return converted + np.array(signal.offset) * SIGNALS[key].units[signal.unit] if signal.offset else converted
-
-
-def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
-    """Angles [rad] of LeRobot's normalised positions and goals; Dynamixel's bus does not reverse them by drive_mode."""
-    types = arm.servo.type if arm.servo is not None else ()
-    turned = not any(name.startswith("x") for name in types)
-    columns = [
-        motor.radians_of_normalised(
-            values[:, j], 0.0 if motor.name.endswith("gripper") else -100.0, turned, sent=key == "q_des"
-        )
-        for j, motor in enumerate(arm.motors)
-    ]
-    return np.stack(columns, axis=1)
 
 
 def conversions(arm: Arm) -> list[str]:

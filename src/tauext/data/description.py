@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
+from tauext import plugins
 from tauext.config import AT_LEAST_0, NOT_0, NOT_EMPTY, Rule, above, within
 from tauext.data.recording import TorqueTiming
-from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
+from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
 from tauext.files.plain_file import parse_toml, read_toml
 from tauext.files.typed_table import EachJoint, Example, OneOrMore, Text, expect_known, read_table
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
@@ -326,21 +330,13 @@ class Arm:
         return tuple(dict.fromkeys(topic for topic in named if topic))
 
     @cached_property
-    def motors(self) -> tuple[MotorCalibration, ...]:
-        """Calibrations of the joints' motors; the recording's names may end in `.pos`.
+    def radians_of_normalised(self) -> Callable[[np.ndarray, bool], np.ndarray]:
+        """Converts LeRobot's normalised positions or, if sent, goals (samples, joints) to angles [rad].
 
         Raises:
-            ConfigError: no such file, no LeRobot calibration file, or a joint is missing in it.
+            ConfigError: the package for LeRobot is not installed, or the calibration file does not fit.
         """
-        path = self.path.parent / self.robot.calibration
-        listed = load_lerobot_calibration(path)
-        for name in self.names:
-            if name.removesuffix(".pos") not in listed:
-                raise ConfigError(
-                    f"{path}: it has no motor '{name.removesuffix('.pos')}', which {self.path} names; "
-                    f"it has {', '.join(listed)}"
-                )
-        return tuple(listed[name.removesuffix(".pos")] for name in self.names)
+        return plugins.part("lerobot-calibration")(self)
 
     def _check_signal(self, name: str, signal: SignalTable) -> None:
         table = f"signals.{name}"

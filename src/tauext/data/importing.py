@@ -15,10 +15,9 @@ from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
 from tauext.data.free_motion import free_stretches, has_contact, length_s, within
 from tauext.data.importers.damaged import whole
-from tauext.data.importers.open_raw import open_raw
+from tauext.data.importers.open_raw import exporting, open_raw
 from tauext.data.importers.raw import RawRecording
 from tauext.data.joint_names import expect_all_placed
-from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
@@ -372,7 +371,7 @@ def import_dataset(
         paths: files or folders of one arm.
         arm_file: their description, arm.toml.
         out: folder to write, which must be empty or missing.
-        format: tauext or lerobot.
+        format: tauext, or the name of an importer that also writes, such as lerobot.
         say: called with a line for each change of the numbers.
         meshes: folders of the robot file's meshes, which are searched first.
 
@@ -382,6 +381,7 @@ def import_dataset(
         RobotError: the robot file cannot be used.
     """
     started = time.monotonic()
+    export = None if format == "tauext" else exporting(format)
     arm = load_arm(arm_file)
     expect_empty(out)
     expect_folder(out)
@@ -405,11 +405,11 @@ def import_dataset(
     for line in filter(None, left_out):
         say(line)
     with new_folder(out) as part:
-        if format == "lerobot":
+        if export is not None:
             if arm.split.named:
-                say("[split] is not used: a LeRobot dataset has no sets")
+                say(f"[split] is not used: a dataset of format {format} has no sets")
             recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
-            say(f"{export_lerobot(recordings, part)} episodes")
+            say(f"{export(recordings, part)} episodes")
         else:
             robot = _robot_file(arm, part, say, meshes)
             for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _reported(one, say)).notes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -195,39 +194,3 @@ def servo_of_recordings(recordings: Sequence[Recording]) -> _core.ServoSettings:
                 "of [servo]; import both with one arm.toml"
             )
     return servo_of(facts[0]) if facts and facts[0] else _core.ServoSettings()
-
-
-# --- The same recordings with the torque from another signal.
-
-
-def other_sources(recordings: Sequence[Recording]) -> list[str]:
-    """Other signals that the torque of servos could be computed from in all of these recordings; names of TorqueFrom.
-
-    A current with both signs is that of the windings.
-    """
-    if not recordings or not all(map(makes_torque, recordings)):
-        return []
-    settings = servo_of_recordings(recordings)
-    found = []
-    if all(r.q_des is not None for r in recordings) and all(one.duty_per_rad > 0 for one in settings.joints):
-        found.append("goal")
-    if all(r.current is not None for r in recordings):
-        signed = any((r.current < 0).any() for r in recordings if r.current is not None)
-        found.append("phase_current" if signed else "supply_current")
-    if all(r.duty is not None for r in recordings):
-        found.append("duty")
-    # An unsigned current gets its sign from the duty or the goal.
-    if "supply_current" in found and not {"goal", "duty"} & {*found}:
-        found.remove("supply_current")
-    return [name for name in found if name != settings.torque_from.name]
-
-
-def made_from(recording: Recording, source: str) -> Recording:
-    """The recording with velocity and torque computed again, the torque from this signal of other_sources()."""
-    facts = dict(recording.provenance["servo"])
-    if facts["torque_from"] not in OF_GOAL:  # nothing was stated about goals
-        facts["goal_delay_ns"] = facts["sample_period_ns"]
-    facts["torque_from"] = source
-    signals = {name: getattr(recording, name) for name in ("dq", *RAW_SIGNALS)}
-    dq, tau = velocity_and_torque(servo_of(facts), recording.t_ns, recording.q, signals)
-    return replace(recording, dq=dq, tau=tau, provenance=recording.provenance | {"servo": facts})

@@ -16,8 +16,8 @@ from tauext.config import PAPER_CASES, CaseName, TrainConfig, checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import Label, read_labels
 from tauext.data.recording import Recording
-from tauext.data.servo import TORQUE_WORDS, made_from, makes_torque, other_sources, servo_of_recordings
-from tauext.errors import ConfigError, TauextError
+from tauext.data.servo import makes_torque
+from tauext.errors import ConfigError
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.bundle_writing import set_drift
 from tauext.fit.network_training import apply_gate
@@ -41,13 +41,6 @@ from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network
 from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
 from tauext.train.promised_limits import refuse_limits
-from tauext.train.servo_signals import (
-    LEAST_RECORDINGS,
-    SignalLimits,
-    comparison_sentence,
-    not_compared,
-    signal_limits,
-)
 from tauext.train.suspects import (
     Suspect,
     are_same,
@@ -328,47 +321,19 @@ def fit_with_gain(job: Job, setup: Setup) -> tuple[Setup, PriorFit | None]:
 
 
 def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
-    """Note which signal of servos keeps the promise best, if limits of this training do not keep it in left-out motion.
-
-    Each other signal that all recordings hold is trained with, and its limits are found and tested in the same way.
+    """Note which signal of servos keeps the promise best, or which package compares them.
 
     Args:
         given: with suspected touches: each signal would suspect other moments, those of its own errors among them.
     """
-    own_source = servo_of_recordings(job.training).torque_from.name
-    own = signal_limits(job, bundle, own_source)
-    if own is None or own.factor <= 1 or not makes_torque(job.training[0]):
+    if not makes_torque(job.training[0]):
         return
-    sources = other_sources([*given.training, *given.validation])
-    if sources and len(given.training) < LEAST_RECORDINGS:
-        job.facts["limits"]["signals"] = {"sentence": not_compared(len(given.training))}
-        job.notes.append(job.facts["limits"]["signals"]["sentence"])
+    try:
+        compare = plugins.part("servo-signals")
+    except ConfigError as missing:
+        job.notes.append(f"The servos' recorded signals are not compared: {missing}.")
         return
-    found: dict[str, SignalLimits | None] = {own_source: own}
-    for source in ([own_source] if sources and job.suspects else []) + sources:
-        words = TORQUE_WORDS[source.replace("_", "-")]
-        job.say(f"training with the torque from the {words}, to compare")
-        try:
-            found[source] = limits_by(source, given, job)
-        except TauextError as error:
-            job.notes.append(f"torque from the {words} cannot be compared: {error}")
-    own, others = found.pop(own_source), [one for one in found.values() if one is not None]
-    if own is None or (sources and not others):
-        return
-    words = comparison_sentence(own, others)
-    job.facts["limits"]["signals"] = {"compared": [one.facts() for one in (own, *others)], "sentence": words}
-    job.notes.append(words)
-
-
-def limits_by(source: str, given: Given, job: Job) -> SignalLimits | None:
-    """Limits of a training on these recordings with the torque from this signal, by the settings of a job."""
-    training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
-    other = replace(given, training=training, validation=validation)
-    trained = prepare(other, job.config, job.out, SILENT)
-    setup, fit = fit_with_gain(trained, observe(trained))
-    bundle = assemble(trained, with_fit(setup, fit))
-    complete(trained, bundle, other, setup, fit)
-    return signal_limits(trained, bundle, source)
+    compare(job, bundle, given)
 
 
 def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit | None) -> None:

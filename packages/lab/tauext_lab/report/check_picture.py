@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -9,10 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tauext.check.drive import Rest
 from tauext.check.examine import Diagnosis
+from tauext.check.finding import Plot, Plots
 from tauext.check.joint_fit import FitRows
-from tauext.data.drive_signal import RestLaw
 from tauext.progress import SILENT, Reporter
 from tauext_lab.report.style import LIMIT, RC, WIDTH_IN, label_joint, save_png
 
@@ -24,13 +24,15 @@ BREAK_S = 0.5
 
 
 def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[Path]:
-    """Write torque.png, all joints, torque-1.png ..., one a joint over all of the motion, and for servos servos.png.
+    """Write torque.png, all joints, torque-1.png ..., one a joint over all of the motion, and the plots of packages'
+    checks, servos.png, if one is notable.
 
     Without a fit there is no torque to draw.
     """
-    servos = any(diagnosis.rests) or any(play.width_rad > 0 for play in diagnosis.plays)
+    plots = [plots() for plots in diagnosis.plots]
+    servos = any(one.notable for one in plots)
     if diagnosis.rows is None:
-        return [save_png(_servos(diagnosis), folder / "servos.png")] if servos else []
+        return [save_png(_servos(diagnosis.joints, plots), folder / "servos.png")] if servos else []
     count = 1 + len(diagnosis.joints) + servos
     with matplotlib.rc_context(RC), report.progress("draw") as show:
         show(0, count, "pictures")
@@ -40,7 +42,7 @@ def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[
             paths.append(save_png(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
         if servos:
             show(len(paths), count, "pictures")
-            paths.append(save_png(_servos(diagnosis), folder / "servos.png"))
+            paths.append(save_png(_servos(diagnosis.joints, plots), folder / "servos.png"))
         show(count, count, "pictures")
     return paths
 
@@ -84,35 +86,32 @@ def _one(diagnosis: Diagnosis, j: int) -> Figure:
     return figure
 
 
-def _servos(diagnosis: Diagnosis) -> Figure:
-    """Each joint's effort at rest with its law, and its load after a reversal with its play."""
-    n = len(diagnosis.joints)
-    figure = Figure(figsize=(WIDTH_IN, 0.9 + 1.5 * n), layout="constrained")
-    grid = figure.subplots(n, 2, squeeze=False)
-    rests = diagnosis.rests or [None] * n
-    for joint, (left, right), rest, play in zip(diagnosis.joints, grid, rests, diagnosis.plays, strict=True):
-        left.set_ylabel(joint)
-        if rest is not None and rest.effort_of.law is not None:
-            _rest(left, rest, rest.effort_of.law)
-        right.plot(np.degrees(play.travel_rad), play.curve, color=MEASURED, linewidth=1.0)
-        right.set_ylim(0, 1.5)
-        right.axvspan(0, np.degrees(play.lost_rad), color=PREDICTED, alpha=0.15, linewidth=0)
-        if play.width_rad > 0:
-            right.axvline(np.degrees(play.width_rad), color=LEFT, linewidth=1.0)
-    grid[0, 0].set_title("effort at rest, and its law", loc="left")
-    grid[0, 1].set_title("friction borne after a turn; shaded: half of it is not", loc="left")
-    grid[-1, 0].set_xlabel("goal - position, rad")
-    grid[-1, 1].set_xlabel("travel since the turn, degrees (line: play)")
+def _servos(joints: Sequence[str], columns: Sequence[Plots]) -> Figure:
+    """The plots of packages' checks: a row a joint, a column a check."""
+    figure = Figure(figsize=(WIDTH_IN, 0.9 + 1.5 * len(joints)), layout="constrained")
+    grid = figure.subplots(len(joints), len(columns), squeeze=False)
+    for k, column in enumerate(columns):
+        for axes, plot in zip(grid[:, k], column.of_joints, strict=True):
+            if plot is not None:
+                _plot(axes, plot)
+        grid[0, k].set_title(column.title, loc="left")
+        grid[-1, k].set_xlabel(column.x_label)
+    for axes, joint in zip(grid[:, 0], joints, strict=True):
+        axes.set_ylabel(joint)
     return figure
 
 
-def _rest(axes: Axes, rest: Rest, law: RestLaw) -> None:
-    axes.plot(rest.error_rad, rest.effort, ".", color=MEASURED, markersize=1.5)
-    error = np.linspace(rest.error_rad.min(), rest.error_rad.max(), 200)
-    power = 2 if rest.effort_of.kind == "supply current" else 1
-    predicted = law.gain * np.abs(error) ** power * (np.sign(error) if law.odd else 1.0)
-    axes.plot(error, predicted, color=PREDICTED, linewidth=0.9)
-    axes.set_ylim(1.1 * min(0.0, float(rest.effort.min())), 1.1 * max(1e-9, float(rest.effort.max())))
+def _plot(axes: Axes, plot: Plot) -> None:
+    if plot.points is not None:
+        axes.plot(*plot.points, ".", color=MEASURED, markersize=1.5)
+        axes.plot(*plot.line, color=PREDICTED, linewidth=0.9)
+    else:
+        axes.plot(*plot.line, color=MEASURED, linewidth=1.0)
+    axes.set_ylim(*plot.y_range)
+    if plot.shaded is not None:
+        axes.axvspan(0, plot.shaded, color=PREDICTED, alpha=0.15, linewidth=0)
+    if plot.mark is not None:
+        axes.axvline(plot.mark, color=LEFT, linewidth=1.0)
 
 
 def _curves(axes: Axes, diagnosis: Diagnosis, j: int, shown: np.ndarray, left: bool = True) -> None:

@@ -1,14 +1,16 @@
-"""Common output of all importers: numbers with times and names, as in the file."""
+"""The interface of importers, and their common output: numbers with times and names, as in the file."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+
+from tauext.data.recording import Recording
 
 BLOCK_ROWS = 8192
 """Samples in a block: enough for NumPy's speed, few enough for memory."""
@@ -115,3 +117,24 @@ class RawRecording:
         self.counts.clear()
         self.lost.reasons.clear()
         return {stream: tuple(names) for stream, names in found.items()}
+
+
+BEGIN = 1024
+"""Bytes at the beginning of a file from which importers recognise it."""
+Export = Callable[[Iterable[Recording], Path], int]
+"""Writes recordings into an empty folder, and returns the number of episodes."""
+
+
+@dataclass(frozen=True)
+class Importer:
+    """A format of recordings. Packages add their own as entry points of the group tauext.importers."""
+
+    format: str
+    """The format in words, for messages."""
+    fits: Callable[[Path, bytes], bool]
+    """Whether a file, by its first BEGIN bytes, or a folder, with b"", has this format."""
+    open: Callable[[Path, Sequence[str]], list[RawRecording]]
+    """Opens the recordings in it: one, or one an episode. The second argument names the topics to read; it is empty for
+    formats without topics. Raises RecordingError: damaged or empty."""
+    export: Export | None = None
+    """None: the format is only read."""

@@ -1,4 +1,4 @@
-"""What the check finds on servo arms, on simulated servos: what their effort is, its steps, their velocity and play."""
+"""What the checks find on simulated servos: what their effort is, and their play."""
 
 from dataclasses import replace
 
@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from made_servos import COUNT_RAD, Servo, drive, recorded
 from tauext_lab.report.check_picture import draw
+from tauext_lerobot.backlash import backlash_widths, play_of
+from tauext_lerobot.servo_torque import efforts_of, servo_findings
 
-from tauext.check.drive import efforts_of, servo_findings
 from tauext.check.examine import as_data, as_text, examine, quick_checks
-from tauext.check.sensors import coarse_velocities
-from tauext.data.drive_signal import backlash_widths, play_of, position_step, step_of
 
 DEGREE = np.pi / 180
 LOADED, PAN, PLAY, WIDE = 0, 1, 2, 3
@@ -124,27 +123,6 @@ def test_what_was_made_of_signals_is_held_against_those(two):
     assert not codes(made("duty", duty=two.duty)) and not codes(made("goal"))
     assert {code for code, _ in codes(made("duty", duty=np.abs(two.duty)))} == {"unsigned-torque"}
     assert efforts_of([made("goal")])[0].kind == "goal"
-
-
-def test_a_velocity_of_few_steps_is_coarse_where_positions_tell_it_better(two):
-    def with_step(step):
-        return replace(recorded(two, two.torque), dq=np.round(two.dq / step) * step)
-
-    found = coarse_velocities([with_step(50 * COUNT_RAD)])  # the speed register of a Feetech servo
-    assert [f.joint for f in found] == ["servo1", "servo2"] and "0.0767 rad/s" in found[0].evidence
-    assert not coarse_velocities([with_step(0.229 * np.pi / 30)])  # that of a Dynamixel
-    derived = {"servo": {"torque_from": "torque", "velocity_steps": 10}}
-    assert not coarse_velocities([replace(with_step(50 * COUNT_RAD), provenance=derived)])
-
-
-def test_steps_are_told_through_single_precision_and_not_invented():
-    rng = np.random.default_rng(0)
-    places = rng.integers(0, 900, 20000)
-    assert position_step((places * COUNT_RAD - 0.7).astype(np.float32).astype(float)) == COUNT_RAD
-    assert step_of((places * 0.02).astype(np.float32).astype(float)) == pytest.approx(0.02, rel=1e-6)
-    assert step_of(np.repeat(rng.uniform(0, 1, 2000), 10) + 1e-9 * rng.integers(0, 2, 20000)) is None
-    assert step_of(rng.standard_normal(20000)) is None and position_step(rng.standard_normal(20000)) is None
-    assert position_step(np.round(1e-3 * rng.standard_normal(20000), 6)) is None  # decimals of a text file
 
 
 def test_play_is_found_where_friction_loads_the_joint(driven):

@@ -10,8 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from tauext_lerobot.lerobot_folder import IMPORTER
 
+from tauext.cli import main
 from tauext.data.importers.open_raw import open_raw
+from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 
 FRAMES, COUNT = 40, 4
@@ -195,3 +198,34 @@ def test_a_dataset_that_cannot_be_read_is_refused_with_the_cause(tmp_path, kind)
         read(folder)
     assert message in str(refused.value)
     assert "Parquet" not in str(refused.value) and "arrow" not in str(refused.value).lower()
+
+
+def test_exported_recordings_are_read_back(tmp_path):
+    rng = np.random.default_rng(1)
+    q, dq, tau = rng.normal(size=(3, 200, 2))
+    t_ns = np.arange(200) * 10_000_000 + rng.integers(0, 1000, 200)
+    run = Recording("run", ("elbow", "shoulder"), t_ns, q, dq, tau, 100.0, "instant", "made", "")
+    assert IMPORTER.export([run, run, run], tmp_path / "out") == 3
+    sources = open_raw(tmp_path / "out")
+    assert [source.name for source in sources] == ["out-episode-000", "out-episode-001", "out-episode-002"]
+    (block,) = sources[1].blocks()
+    np.testing.assert_array_equal(block.t_ns, t_ns)
+    columns = dict(zip(block.names, block.columns.T, strict=True))
+    np.testing.assert_array_equal(columns["observation.state[elbow]"], q[:, 0])
+    np.testing.assert_array_equal(columns["observation.effort[shoulder]"], tau[:, 1])
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0" and info["fps"] == 100 and info["total_frames"] == 600
+
+
+def test_the_command_imports_a_dataset_and_writes_another(tmp_path, capsys):
+    arms.write_dataset(tmp_path / "ds", arms.episodes(range(2), 60), "v3.0")
+    (tmp_path / "arm.toml").write_text(arms.ARM.replace("UNIT", "deg") + '[split]\ntrain = ["ds"]\n')
+    words = ["--source", str(tmp_path / "ds"), "--arm", str(tmp_path / "arm.toml"), "--out", str(tmp_path / "out")]
+    assert main(["import", *words, "--format", "lerobot"]) == 0
+    out = capsys.readouterr().out
+    assert "[split] is not used: a dataset of format lerobot has no sets\n" in out and "2 episodes\n" in out
+    for read_again, (source, block) in zip(read(tmp_path / "out"), read(tmp_path / "ds"), strict=True):
+        assert read_again[0].name == source.name.replace("ds-", "out-")
+        np.testing.assert_array_equal(read_again[1].t_ns, block.t_ns)
+    assert main(["import", *words, "--format", "csv"]) == 2
+    assert capsys.readouterr().err == "tauext: error: --format = csv must be one of tauext, lerobot\n"

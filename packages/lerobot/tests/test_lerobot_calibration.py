@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 from made_servos import ELBOW
+from tauext_lerobot.calibration import MotorCalibration, load_lerobot_calibration
 
-from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 
 
@@ -59,3 +59,28 @@ def test_a_file_of_lerobot_is_read(tmp_path):
     motors = load_lerobot_calibration(path)
     assert motors["elbow_flex"] == MotorCalibration("elbow_flex", 3, 0, -1470, 871, 3084)
     assert motors["gripper"].id == 6 and motors["gripper"].drive_mode == 1 and list(motors) == ["elbow_flex", "gripper"]
+
+
+BROKEN = [
+    ("[", "not readable as JSON"),
+    ("[]", "must be motors by name"),
+    ("{}", "must be motors by name"),
+    ('{"a": 3}', "motor 'a': is 3, must be a table"),
+    (json.dumps({"a": {"id": 1}}), "motor 'a': drive_mode is missing"),
+    (json.dumps({"a": ELBOW | {"range_min": 1.5}}), "'a': range_min = 1.5 must be a whole number"),
+    (json.dumps({"a": ELBOW | {"range_min": True}}), "'a': range_min = True must be a whole number"),
+    (json.dumps({"a": ELBOW | {"range_min": 3084}}), "range_min = 3084 must be below range_max = 3084"),
+    (json.dumps({"a": ELBOW | {"id": 254}}), "id = 254 must be a whole number from 0 to 252"),
+    (json.dumps({"a": ELBOW | {"drive_mode": -1}}), "drive_mode = -1 must be a whole number from 0 to 255"),
+    (json.dumps({"a": ELBOW, "b": ELBOW}), "motors 'a' and 'b' have one id, 3"),
+]
+
+
+@pytest.mark.parametrize("text, message", BROKEN)
+def test_a_file_that_breaks_a_rule_is_refused_by_the_rule(tmp_path, text, message):
+    path = tmp_path / "my_follower.json"
+    with pytest.raises(ConfigError, match="there is no such LeRobot calibration file"):
+        load_lerobot_calibration(path)
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_lerobot_calibration(path)

@@ -17,7 +17,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from tauext.data.importers.parquet import floats_of, is_list, rows_of_lists
-from tauext.data.importers.raw import RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import Importer, RawRecording, RawSignals, short_list
 from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import json_of, read_text
@@ -420,3 +420,11 @@ def _write_meta(
     pq.write_table(tasks.replace_schema_metadata({"pandas": json.dumps(pandas)}), meta / "tasks.parquet")
     (meta / "stats.json").write_text(json.dumps(stats, indent=1) + "\n")
     (meta / "info.json").write_text(json.dumps(info, indent=1) + "\n")
+
+
+IMPORTER = Importer(
+    "LeRobot folder",
+    lambda path, _: (path / INFO).is_file(),
+    lambda path, _: open_lerobot(path),
+    export_lerobot,
+)

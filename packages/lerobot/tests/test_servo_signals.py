@@ -11,13 +11,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from tauext_lerobot.servo_signals import SignalLimits, comparison_sentence, made_from, other_sources, size_of_pushes
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
-from tauext.data.servo import made_from, other_sources
 from tauext.data.servo_types import SERVO_TYPES
-from tauext.train.servo_signals import SignalLimits, comparison_sentence, size_of_pushes
 
 SERVO = SERVO_TYPES["sts3215-7.4v"]
 RATE_HZ, SECONDS, RUNS = 50, 40.0, 10

@@ -1,20 +1,18 @@
-"""Servos: kind of the effort signal, and play of joints."""
+"""What a servo arm's effort is: an unsigned supply current, a duty or load, a phase current, or a torque."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from tauext.check.finding import Finding
-from tauext.check.motion import DEGREES
-from tauext.data.drive_signal import LEAST_VISITS, Play, RestLaw, motion_of, rest_law, step_of, unsigned_visits
+from tauext.check.finding import Check, Facts, Finding, Found, Plot, Plots
+from tauext.check.quantisation import step_of
 from tauext.data.recording import Recording
-
-# --- Kind of a servo arm's effort: an unsigned supply current, a duty or load, a phase current, or a torque.
-
+from tauext_lerobot.drive_signal import LEAST_VISITS, RestLaw, motion_of, rest_law, unsigned_visits
 
 Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", "sign bit", "goal"]
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
@@ -37,8 +35,6 @@ DRAWN = 5000
 """Most points in a figure."""
 PILED = 20
 """Fewest rows at exactly the full duty for a saturated drive."""
-OF_TORQUES = ("effort-scale", "effort-motor-side", "payload")
-"""Codes of findings that apply only to a torque in N m."""
 SIGN_BIT, FULL = 1024, 1000
 """Feetech's Present_Load: bit 10 is the sign, the rest is 0 to 1000."""
 
@@ -109,17 +105,17 @@ def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Fin
 _DUTY = 'set torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then subtracted'
 
 
-def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tuple[Sequence[Recording], set[int]]:
+def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tuple[Sequence[Recording], bool]:
     """Give unsigned efforts a sign and make them linear in torque, for the other checks.
 
     Returns:
-        The recordings, and the joints without a known sign, whose torque findings are void.
+        The recordings, and whether a joint's sign stays unknown.
     """
     turned = [j for j, e in enumerate(efforts) if e.kind in ("unsigned", "supply current") and e.made_from is None]
     if not turned:
-        return recordings, set()
+        return recordings, False
     if any(r.q_des is None for r in recordings):
-        return recordings, set(turned)
+        return recordings, True
     out = []
     for r in recordings:
         tau = np.array(r.tau)
@@ -127,51 +123,64 @@ def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tup
             size = np.abs(tau[:, j])
             tau[:, j] = np.sign(_goal(r)[:, j] - r.q[:, j]) * (np.sqrt(size) if _is_square(efforts[j]) else size)
         out.append(replace(r, tau=tau))
-    return out, set()
+    return out, False
 
 
-@dataclass(frozen=True)
-class Rest:
-    """One joint's effort at rest against goal minus position, for a figure."""
-
-    error_rad: np.ndarray
-    effort: np.ndarray
-    effort_of: Effort
-
-
-def rests_of(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list[Rest | None]:
-    """Points for each joint whose effort is no torque and follows a law, else None."""
-    found: list[Rest | None] = []
-    for j, effort in enumerate(efforts):
-        if effort.law is None or effort.kind == "torque":
-            found.append(None)
-            continue
-        name = MADE_OF.get(effort.made_from or "", "tau")
-        rests = [motion_of(r, j)[1] for r in recordings]
-        both = [
-            np.stack([(_goal(r) - r.q)[rest, j], getattr(r, name)[rest, j]])
-            for r, rest in zip(recordings, rests, strict=True)
-            if r.q_des is not None
-        ]
-        points = np.concatenate(both, axis=1)
-        points = points[:, :: max(1, points.shape[1] // DRAWN)]
-        found.append(Rest(points[0], points[1], effort))
-    return found
+def _plot(recordings: Sequence[Recording], j: int, effort: Effort) -> Plot | None:
+    """Effort at rest against goal minus position, with its law; None: it is a torque, or follows no law."""
+    law = effort.law
+    if law is None or effort.kind == "torque":
+        return None
+    name = MADE_OF.get(effort.made_from or "", "tau")
+    rests = [motion_of(r, j)[1] for r in recordings]
+    both = [
+        np.stack([(_goal(r) - r.q)[rest, j], getattr(r, name)[rest, j]])
+        for r, rest in zip(recordings, rests, strict=True)
+        if r.q_des is not None
+    ]
+    points = np.concatenate(both, axis=1)
+    error, measured = points[:, :: max(1, points.shape[1] // DRAWN)]
+    line = np.linspace(error.min(), error.max(), 200)
+    predicted = law.gain * np.abs(line) ** (2 if _is_square(effort) else 1) * (np.sign(line) if law.odd else 1.0)
+    y_range = 1.1 * min(0.0, float(measured.min())), 1.1 * max(1e-9, float(measured.max()))
+    return Plot((line, predicted), y_range, points=(error, measured))
 
 
-def without_scale(found: Sequence[Finding], joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
-    """Remove findings that compare efforts with N m where the effort is no torque."""
-    other = {
+def _plots(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> Plots:
+    plots = [_plot(recordings, j, effort) for j, effort in enumerate(efforts)]
+    return Plots("effort at rest, and its law", "goal - position, rad", plots, any(plots))
+
+
+def _facts(effort: Effort) -> Facts:
+    fact: Facts = {"torque_is": effort.kind}
+    if effort.made_from is not None:
+        fact["torque_made_from"] = effort.made_from
+    if effort.law is not None and effort.kind != "torque":
+        fact["effort_per_rad2" if _is_square(effort) else "effort_per_rad"] = effort.law.gain
+        fact["effort_exponent"] = effort.law.exponent
+    if effort.full:
+        fact["effort_full"] = effort.full
+    return fact
+
+
+def find_kind(recordings: Sequence[Recording]) -> Found:
+    """Kind of each joint's effort: findings, facts, recordings with signed efforts, and the laws for a picture."""
+    joints, efforts = recordings[0].joints, efforts_of(recordings)
+    signed, unsigned = with_sign(recordings, efforts)
+    no_torque = {
         joint
         for joint, effort in zip(joints, efforts, strict=True)
         if effort.made_from is None and effort.kind not in ("torque", "phase current")
     }
-    return [f for f in found if not (f.code in OF_TORQUES and (f.joint in other or (f.joint is None and other)))]
-
-
-def is_drive(effort: Effort) -> bool:
-    """Whether the effort is a drive signal, which reverses before the joint leaves stiction and shows no delay."""
-    return effort.kind != "torque" or effort.made_from is not None
+    return Found(
+        servo_findings(joints, efforts),
+        signed,
+        [_facts(effort) for effort in efforts],
+        unsigned=unsigned,
+        drive=any(effort.kind != "torque" or effort.made_from is not None for effort in efforts),
+        no_torque=frozenset(no_torque),
+        plots=partial(_plots, recordings, efforts),
+    )
 
 
 def _goal(recording: Recording) -> np.ndarray:
@@ -304,22 +313,14 @@ def _duty_evidence(effort: Effort) -> str:
     return "; ".join(parts) + ": a duty, or a load register, and no torque"
 
 
-# --- Play of joints, as a finding.
-
-
-def play_findings(joints: Sequence[str], plays: Sequence[Play]) -> list[Finding]:
-    """Findings of joints whose play is detected."""
-    return [
-        Finding(
-            "backlash",
-            "note",
-            joint,
-            f"{play.width_rad:.2g} ± {play.error_rad:.1g} rad ({play.width_rad * DEGREES:.2g} ± "
-            f"{play.error_rad * DEGREES:.1g} degrees): after {play.turns} reversals the position travels so far, on "
-            f"average, before the drive carries the {play.share:.0%} of its friction that lie behind the play",
-            "the gear carries no load while it crosses its play, so touches are not detected; if the encoder sits "
-            "behind the play, the true play is larger",
-        )
-        for joint, play in zip(joints, plays, strict=True)
-        if play.width_rad > 0
-    ]
+CHECK = Check(
+    {
+        "current-signed": "a current declared as the supply's has a sign",
+        "effort-duty": "the torque is the duty of a drive, or a load register",
+        "load-sign-bit": "the torque is a load register with its sign still in a bit",
+        "supply-current": "the torque is the current of a servo's supply, without a sign",
+        "unsigned-torque": "the torque has no sign",
+    },
+    find_kind,
+    corrected=False,
+)

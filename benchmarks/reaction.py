@@ -28,9 +28,9 @@ from common import ROOT, arguments, loop_arguments
 from seven_axis import bundle, motion
 
 from tauext import _core
+from tauext.monitor.cell_file import Reaction
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
 from tauext.monitor.sink import ReactionEvent
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings

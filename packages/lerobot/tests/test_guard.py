@@ -408,9 +408,9 @@ def test_guard_toml_is_read_back_and_a_wrong_key_is_refused(guarded, made, tmp_p
     again = load_guard(tmp_path)[2]
     assert again.grip == settings.grip and again.joints.keys() == settings.joints.keys()
     for wrong, error in (
-        (text.replace("at_most_nm", "most_nm"), r"'most_nm' in \[grip\]"),
+        (text.replace("at_most_nm", "most_nm"), r"\[grip\] unknown key 'most_nm'"),
         (text.replace("hold_s = 0.3", "hold_s = 0"), "hold_s"),
-        (text.replace("held", "help"), r"'help' in \[joints.shoulder\]"),
+        (text.replace("held", "help"), r"\[joints.shoulder\] unknown key 'help'"),
         (text.replace('"shoulder" =', '"claw" ='), "claw"),
     ):
         (tmp_path / "guard.toml").write_text(wrong)

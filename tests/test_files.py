@@ -26,7 +26,7 @@ from tauext.errors import ConfigError, StoreError
 from tauext.files.atomic_write import atomic_files, atomic_folder, atomic_write
 from tauext.files.copies import added, local_file, local_folder, local_robot, put, send, staged
 from tauext.files.places import place_of
-from tauext.train.calibrate import checkpoint_file
+from tauext.train.promised_limits import checkpoint_file
 
 SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact")
 

@@ -31,7 +31,7 @@ from tauext.files.provenance import provenance
 from tauext.fit.fleet_prior import CLOSE, FleetPrior
 from tauext.fit.tail import FalseAlarmBudget, Promise, duration, is_kept
 from tauext.progress import SILENT, Reporter, WallTimes
-from tauext.train.held_peaks import REGIONS, separate_peaks
+from tauext.train.held_peaks import REGIONS, peak_indices
 
 # --- Refit with a fleet prior: joints that hardly moved follow those that did.
 #
@@ -177,7 +177,7 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
     left_out = found.left_out
     inside = left_out["free"].astype(bool) & (left_out["near_stiction"][:, joint] == REGIONS.index(region))
     values = np.where(inside, left_out["share"][:, joint], 0.0)
-    return len(separate_peaks(values, left_out["t_ns"], floor=share))
+    return len(peak_indices(values, left_out["t_ns"], floor=share))
 
 
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
